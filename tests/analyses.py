@@ -1,4 +1,4 @@
-"""Analyses made of given boxes, without a detector, for the tests of what shows them."""
+"""Analyses of made-up boxes, without a detector, for the tests of results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vehanchor.scale.posterior import Witness
 
 
 def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:
-    """The card of a detector that there is not."""
+    """Make the card of a detector that does not exist."""
     return DetectorCard(
         name="test",
         sha256="0" * 64,
@@ -42,7 +42,7 @@ def make_analysis(
     reference_length_m: float = 5.045,
     min_length_px: float = 0.0,
 ) -> ScaleAnalysis:
-    """The analysis of an image in which a detector found ``boxes``, all with score 0.8."""
+    """Analyse an image in which a detector found ``boxes``, all with score 0.8."""
     return analyse_found(
         Detections(boxes, np.full(len(boxes), 0.8)),
         made_card(reference_length_m, min_length_px),
@@ -61,7 +61,7 @@ def analyse_found(
     image_height_px: int,
     detail_share: float = 1.0,
 ) -> ScaleAnalysis:
-    """The second half of the skill, on vehicles that a test has made up."""
+    """Analyse made-up vehicles: the second half of the pipeline."""
     image = ImageFacts(image_width_px, image_height_px)
     return analyse_view(
         View(
@@ -75,18 +75,18 @@ def analyse_found(
 
 
 def with_tilt(view: View) -> View:
-    """The view with the tilt of its metadata, as a search leaves it."""
+    """Add the tilt of the metadata to a view, as a search does."""
     return replace(view, tilt=metadata_tilt(view.image, view.options))
 
 
 def told(witness: Witness | None) -> Witness:
-    """The witness of a ruler that has something to say."""
+    """Return a witness; fail for a ruler that has nothing to report."""
     assert witness is not None
     return witness
 
 
 def measured(ruler: Ruler, view: View) -> Witness:
-    """Measure with a ruler that has something to say."""
+    """Measure with a ruler that has something to report."""
     return told(ruler.measure(view))
 
 

@@ -110,7 +110,9 @@ def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Witnes
         spread, chance_wrong = _STATED[kind]
         lies = kind == case.liar or (case.wrong_at_times and rng.random() < chance_wrong)
         gsd = _lie(rng, truth) if lies else truth * math.exp(rng.normal(0, spread))
-        told.append(point_witness(kind, gsd, log_sd=spread, chance_wrong=chance_wrong, said="{}"))
+        told.append(
+            point_witness(kind, gsd, log_sd=spread, chance_wrong=chance_wrong, statement="{}")
+        )
     return told, truth
 
 

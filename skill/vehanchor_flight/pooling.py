@@ -219,7 +219,7 @@ def _pooled_witness(kind: str, found: Sequence[tuple[Witness, float]]) -> Witnes
         chance_wrong=sum(other.chance_wrong for other, _ in heard) / len(heard),
         n=sum(other.n for other, _ in heard),
         lacks=tuple(Lack(each.reason, replace(each.without, right=right)) for each in first.lacks),
-        said=None,
+        statement=None,
         marks=(),
         notices=notices,
     )
@@ -232,7 +232,9 @@ def _moved(witness: Witness, offset: float) -> Witness:
     right = shifted(witness.right, offset)
     lacks = tuple(Lack(each.reason, _moved(each.without, offset)) for each in witness.lacks)
     moved_gsd = witness.gsd_m_per_px * math.exp(-offset)
-    return replace(witness, gsd_m_per_px=moved_gsd, right=right, lacks=lacks, said=None, marks=())
+    return replace(
+        witness, gsd_m_per_px=moved_gsd, right=right, lacks=lacks, statement=None, marks=()
+    )
 
 
 def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:

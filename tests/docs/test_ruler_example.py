@@ -86,7 +86,7 @@ def test_a_running_track_makes_the_scale_of_an_image_without_cars() -> None:
     assert (record.leading_ruler, record.n_vehicles) == ("track", 0)
     assert (record.rulers[0].label, record.rulers[0].sets_scale) == ("running track", True)
     assert record.rulers[0].explanation is not None
-    assert record.rulers[0].explanation.startswith("A running track of 800 px says 0.2211 m/px")
+    assert record.rulers[0].explanation.startswith("A running track of 800 px gives 0.2211 m/px")
 
 
 @pytest.mark.usefixtures("track")

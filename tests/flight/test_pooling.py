@@ -99,7 +99,7 @@ def test_rulers_that_err_alike_gain_less_by_number(gain: float, narrower: float)
 
 def test_a_witness_of_the_flight_is_heard() -> None:
     photographs = [_photograph(_FLEET), _photograph(_FLEET)]
-    extra = point_witness("positions", 0.17, log_sd=0.05, chance_wrong=0.05, said="{}", n=3)
+    extra = point_witness("positions", 0.17, log_sd=0.05, chance_wrong=0.05, statement="{}", n=3)
     pooled = pool(photographs, np.zeros(2), 0, [extra])
     assert pooled.witnesses[1:] == (extra,)
     assert [ruler.kind for ruler in pooled.estimate.rulers] == ["vehicles", "positions"]
@@ -115,7 +115,9 @@ def test_a_prior_counts_once_per_place() -> None:
 
 def test_photographs_of_one_take_off_share_its_error() -> None:
     height = Shared("height above take-off", 0.12)
-    each = point_witness("camera", 0.1, log_sd=0.02, chance_wrong=0.05, said="{}", shared=[height])
+    each = point_witness(
+        "camera", 0.1, log_sd=0.02, chance_wrong=0.05, statement="{}", shared=[height]
+    )
     pooled = _pooled_witness("camera", [(each, 0.0), (each, 0.05)])
     assert (pooled.shared, pooled.chance_wrong) == ((height,), 0.05)
     assert pooled.gsd_m_per_px == pytest.approx(0.1 * np.exp(-0.025), rel=0.01)

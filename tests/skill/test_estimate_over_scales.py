@@ -1,4 +1,4 @@
-"""What keeps an estimate from being sure of the wrong thing after a search over reduced copies of an image."""
+"""Estimates after a search over reduced copies of an image, which also finds other things."""
 
 from __future__ import annotations
 
@@ -42,15 +42,14 @@ def _fleet(mean: float, n: int = 30, spread: float = 0.07) -> list[float]:
 def _analysis(
     detector: Detector, groups: list[tuple[float, int, float, float]], detail_share: float = 1.0
 ) -> Any:
-    """An analysis of groups of (length, number, score, scale), their lengths spread as a fleet's."""
+    """An analysis of groups of (length, number, score, reduction), with the spread of a fleet."""
     lengths = np.concatenate([_fleet(length, n) for length, n, _, _ in groups])
-    boxes = np.column_stack(
-        [np.arange(len(lengths)) * 999, lengths * 0, lengths, lengths / 2.2, lengths * 0]
-    )
+    x = np.arange(len(lengths)) * 999
+    boxes = np.column_stack([x, lengths * 0, lengths, lengths / 2.2, lengths * 0])
     scores = np.concatenate([np.full(n, score) for _, n, score, _ in groups])
-    scales = np.concatenate([np.full(n, scale) for _, n, _, scale in groups])
+    reductions = np.concatenate([np.full(n, reduction) for _, n, _, reduction in groups])
     return analyse_found(
-        Detections(boxes, scores, reductions=scales),
+        Detections(boxes, scores, reductions=reductions),
         detector.card,
         image_width_px=4000,
         image_height_px=4000,
@@ -67,15 +66,15 @@ def test_the_dominant_group_is_a_fleet_whatever_the_order(
 ) -> None:
     lengths, weights = (np.array(column) for column in zip(*found, strict=True))
     members, rival_share = dominant_group(lengths, weights)
-    chosen = lengths[members]
-    assert len(chosen) > 0
-    assert chosen.max() / chosen.min() <= 1.5**2
+    fleet = lengths[members]
+    assert len(fleet) > 0
+    assert fleet.max() / fleet.min() <= 1.5**2
     assert rival_share >= 0
     assert (rival_share == 0) == bool(members.all())
     shuffled = list(range(len(lengths)))
     order.shuffle(shuffled)
     again, _ = dominant_group(lengths[shuffled], weights[shuffled])
-    assert sorted(lengths[shuffled][again]) == sorted(chosen)
+    assert sorted(lengths[shuffled][again]) == sorted(fleet)
 
 
 def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(
@@ -91,13 +90,21 @@ def test_a_level_with_little_evidence_neither_moves_nor_lowers_the_answer(
 
 
 @pytest.mark.parametrize("other", [60.0, 190.0])
-def test_two_levels_that_disagree_are_not_averaged_and_never_sure(
-    searching: Detector, other: float
-) -> None:
-    e = _analysis(searching, [(30.0, 30, 0.8, 1.0), (other, 26, 0.8, 0.5 if other < 100 else 0.25)])
-    assert e.status == "low_confidence"
-    assert e.mode_length_px == pytest.approx(30.0, rel=0.02)
-    assert e.n_vehicles == 30
+def test_two_levels_that_disagree_are_never_usable(searching: Detector, other: float) -> None:
+    assert _two_levels(searching, other).status == "low_confidence"
+
+
+@pytest.mark.parametrize("other", [60.0, 190.0])
+def test_two_levels_that_disagree_are_not_averaged(searching: Detector, other: float) -> None:
+    estimate = _two_levels(searching, other)
+    assert estimate.mode_length_px == pytest.approx(30.0, rel=0.02)
+    assert estimate.n_vehicles == 30
+
+
+def _two_levels(searching: Detector, other_px: float) -> Any:
+    """Thirty vehicles of 30 px, and 26 of another length in a reduced copy."""
+    reduction = 0.5 if other_px < 100 else 0.25
+    return _analysis(searching, [(30.0, 30, 0.8, 1.0), (other_px, 26, 0.8, reduction)])
 
 
 @pytest.mark.parametrize(
@@ -132,7 +139,7 @@ def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
     assert estimate(None).status == "ok"  # at full resolution their size speaks for them
 
 
-def test_scores_and_not_numbers_alone_decide_which_level_dominates(searching: Detector) -> None:
+def test_scores_count_beside_numbers_for_the_dominant_level(searching: Detector) -> None:
     e = _analysis(searching, [(30.0, 30, 0.4, 1.0), (190.0, 20, 0.9, 0.25)])
     assert e.details.working_scale == 0.25
     assert e.mode_length_px == pytest.approx(190.0, rel=0.02)

@@ -25,7 +25,7 @@ from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
-from vehanchor.rulers.ruler import assumed, point_witness, prior_witness
+from vehanchor.rulers.ruler import as_assumed, point_witness, prior_witness
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
@@ -281,11 +281,11 @@ def test_a_journal_can_start_nothing(found: object) -> None:
             0.1,
             log_sd=0.02,
             chance_wrong=0.05,
-            said="{}",
+            statement="{}",
             shared=[Shared("lens", 0.03)],
             marks=[Mark(((1, 2),), "up")],
         ),
-        assumed(point_witness("height", 0.1, log_sd=0.1, chance_wrong=0.05, said="{}")),
+        as_assumed(point_witness("height", 0.1, log_sd=0.1, chance_wrong=0.05, statement="{}")),
         prior_witness("scene_scale", lognormal(0.1, 0.2), power=0.7, n=24),
         Witness("courts", n=0),
     ],

@@ -1,1 +1,1 @@
-"""The analysis of an image: the pipeline to its scale, and results with their evidence, drawing and export."""
+"""Analysis of an image: the pipeline to its scale, and results with drawing and export."""

@@ -2,7 +2,7 @@
 
 With the effort ``auto``, the search of a photograph ends when the expected change of the value is
 small: the standard error of the value by its vehicles, times the root of the share of vehicles in
-the tiles that are not visited. Few vehicles that agree by chance do not end it.
+the tiles that are not yet searched. A few vehicles that agree by chance do not end it.
 
 The uncertainty of a scale has two parts. More vehicles reduce the statistical part; the uncertainty
 of the fleet's length remains. The search of a large image ends when the statistical part is below
@@ -30,15 +30,17 @@ from vehanchor.scale.posterior import answer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from vehanchor.detection.search import ImageSearch
     from vehanchor.options.method import Effort
     from vehanchor.rulers.ruler import View
+    from vehanchor.rulers.vehicles import VehicleWitness
+    from vehanchor.scale.density import Density
+    from vehanchor.scale.posterior import Answer, Witness
 
-_LEAST_FLEET_LOG_SD = 0.03  # even a known fleet differs this much between parts of a town
-_CHANCE_MARGIN = 0.03  # early and full searches of nine photographs differed by at most 0.017
+# Even a known fleet differs this much between parts of a town.
+_MIN_FLEET_LOG_SD = 0.03
+# The chances of early and full searches of nine photographs differed by at most 0.017.
+_CHANCE_MARGIN = 0.03
 
 
 class Convergence(NamedTuple):
@@ -48,7 +50,7 @@ class Convergence(NamedTuple):
         share: log standard deviation from the number and the spread of the vehicles, over that from
             the fleet's unknown length; inf without vehicles, with doubts about them, or if more of
             them may make the scale usable.
-        change: log standard deviation of the change that the unvisited tiles would make to the
+        change: log standard deviation of the change that the remaining tiles would make to the
             value; inf for fewer than five vehicles.
         density: ``[g]`` density of the scale on ``vehanchor.scale.density.GRID``; None without
             vehicles.
@@ -56,7 +58,7 @@ class Convergence(NamedTuple):
 
     share: float = math.inf
     change: float = math.inf
-    density: NDArray[np.float64] | None = None
+    density: Density | None = None
 
 
 class StopRule(NamedTuple):
@@ -75,28 +77,32 @@ class StopRule(NamedTuple):
 
 def stop_rule(effort: Effort, n_pixels: int) -> StopRule:
     """Choose the stopping rule for an image by its size and the effort."""
+    is_fast = effort == "fast"
     if n_pixels < LARGE_PIXELS:
-        return (
-            StopRule(share=1.35, change=0.025)
-            if effort == "fast"
-            else StopRule(share=0.9, change=0.0125)
-        )
-    return StopRule(share=0.9) if effort == "fast" else StopRule(share=0.45, checks=2)
+        if is_fast:
+            return StopRule(share=1.35, change=0.025)
+        return StopRule(share=0.9, change=0.0125)
+    if is_fast:
+        return StopRule(share=0.9)
+    return StopRule(share=0.45, checks=2)
 
 
 def search_until_settled(search: ImageSearch, view: View) -> None:
-    """Search an image until more tiles cannot change its scale, by the vehicles and the prior alone.
+    """Search an image until more tiles cannot change its scale.
+
+    The scale is that of the vehicles and the prior alone.
 
     Args:
-        search: of the image.
-        view: of the image, without detections.
+        search: search of the image.
+        view: view of the image, without detections.
     """
     rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
     checks: list[Convergence] = []
     for unseen_share in search:
-        seen = replace(view, detections=search.result(ended=False, check_stretch=False))
-        check = convergence(seen, unseen_share)
+        so_far = replace(view, detections=search.result(ended=False, check_stretch=False))
+        check = convergence(so_far, unseen_share)
         if check.density is not None:
+            # Resolutions that this scale makes superfluous are left out.
             search.leave_out(check.density)
         checks.append(check)
         if has_converged(checks, rule):
@@ -104,40 +110,62 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
 
 
 def convergence(view: View, unseen_share: float = 1.0) -> Convergence:
-    """Measure how far more vehicles would change the scale found so far, by the vehicles and the prior alone.
+    """Measure how far more vehicles would change the scale that was found so far.
+
+    The scale is that of the vehicles and the prior alone.
 
     Args:
-        view: of the image, with the detections so far.
-        unseen_share: expected share of the image's vehicles in the tiles that are not visited.
+        view: view of the image, with the detections so far.
+        unseen_share: expected share of the image's vehicles in the tiles that are not yet searched.
     """
-    measured = (
-        ruler.measure(view) for ruler in active_rulers(view.options.rulers) if not ruler.sets_scale
-    )
     vehicles = Vehicles().measure(view)
     if not vehicles.found:
         return Convergence()
-    heard = with_doubts([vehicles, *(each for each in measured if each is not None and each.found)])
-    found = answer(heard)
-    imprecise = (
-        found is not None
-        and found.reason == "imprecise"
-        and found.chance < USABLE_CHANCE - _CHANCE_MARGIN
-    )
-    # A little change of the value leaves the status as it is: usable, or clearly too imprecise.
-    settled = not vehicles.doubted and found is not None and (found.usable or imprecise)
+    witnesses = with_doubts([vehicles, *_priors(view)])
+    share = math.inf
+    change = math.inf
     resampling, spread = vehicles.statistical_log_sds
-    return Convergence(
-        math.hypot(resampling, spread) / max(vehicles.reference.log_sd, _LEAST_FLEET_LOG_SD)
-        if settled
-        else math.inf,
-        resampling * math.sqrt(unseen_share) if vehicles.n >= MIN_KDE_VEHICLES else math.inf,
-        product(*(each.density for each in heard)),
-    )
+    if _status_is_settled(vehicles, answer(witnesses)):
+        fleet_log_sd = max(vehicles.reference.log_sd, _MIN_FLEET_LOG_SD)
+        share = math.hypot(resampling, spread) / fleet_log_sd
+    if vehicles.n >= MIN_KDE_VEHICLES:
+        change = resampling * math.sqrt(unseen_share)
+    density = product(*(witness.density for witness in witnesses))
+    return Convergence(share, change, density)
+
+
+def _priors(view: View) -> list[Witness]:
+    """Measure with the rulers that never set the scale."""
+    witnesses = []
+    for ruler in active_rulers(view.options.rulers):
+        if ruler.sets_scale:
+            continue
+        witness = ruler.measure(view)
+        if witness is not None and witness.found:
+            witnesses.append(witness)
+    return witnesses
+
+
+def _status_is_settled(vehicles: VehicleWitness, so_far: Answer | None) -> bool:
+    """Test whether a small change of the value leaves the status as it is.
+
+    The scale is then usable, or clearly too imprecise.
+    """
+    if vehicles.doubted or so_far is None:
+        return False
+    if so_far.usable:
+        return True
+    return so_far.reason == "imprecise" and so_far.chance < USABLE_CHANCE - _CHANCE_MARGIN
 
 
 def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
-    """Test whether more tiles would change the interval and the value too little, by the last of all checks so far."""
+    """Test whether more tiles would change the interval and the value too little.
+
+    Args:
+        checks: all checks so far; the last ones decide.
+        rule: conditions that end the search.
+    """
     last = checks[-rule.checks :]
-    return len(last) == rule.checks and all(
-        each.share < rule.share and each.change <= rule.change for each in last
-    )
+    if len(last) < rule.checks:
+        return False
+    return all(check.share < rule.share and check.change <= rule.change for check in last)

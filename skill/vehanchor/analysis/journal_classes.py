@@ -1,4 +1,4 @@
-"""Classes of intermediate results that journals store, and the names that these had in earlier journals."""
+"""Classes of intermediate results that journals store, and their names in earlier journals."""
 
 from __future__ import annotations
 
@@ -35,5 +35,7 @@ FORMER_NAMES = {
     "Looks": "Appearance",
     "Detections.looks": "appearance",
     "Detections.scales": "reductions",
+    "Witness.said": "statement",
     "StoredPhotograph.resolved": "detail_share",
 }
+"""Today's names by former names: of a class, or of a field as ``Class.field``."""

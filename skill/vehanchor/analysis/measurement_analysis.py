@@ -39,14 +39,14 @@ class AreaAnalysis(Analysis, AreaEvidence):
         height = self.measurement.image_height_px
         if width * height > self.reading.limits.max_pixels:
             raise OutputError(
-                f"a mask of {width} x {height} px has more than "
-                f"{self.reading.limits.max_pixels} pixels: take the "
-                "outline from the record"
+                f"a mask of {width} x {height} px has more than {self.reading.limits.max_pixels} "
+                "pixels: take the outline from the record"
             )
-        window = self.segmentation.window
         full = np.zeros((height, width), dtype=bool)
+        window = self.segmentation.window
         rows = slice(window.y_px, window.y_px + window.height_px)
-        full[rows, window.x_px : window.x_px + window.width_px] = self.segmentation.mask
+        columns = slice(window.x_px, window.x_px + window.width_px)
+        full[rows, columns] = self.segmentation.mask
         return full
 
     def to_supervision(self) -> Any:
@@ -103,9 +103,12 @@ class DistanceAnalysis(Analysis, DistanceEvidence):
 
 
 def _feature(record: AreaMeasurement | DistanceMeasurement, *names: str) -> dict[str, Any]:
-    """Make a GeoJSON Feature of a measurement; ``names`` are the fields of the size and its interval."""
-    properties = {
-        name: getattr(record, name)
-        for name in ("status", *names, "gsd_m_per_px", "scale_confidence")
-    }
+    """Make a GeoJSON Feature of a measurement.
+
+    Args:
+        record: the measurement.
+        *names: names of the fields with the size and its interval.
+    """
+    fields = ("status", *names, "gsd_m_per_px", "scale_confidence")
+    properties = {name: getattr(record, name) for name in fields}
     return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}

@@ -18,14 +18,16 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
 
-_MOST = 8  # analyses; a choice: 10,000 vehicles take 1 MB
+# Largest number of analyses in memory; 10,000 vehicles take 1 MB. A choice.
+_MAX_ANALYSES = 8
 
 
 class AnalysisMemory:
     """The last analyses, by image, detector and options."""
 
     def __init__(self) -> None:
-        self._kept = lru_cache(_MOST)(_no_analysis)
+        # The cache holds a list by key, empty until the analysis is made.
+        self._slots = lru_cache(_MAX_ANALYSES)(_empty_slot)
 
     def analyse(self, detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
         """Return the analysis of an open image; see ``vehanchor.analysis.pipeline.analyse_raster``.
@@ -34,12 +36,12 @@ class AnalysisMemory:
         """
         if options.search.max_seconds is not None:
             return analyse_raster(detector, raster, options)
-        kept = self._kept(image_id(raster), detector.card.sha256, repr(options))
-        if not kept:
-            kept.append(analyse_raster(detector, raster, options))
-        return kept[0]
+        slot = self._slots(image_id(raster), detector.card.sha256, repr(options))
+        if not slot:
+            slot.append(analyse_raster(detector, raster, options))
+        return slot[0]
 
 
-def _no_analysis(*_key: str) -> list[ScaleAnalysis]:
-    """Make the place for the analysis of an image, a detector and options."""
+def _empty_slot(*_key: str) -> list[ScaleAnalysis]:
+    """Make an empty list for the analysis of an image, a detector and options."""
     return []

@@ -12,7 +12,7 @@ import math
 import os
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
@@ -46,7 +46,7 @@ from vehanchor.rulers.vehicles import measured_vehicles
 from vehanchor.rulers.witnesses import disagreements, measure_all, with_doubts
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
-from vehanchor.scale.posterior import Answer, answer, judged
+from vehanchor.scale.posterior import Answer, answer, judge
 from vehanchor.scale.reliability import SAME_NUMBER
 
 if TYPE_CHECKING:
@@ -62,13 +62,31 @@ if TYPE_CHECKING:
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.posterior import Remark, Witness
 
+# Digits of a model's checksum in a scale to give back.
 _MODEL_DIGITS = 12
-_SHOWN_FAILURES = 10  # of a list of images
-GEOREFERENCE_TOLERANCE = 0.10  # largest difference of the file's own scale without a warning
+# Images whose errors are shown if many images of a list fail.
+_MAX_SHOWN_FAILURES = 10
+# Largest relative difference of the file's own scale without a warning.
+GEOREFERENCE_TOLERANCE = 0.10
+# Fields of ``EstimateDetails`` that are None without the ruler ``vehicles``.
+_VEHICLE_DETAILS = (
+    "n_detections",
+    "working_scale",
+    "aggregation",
+    "reference_length_m",
+    "reference_source",
+    "resolution_guard",
+    "composite_confidence",
+    "confidence_terms",
+)
 
 
 def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
-    """Check, before the work, that the rulers exist and the detector knows the region; return the detector."""
+    """Check, before the work, that the rulers exist and the detector knows the region.
+
+    Returns:
+        The detector.
+    """
     check_rulers(options.rulers)
     reference_length(detector.card, options.reference, None)
     return detector
@@ -77,13 +95,14 @@ def checked_detector(detector: Detector, options: ScaleOptions) -> Detector:
 def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions) -> ScaleAnalysis:
     """Open an image, search it and measure its scale; see ``Engine.analyse_scale``."""
     with open_raster(image, options.reading) as raster:
-        return analyse_raster(detector, raster, options).drawn_over(image, raster, options.reading)
+        analysis = analyse_raster(detector, raster, options)
+        return analysis.drawn_over(image, raster, options.reading)
 
 
 def estimate_each(
     images: Sequence[ImageSource], detector: Detector, options: ScaleOptions
 ) -> list[GsdEstimate]:
-    """Estimate the scale of each image; one that fails does not end the work on the others.
+    """Estimate the scale of each image; an image that fails does not stop the others.
 
     Raises:
         ImageListError: images failed; the error names them and holds all results.
@@ -94,7 +113,7 @@ def estimate_each(
             results.append(analyse_image(image, detector, options).estimate)
         except VehAnchorError as error:
             results.append(error)
-    records = [each for each in results if not isinstance(each, VehAnchorError)]
+    records = [result for result in results if not isinstance(result, VehAnchorError)]
     if len(records) < len(results):
         raise ImageListError(_failures_text(images, results), results)
     return records
@@ -103,25 +122,26 @@ def estimate_each(
 def _failures_text(
     images: Sequence[ImageSource], results: Sequence[GsdEstimate | VehAnchorError]
 ) -> str:
-    """Name the failed images, the first of them with their errors."""
-    failures = [
-        f"image {number} ({_image_name(image)}): {error}"
-        for number, (image, error) in enumerate(zip(images, results, strict=True), 1)
-        if isinstance(error, VehAnchorError)
-    ]
-    shown = "; ".join(failures[:_SHOWN_FAILURES])
-    more = (
-        f"; and {len(failures) - _SHOWN_FAILURES} more" if len(failures) > _SHOWN_FAILURES else ""
-    )
+    """Name the failed images with their errors, up to ten of them."""
+    failures = []
+    for number, (image, result) in enumerate(zip(images, results, strict=True), 1):
+        if isinstance(result, VehAnchorError):
+            failures.append(f"image {number} ({_image_name(image)}): {result}")
+    shown = "; ".join(failures[:_MAX_SHOWN_FAILURES])
+    n_more = len(failures) - _MAX_SHOWN_FAILURES
+    if n_more > 0:
+        shown += f"; and {n_more} more"
     return (
-        f"{len(failures)} of {len(results)} images cannot be used: {shown}{more}. Leave them "
-        "out; results of this "
-        "error has the records of the others"
+        f"{len(failures)} of {len(results)} images cannot be used: {shown}. Leave them out; "
+        "the attribute results of this error holds the records of the others"
     )
 
 
 def _image_name(image: ImageSource) -> str:
-    return os.fspath(image) if isinstance(image, str | os.PathLike) else type(image).__name__
+    """Name an image by its path, or by the type of its source."""
+    if isinstance(image, str | os.PathLike):
+        return os.fspath(image)
+    return type(image).__name__
 
 
 def analyse_raster(detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
@@ -137,30 +157,32 @@ def search_raster(
     *,
     check_stretch: bool = True,
 ) -> View:
-    """Take the scene-scale prior of an open image, and search it: the first half of ``analyse_raster``.
+    """Take the scene-scale prior of an open image, and search it.
+
+    This is the first half of ``analyse_raster``; ``analyse_view`` is the second.
 
     Args:
         raster: the image.
-        detector: finds the vehicles.
-        options: of the method.
-        prior: known scene-scale prior; None takes the image's own, if it has a use.
+        detector: detector of the vehicles.
+        options: options of the method.
+        prior: known scene-scale prior; None computes that of the image, if a ruler uses it.
         check_stretch: as in ``vehanchor.detection.search.ImageSearch.result``.
     """
     options.frame.check(raster.width_px, raster.height_px)
     options = options.in_pixels(raster.width_px, raster.height_px)
     rulers = active_rulers(options.rulers)
     facts = image_facts(raster)
-    tilt = metadata_tilt(facts, options)  # refuses an image with the horizon before the work
-    kinds = {ruler.kind for ruler in rulers}
-    if prior is None and SceneScale.kind in kinds:
+    # An image with the horizon is refused before the work.
+    tilt = metadata_tilt(facts, options)
+    uses_prior = any(ruler.kind == SceneScale.kind for ruler in rulers)
+    if prior is None and uses_prior:
         prior = load_scene_scale(detector.runtime).predict(raster)
-    detail_share = partial(measure_detail_share, raster)
     view = View(
         facts,
         NOT_SEARCHED,
         card=detector.card,
         options=options,
-        measure_detail_share=detail_share,
+        measure_detail_share=partial(measure_detail_share, raster),
         raster=raster,
         runtime=detector.runtime,
         prior=prior,
@@ -172,36 +194,42 @@ def search_raster(
                 f"{options.by_hand.given} needs the ruler vehicles: add it to rulers"
             )
         return view
-    work = ImageSearch(raster, detector, options=options.search, prior=prior)
+
+    search = ImageSearch(raster, detector, options=options.search, prior=prior)
     if tilt is None:
-        search_until_settled(work, view)
-    else:  # lengths vary over the image
-        for _ in work:
+        search_until_settled(search, view)
+    else:
+        # Lengths vary over a tilted image, so that a part of it does not settle the scale.
+        for _ in search:
             pass
-    detections = work.result(check_stretch=check_stretch)
-    chosen = options.search
-    size_px = (raster.width_px, raster.height_px)
-    detections = corrected(detections, options.by_hand, options.frame, size_px, chosen.nms_iou)
+    detections = corrected(
+        search.result(check_stretch=check_stretch),
+        options.by_hand,
+        options.frame,
+        size_px=(raster.width_px, raster.height_px),
+        nms_iou=options.search.nms_iou,
+    )
     return replace(view, detections=detections)
 
 
-def analyse_view(view: View, known: Sequence[Witness] | None = None) -> ScaleAnalysis:
+def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleAnalysis:
     """Measure the scale of a searched image; one search can serve several options.
 
     Args:
-        view: of the image, with its tilt.
-        known: as in ``vehanchor.rulers.witnesses.measure_all``.
+        view: view of the image, with its tilt.
+        earlier: as in ``vehanchor.rulers.witnesses.measure_all``.
 
     Raises:
         InvalidParameterError: the model does not know the region, or a ruler does not exist.
         CalibrationMismatchError: the calibration was made for another model.
     """
-    witnesses = measure_all(view, known)
+    witnesses = measure_all(view, earlier)
     vehicles = measured_vehicles(witnesses)
-    doubtful = view.tilt is None and vehicles is not None and vehicles.found
-    return conclude(
-        view, witnesses, tilt_notice(view.image, view.options, view.detections) if doubtful else ()
-    )
+    notices: tuple[Notice, ...] = ()
+    # The vehicles may show a tilt only if none is known.
+    if view.tilt is None and vehicles is not None and vehicles.found:
+        notices = tilt_notice(view.image, view.options, view.detections)
+    return conclude(view, witnesses, notices)
 
 
 def conclude(
@@ -210,45 +238,60 @@ def conclude(
     """Decide on the scale, and make the record.
 
     Args:
-        view: of the image.
+        view: view of the image.
         measured: witnesses of all rulers.
-        notices: of the tilt.
+        notices: notices of the tilt.
     """
-    witnesses = _without_repetition(measured)
-    own = notices_of(notice for each in witnesses for notice in each.notices)
-    witnesses = with_doubts(witnesses, notices)
+    witnesses = with_doubts(_without_repetition(measured), notices)
     vehicles = measured_vehicles(witnesses)
+    decided: Answer | None = None
     if view.options.method.preset == "paper":
-        found = None
-        decided = _by_paper(vehicles)
+        decision = _decision_by_paper(vehicles)
     else:
-        found = answer(witnesses)
-        decided = _no_scale(witnesses) if found is None else _Decided.of(found, witnesses)
-    warnings = [*notices_of(view.image.notices), *own, *notices]
-    warnings += [] if found is None else disagreements(witnesses, found)
+        decided = answer(witnesses)
+        decision = _decision(decided, witnesses)
+
+    warnings = [*notices_of(view.image.notices)]
+    warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
+    warnings += notices
+    if decided is not None:
+        warnings += disagreements(witnesses, decided)
     warnings += georeference_notice(
-        view.image.georeference_gsd_m_per_px, decided.gsd_m_per_px, "the rulers say"
+        view.image.georeference_gsd_m_per_px, decision.gsd_m_per_px, "the rulers give"
     )
-    record = _record(view, witnesses, decided, tuple(warnings))
+    record = _record(view, witnesses, decision, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
-    return ScaleAnalysis(record, measured, shown, answer=found)
+    return ScaleAnalysis(record, measured, shown, answer=decided)
 
 
 def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:
-    """Leave out a stated scale that repeats the answer of the others: the same number is one witness."""
-    stated = next(
-        (each for each in witnesses if each.kind == StatedScale.kind and each.found), None
-    )
-    rest = tuple(each for each in witnesses if each is not stated)
-    found = None if stated is None else judged(rest)
-    if stated is None or stated.gsd_m_per_px is None or found is None:
-        return witnesses
-    repeats = abs(math.log(stated.gsd_m_per_px / found.gsd_m_per_px)) <= SAME_NUMBER
-    return rest if repeats else witnesses
+    """Leave out a stated scale that repeats the answer of the others.
+
+    The same number is one witness: an answer that is given back does not confirm itself.
+    """
+    for stated in witnesses:
+        if stated.kind != StatedScale.kind or not stated.found or stated.gsd_m_per_px is None:
+            continue
+        others = tuple(witness for witness in witnesses if witness is not stated)
+        decided = judge(others)
+        if decided is None:
+            return witnesses
+        log_ratio = math.log(stated.gsd_m_per_px / decided.gsd_m_per_px)
+        return others if abs(log_ratio) <= SAME_NUMBER else witnesses
+    return witnesses
 
 
-class _Decided(NamedTuple):
-    """What a record says of the scale."""
+class _Decision(NamedTuple):
+    """Scale and its explanation, for the record.
+
+    Attributes:
+        gsd_m_per_px: the scale; None if there is none.
+        interval: its 95 % interval.
+        confidence: 0..1.
+        reason: why the scale is not usable; None if it is.
+        leading: kind of the ruler that leads.
+        rulers: rulers that found something.
+    """
 
     gsd_m_per_px: float | None
     interval: Interval | None
@@ -257,100 +300,150 @@ class _Decided(NamedTuple):
     leading: str | None = None
     rulers: tuple[RulerScale, ...] = ()
 
-    @classmethod
-    def of(cls, found: Answer, witnesses: Sequence[Witness]) -> _Decided:
-        heard = [each for each in witnesses if each.found]
-        rulers = tuple(
-            _ruler_scale(each, p_right) for each, p_right in zip(heard, found.p_right, strict=True)
-        )
-        kind = heard[found.leading].kind
-        return cls(found.gsd_m_per_px, found.interval, found.chance, found.reason, kind, rulers)
 
-
-def _by_paper(vehicles: VehicleWitness | None) -> _Decided:
-    """Decide by the published method, for the preset ``paper``."""
-    if vehicles is None or vehicles.paper.gsd_m_per_px is None:
-        return _Decided(None, None, confidence=0.0, reason="too_few")
-    paper = vehicles.paper
-    rulers = (_ruler_scale(replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px), paper.confidence),)
-    reason = paper.reason(vehicles.n)
-    return _Decided(
-        paper.gsd_m_per_px,
-        paper.interval,
-        confidence=paper.confidence,
-        reason=reason,
-        leading=vehicles.kind,
-        rulers=rulers,
+def _decision(decided: Answer | None, witnesses: Sequence[Witness]) -> _Decision:
+    """Take the decision of the posterior; None means that there is no scale."""
+    if decided is None:
+        return _no_scale(witnesses)
+    informative = [witness for witness in witnesses if witness.found]
+    rulers = [
+        _ruler_scale(witness, p_right)
+        for witness, p_right in zip(informative, decided.p_right, strict=True)
+    ]
+    return _Decision(
+        decided.gsd_m_per_px,
+        decided.interval,
+        confidence=decided.chance,
+        reason=decided.reason,
+        leading=informative[decided.leading].kind,
+        rulers=tuple(rulers),
     )
 
 
-def _no_scale(witnesses: Sequence[Witness]) -> _Decided:
-    """Say why there is no scale: the scene looks too coarse for cars, or no ruler found anything."""
-    priors = [
-        each.interval for each in witnesses if not each.sets_scale and each.interval is not None
-    ]
-    coarse = any(interval.low > GUARD_GSD_M_PER_PX for interval in priors)
-    return _Decided(None, None, confidence=0.0, reason="too_coarse" if coarse else "too_few")
+def _decision_by_paper(vehicles: VehicleWitness | None) -> _Decision:
+    """Decide by the published method, for the preset ``paper``."""
+    if vehicles is None or vehicles.paper.gsd_m_per_px is None:
+        return _Decision(None, None, confidence=0.0, reason="too_few")
+    paper = vehicles.paper
+    witness = replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px)
+    return _Decision(
+        paper.gsd_m_per_px,
+        paper.interval,
+        confidence=paper.confidence,
+        reason=paper.reason(vehicles.n),
+        leading=vehicles.kind,
+        rulers=(_ruler_scale(witness, paper.confidence),),
+    )
+
+
+def _no_scale(witnesses: Sequence[Witness]) -> _Decision:
+    """Explain a missing scale: the scene looks too coarse for cars, or no ruler found anything."""
+    reason: Reason = "too_few"
+    for witness in witnesses:
+        if witness.sets_scale or witness.interval is None:
+            continue
+        if witness.interval.low > GUARD_GSD_M_PER_PX:
+            reason = "too_coarse"
+    return _Decision(None, None, confidence=0.0, reason=reason)
 
 
 def _record(
-    view: View, witnesses: Sequence[Witness], decided: _Decided, warnings: tuple[Notice, ...]
+    view: View,
+    witnesses: Sequence[Witness],
+    decision: _Decision,
+    warnings: tuple[Notice, ...],
 ) -> GsdEstimate:
+    """Make the record of an image."""
     image = view.image
     vehicles = measured_vehicles(witnesses)
-    gsd = decided.gsd_m_per_px
-    interval = decided.interval
+    gsd = decision.gsd_m_per_px
+    interval = decision.interval
+    n_vehicles = None
+    mode_length_px = None
+    if vehicles is not None:
+        n_vehicles = vehicles.n
+        mode_length_px = vehicles.mode_length_px
+    tilt = None
+    if view.tilt is not None:
+        tilt = view.tilt.record(image, gsd)
     return GsdEstimate(
-        status="no_scale" if gsd is None else "low_confidence" if decided.reason else "ok",
+        status=_status(decision),
         **_with_ci95(gsd, interval),
-        confidence=decided.confidence,
-        n_vehicles=None if vehicles is None else vehicles.n,
-        mode_length_px=None if vehicles is None else vehicles.mode_length_px,
-        reason=decided.reason,
-        leading_ruler=decided.leading,
-        rulers=decided.rulers,
+        confidence=decision.confidence,
+        n_vehicles=n_vehicles,
+        mode_length_px=mode_length_px,
+        reason=decision.reason,
+        leading_ruler=decision.leading,
+        rulers=decision.rulers,
         image_width_px=image.width_px,
         image_height_px=image.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
-        tilt=None if view.tilt is None else view.tilt.record(image, gsd),
+        tilt=tilt,
         frame=frame_scale(view.options.frame, image.width_px, gsd=gsd, interval=interval),
-        scale=make_known_scale(view, gsd, interval=interval, confidence=decided.confidence),
+        scale=make_known_scale(view, gsd, interval=interval, confidence=decision.confidence),
         model=view.card.name,
         warnings=warnings,
         details=_details(view, vehicles, witnesses),
     )
 
 
+def _status(decision: _Decision) -> Literal["ok", "low_confidence", "no_scale"]:
+    """Name the status of a record."""
+    if decision.gsd_m_per_px is None:
+        return "no_scale"
+    if decision.reason is not None:
+        return "low_confidence"
+    return "ok"
+
+
 def _details(
     view: View, vehicles: VehicleWitness | None, witnesses: Sequence[Witness]
 ) -> EstimateDetails:
-    searched = view.detections
-    told = view.detections.corrections
-    scene = next((each for each in witnesses if each.kind == SceneScale.kind and each.found), None)
-    paper, reference = (None, None) if vehicles is None else (vehicles.paper, vehicles.reference)
+    """Make the details of a record; those of vehicles are None if the caller excludes them."""
+    detections = view.detections
+    by_hand = None
+    if detections.corrections is not None:
+        corrections = detections.corrections
+        by_hand = VehiclesByHand(dropped=corrections.n_dropped, added=corrections.n_added)
     return EstimateDetails(
         preset=view.options.method.preset,
-        scene_scale=None
-        if scene is None
-        else SceneScaleEstimate(**_with_ci95(scene.gsd_m_per_px, scene.interval)),
-        n_detections=None if vehicles is None else len(vehicles.fleet.detections.boxes),
-        by_hand=told and VehiclesByHand(dropped=told.n_dropped, added=told.n_added),
-        working_scale=None if vehicles is None else vehicles.fleet.main_reduction,
-        tiles_searched=searched.n_tiles,
-        tiles_total=searched.n_tiles_total or searched.n_tiles,
-        candidates_skipped=searched.n_skipped,
-        stopped_because=searched.stopped_because,
-        aggregation=None if vehicles is None else vehicles.aggregation,
-        reference_length_m=reference and reference.length_m,
-        reference_source=reference and reference.source,
-        resolution_guard=paper and paper.guarded,
-        composite_confidence=paper and paper.confidence,
-        confidence_terms=paper and ConfidenceTerms(**paper.terms._asdict()),
+        scene_scale=_scene_scale(witnesses),
+        by_hand=by_hand,
+        tiles_searched=detections.n_tiles,
+        tiles_total=detections.n_tiles_total or detections.n_tiles,
+        candidates_skipped=detections.n_skipped,
+        stopped_because=detections.stopped_because,
         model_sha256=view.card.sha256,
+        **_vehicle_details(vehicles),
     )
 
 
+def _scene_scale(witnesses: Sequence[Witness]) -> SceneScaleEstimate | None:
+    """Show the scene-scale prior; None if it was not measured."""
+    for witness in witnesses:
+        if witness.kind == SceneScale.kind and witness.found:
+            return SceneScaleEstimate(**_with_ci95(witness.gsd_m_per_px, witness.interval))
+    return None
+
+
+def _vehicle_details(vehicles: VehicleWitness | None) -> dict[str, Any]:
+    """Collect the fields of ``EstimateDetails`` about vehicles."""
+    if vehicles is None:
+        return dict.fromkeys(_VEHICLE_DETAILS)
+    return {
+        "n_detections": len(vehicles.fleet.detections.boxes),
+        "working_scale": vehicles.fleet.main_reduction,
+        "aggregation": vehicles.aggregation,
+        "reference_length_m": vehicles.reference.length_m,
+        "reference_source": vehicles.reference.source,
+        "resolution_guard": vehicles.paper.guarded,
+        "composite_confidence": vehicles.paper.confidence,
+        "confidence_terms": ConfidenceTerms(**vehicles.paper.terms._asdict()),
+    }
+
+
 def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
+    """Show the scale of one ruler."""
     ruler = ruler_class(witness.kind)
     return RulerScale(
         kind=witness.kind,
@@ -360,7 +453,7 @@ def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
         n=witness.n,
         p_right=min(1.0, p_right),
         probably_right=p_right >= PROBABLY_RIGHT,
-        explanation=witness.said,
+        explanation=witness.statement,
     )
 
 
@@ -370,24 +463,28 @@ def make_known_scale(
     """Make the scale to give back; None without a scale, or if the image has no checksum."""
     if gsd is None or interval is None or not view.image.image_id:
         return None
+    plane = None
+    if view.tilt is not None:
+        plane = KnownPlane.model_validate(view.tilt, from_attributes=True)
+    low, high = interval
     return KnownScale(
         gsd_m_per_px=gsd,
-        gsd_ci95_low_m_per_px=min(interval[0], gsd),
-        gsd_ci95_high_m_per_px=max(interval[1], gsd),
+        gsd_ci95_low_m_per_px=min(low, gsd),
+        gsd_ci95_high_m_per_px=max(high, gsd),
         confidence=confidence,
         image_id=view.image.image_id,
         model_id=view.card.sha256[:_MODEL_DIGITS],
-        plane=view.tilt and KnownPlane.model_validate(view.tilt, from_attributes=True),
+        plane=plane,
     )
 
 
 def _with_ci95(
     gsd: float | None, interval: tuple[float, float] | None, factor: float = 1.0
 ) -> dict[str, Any]:
-    """Fields of a scale and its interval, times a factor; all None without a scale."""
+    """Collect the fields of a scale and its interval, times a factor; all None without a scale."""
     low, high = interval or (None, None)
     values = {"gsd_m_per_px": gsd, "gsd_ci95_low_m_per_px": low, "gsd_ci95_high_m_per_px": high}
-    return {name: value and value * factor for name, value in values.items()}
+    return {name: None if value is None else value * factor for name, value in values.items()}
 
 
 def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
@@ -395,33 +492,27 @@ def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
-def georeference_notice(
-    own: float | None, gsd_m_per_px: float | None, who_says: str
-) -> list[Notice]:
+def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: str) -> list[Notice]:
     """Warn if the file's own scale differs from another by more than a tenth.
 
     Args:
         own: the file's scale, metres per pixel; None without one.
         gsd_m_per_px: the other scale; None without one.
-        who_says: source of the other scale, as the middle of a sentence.
+        source: source of the other scale, as the middle of a sentence.
 
     Returns:
         One notice, or none.
     """
-    if (
-        own is None
-        or gsd_m_per_px is None
-        or abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own
-    ):
+    if own is None or gsd_m_per_px is None:
         return []
-    return [
-        Notice(
-            code=NoticeCode.GEOREFERENCE_DIFFERS,
-            message=f"The file's own scale is {own:.4g} m/px, {who_says} {gsd_m_per_px:.4g} m/px: "
-            f"{100 * (gsd_m_per_px / own - 1):+.0f} %. Check which of the two is wrong before "
-            "using either.",
-        )
-    ]
+    if abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
+        return []
+    percent = 100 * (gsd_m_per_px / own - 1)
+    message = (
+        f"The file's own scale is {own:.4g} m/px, {source} {gsd_m_per_px:.4g} m/px: "
+        f"{percent:+.0f} %. Check which of the two is wrong before using either."
+    )
+    return [Notice(code=NoticeCode.GEOREFERENCE_DIFFERS, message=message)]
 
 
 def frame_scale(
@@ -430,8 +521,9 @@ def frame_scale(
     """Compute the scale in the caller's copy of an image with this width; None without a copy."""
     if frame.size is None:
         return None
+    frame_width, frame_height = frame.size
+    # A pixel of the copy is as many times larger as the copy is narrower.
+    factor = width_px / frame_width
     return FrameScale(
-        width_px=frame.size[0],
-        height_px=frame.size[1],
-        **_with_ci95(gsd, interval, width_px / frame.size[0]),
+        width_px=frame_width, height_px=frame_height, **_with_ci95(gsd, interval, factor)
     )

@@ -1,4 +1,4 @@
-"""Analyses: records with their evidence, drawing and export; here that of a scale."""
+"""Analyses: records with their evidence, drawing and export; first that of a scale."""
 
 from __future__ import annotations
 
@@ -36,12 +36,14 @@ class Analysis:
     ground: Ground | None = None
 
     def drawn_over(self, image: ImageSource, raster: Raster, reading: Reading) -> Self:
-        """Copy the analysis with the image that it is of; a source that can be read only once is not kept."""
-        again = image if can_be_read_again(image) else None
-        return replace(self, image=again, reading=reading, ground=raster.ground)
+        """Copy the analysis with its image; a source that can be read only once is not kept."""
+        source = image if can_be_read_again(image) else None
+        return replace(self, image=source, reading=reading, ground=raster.ground)
 
     def overlay(self, image: ImageSource | None = None) -> NDArray[np.uint8]:
-        """Draw the result and a scale bar over the image; a measurement shows its part of the image with a margin.
+        """Draw the result and a scale bar over the image.
+
+        A measurement shows its part of the image, with a margin.
 
         Args:
             image: source to read the image from; None for the first source, unless it is a stream.
@@ -62,7 +64,7 @@ class Analysis:
             return self._draw(raster)
 
     def _draw(self, raster: Raster) -> NDArray[np.uint8]:
-        """Draw the result over the image or its part, or a reduced copy of either, ``[h, w, 3]`` RGB."""
+        """Draw the result over the image or its part, perhaps reduced; ``[h, w, 3]`` RGB."""
         raise NotImplementedError
 
     def _repr_png_(self) -> bytes | None:
@@ -71,7 +73,8 @@ class Analysis:
             return None
         import cv2
 
-        _, encoded = cv2.imencode(".png", np.ascontiguousarray(self.overlay()[:, :, ::-1]))
+        bgr = np.ascontiguousarray(self.overlay()[:, :, ::-1])
+        _, encoded = cv2.imencode(".png", bgr)
         return encoded.tobytes()
 
 
@@ -97,10 +100,12 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
     @property
     def detail_share(self) -> float:
         """Share of the pixels' resolution at which there is detail; 1 without vehicles."""
-        vehicles = self.vehicles
-        return 1.0 if vehicles is None else vehicles.detail_share
+        if self.vehicles is None:
+            return 1.0
+        return self.vehicles.detail_share
 
     def _draw(self, raster: Raster) -> NDArray[np.uint8]:
+        """Draw the vehicles and the scale bar, ``[h, w, 3]`` RGB."""
         from vehanchor.pictures.scale import draw_overlay, read_reduced
 
         return draw_overlay(read_reduced(raster), self)
@@ -128,10 +133,9 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         """
         sv = import_supervision()
         corners = box_corners(self.detections.boxes)
+        upright = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
         return sv.Detections(
-            xyxy=np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).astype(
-                np.float32
-            ),
+            xyxy=upright.astype(np.float32),
             confidence=self.detections.scores.astype(np.float32),
             class_id=np.zeros(len(corners), dtype=int),
             data={
@@ -145,29 +149,18 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """Vehicles as a GeoJSON FeatureCollection, for geopandas and shapely; pixels, y down."""
-        boxes = self.detections.boxes
-        scores = self.detections.scores
-        features = [
-            {
-                "type": "Feature",
-                "geometry": {
-                    "type": "Polygon",
-                    "coordinates": [[*map(list, ring.tolist()), ring[0].tolist()]],
-                },
-                "properties": {
-                    "number": int(number),
-                    "kept": bool(kept),
-                    "score": float(score),
-                    "length_px": float(length),
-                },
+        detections = self.detections
+        kept = self.kept
+        corners = box_corners(detections.boxes).tolist()
+        features = []
+        for k, ring in enumerate(corners):
+            # GeoJSON closes a ring by repeating its first corner.
+            geometry = {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
+            properties = {
+                "number": int(detections.numbers[k]),
+                "kept": bool(kept[k]),
+                "score": float(detections.scores[k]),
+                "length_px": float(detections.boxes[k, 2]),
             }
-            for ring, number, kept, score, length in zip(
-                box_corners(boxes),
-                self.detections.numbers,
-                self.kept,
-                scores,
-                boxes[:, 2],
-                strict=True,
-            )
-        ]
+            features.append({"type": "Feature", "geometry": geometry, "properties": properties})
         return {"type": "FeatureCollection", "features": features}

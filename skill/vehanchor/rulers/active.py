@@ -1,4 +1,4 @@
-"""Rulers that a call uses, of those in ``vehanchor.records.ruler_registry``."""
+"""Choice of the rulers that a call uses, from ``vehanchor.records.ruler_registry``."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def ruler_class(kind: str) -> type[Ruler]:
     Raises:
         KeyError: the ruler does not exist.
     """
-    module, _, name = RULERS[kind].partition(":")
-    found: type[Ruler] = getattr(import_module(module), name)
-    assert found.kind == kind, f"{RULERS[kind]} has the kind {found.kind!r}, not {kind!r}"
-    return found
+    module_name, _, class_name = RULERS[kind].partition(":")
+    ruler: type[Ruler] = getattr(import_module(module_name), class_name)
+    assert ruler.kind == kind, f"{RULERS[kind]} has the kind {ruler.kind!r}, not {kind!r}"
+    return ruler
 
 
 def check_rulers(options: Rulers) -> None:
@@ -35,8 +35,9 @@ def check_rulers(options: Rulers) -> None:
     """
     for line in options.known_lengths:
         check_name(line.what)
-    unknown = [name for name in options.rulers or () if name not in RULERS]
-    if unknown:
+    if options.rulers is None:
+        return
+    if any(name not in RULERS for name in options.rulers):
         raise InvalidParameterError(
             f"rulers is {options.rulers!r}: use some of {', '.join(RULERS)}"
         )
@@ -49,12 +50,13 @@ def allowed_rulers(options: Rulers) -> tuple[type[Ruler], ...]:
         InvalidParameterError: as ``check_rulers``.
     """
     check_rulers(options)
-    return tuple(
-        ruler
-        for ruler in map(ruler_class, RULERS)
-        if (options.rulers is None or ruler.kind in options.rulers)
-        and (options.metadata or not ruler.reads_metadata)
-    )
+    allowed = []
+    for ruler in map(ruler_class, RULERS):
+        is_named = options.rulers is None or ruler.kind in options.rulers
+        may_read = options.metadata or not ruler.reads_metadata
+        if is_named and may_read:
+            allowed.append(ruler)
+    return tuple(allowed)
 
 
 def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
@@ -67,12 +69,12 @@ def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
 
 
 def uses(options: Rulers, kind: str) -> bool:
-    """Tell whether the caller allows a ruler."""
+    """Test whether a call uses a ruler."""
     return any(ruler.kind == kind for ruler in active_rulers(options))
 
 
 def needs_search(options: Rulers) -> bool:
-    """Tell whether the detector must run."""
+    """Test whether the detector must run."""
     return any(ruler.needs_search for ruler in active_rulers(options))
 
 

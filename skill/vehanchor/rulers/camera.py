@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 LENS = "lens"
 """Error that the metadata share with a given height."""
 
-_HEIGHT_SD_M = 2.0  # barometer, and take-off from a hand or roof
+# Error of a barometer, and of a take-off from a hand or a roof.
+_HEIGHT_SD_M = 2.0
 _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
 _MAX_DIGITAL_ZOOM = 1.01
@@ -46,135 +47,159 @@ class Camera(Ruler):
     uses_plane = True
 
     def measure(self, view: View) -> Witness | None:
-        """Measure by the camera's height and lens; without either, give no evidence and say what is missing."""
-        chosen = view.options.rulers
+        """Measure by the camera's height and lens; without either, report what is missing."""
+        options = view.options.rulers
         camera = view.image.camera or CameraMetadata()
-        given_mm = chosen.focal_35mm if chosen.height_m is None else None
-        if camera.height_m is None:
-            return self._without_height(view, camera, given_mm)
-        if not 0 < camera.height_m <= _MAX_HEIGHT_M:
-            return self._unusable(f"{camera.height_tag} is {camera.height_m:g} m")
+        # A focal length beside a given height belongs to that height.
+        focal_35mm = options.focal_35mm if options.height_m is None else None
+        height_m = camera.height_m
+        if height_m is None:
+            return self._without_height(view, camera, focal_35mm)
+        if not 0 < height_m <= _MAX_HEIGHT_M:
+            return self._unusable(f"{camera.height_tag} is {height_m:g} m")
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
             return self._unusable(
                 f"the photograph was enlarged {camera.digital_zoom:g} times in the camera"
             )
         if taken_ratio(view.image, camera) is None:
-            return unusable(
-                self.kind, cropped(view.image, camera, "the camera metadata are not usable")
-            )
+            notice = cropped(view.image, camera, "the camera metadata are not usable")
+            return unusable(self.kind, notice)
+
         tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
-        seen = lens(view.image, camera, given_mm)
-        if seen is None:
-            if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
-                return unusable(self.kind, _tilted(tilt_deg, unusable=True))
-            if chosen.height_m is not None and not camera.refused:
-                return None
-            known = (
-                f"the height is {camera.height_m:g} m, but the focal length is missing: "
-                "give focal_35mm"
-            )
-            return self._unusable(known, camera.refused)
-        measured = self._measured(camera, camera.height_m, seen, tilt_deg)
-        return (
-            replace(measured, marks=(mark_of_height(view.image, camera.height_m),))
-            if measured.found
-            else measured
-        )
+        optics = lens(view.image, camera, focal_35mm)
+        if optics is None:
+            return self._without_lens(view, camera, height_m, tilt_deg)
+        witness = self._measured(camera, height_m, optics, tilt_deg)
+        if not witness.found:
+            return witness
+        return replace(witness, marks=(mark_of_height(view.image, height_m),))
 
     def _without_height(
-        self, view: View, camera: CameraMetadata, given_mm: float | None
+        self, view: View, camera: CameraMetadata, focal_35mm: float | None
     ) -> Witness | None:
-        """Say that the height is missing, unless the caller gives it or the focal length is missing, too."""
-        if view.options.rulers.height_m is None and lens(view.image, camera, given_mm) is not None:
+        """Report that the height is missing.
+
+        Without a lens, or with a height from the caller, only refused metadata are reported.
+        """
+        height_is_missing = view.options.rulers.height_m is None
+        if height_is_missing and lens(view.image, camera, focal_35mm) is not None:
             return self._unusable(
                 "the focal length is known, but the height above the ground is missing: give "
                 "height_m",
                 camera.refused,
             )
-        return self._unusable(camera.refused) if camera.refused else None
+        if camera.refused:
+            return self._unusable(camera.refused)
+        return None
+
+    def _without_lens(
+        self, view: View, camera: CameraMetadata, height_m: float, tilt_deg: float | None
+    ) -> Witness | None:
+        """Report that the focal length is missing; not if the caller measures by a height."""
+        if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
+            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
+        if view.options.rulers.height_m is not None and not camera.refused:
+            return None
+        cause = f"the height is {height_m:g} m, but the focal length is missing: give focal_35mm"
+        return self._unusable(cause, camera.refused)
 
     def _measured(
-        self, camera: CameraMetadata, height_m: float, seen: Lens, tilt_deg: float | None
+        self, camera: CameraMetadata, height_m: float, optics: Lens, tilt_deg: float | None
     ) -> Witness:
-        tilted = tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG
+        """Measure by a height and a lens.
+
+        Args:
+            camera: the metadata.
+            height_m: height above take-off.
+            optics: the lens.
+            tilt_deg: angle between the camera's axis and straight down; None if unknown.
+        """
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
-            return unusable(self.kind, _tilted(tilt_deg, unusable=True))
-        coarser, tilt_log_sd = coarsening(tilt_deg if tilted and tilt_deg else 0.0)
-        gsd = height_m / seen.pixels * coarser
-        if not on_grid(gsd):
-            return self._unusable(f"{height_m:g} m and {seen.source} would make {gsd:.3g} m/px")
-        said = (
+            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
+        statement = (
             f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and "
-            f"{seen.source}."
+            f"{optics.source}."
         )
         condition = "camera"
+        coarser = 1.0
+        tilt_log_sd = 0.0
         notices = []
         if camera.refused:
             message = f"A part of the camera metadata is not used: {camera.refused}."
             notices.append(Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
-        if tilted and tilt_deg is not None:
-            notices.append(_tilted(tilt_deg))
-            said += " This is the scale of the image's centre."
-        elif tilt_deg is None:
+        if tilt_deg is None:
             condition = "camera, tilt unknown"
-            tilt_log_sd = RELIABILITY["camera, tilt unknown"].log_sd
-            said += " The tilt is not stated: this holds at nadir."
-        log_sd = math.hypot(tilt_log_sd, height_log_sd(height_m))
-        chance_wrong = RELIABILITY[condition].chance_wrong
-        errors = [Shared(LENS, seen.log_sd)]
+            tilt_log_sd = RELIABILITY[condition].log_sd
+            statement += " The tilt is unknown: this holds at nadir."
+        elif tilt_deg > NADIR_TOLERANCE_DEG:
+            coarser, tilt_log_sd = coarsening(tilt_deg)
+            notices.append(_tilted(tilt_deg))
+            statement += " This is the scale of the image's centre."
+
+        gsd = height_m / optics.pixels * coarser
+        if not on_grid(gsd):
+            return self._unusable(f"{height_m:g} m and {optics.source} would give {gsd:.3g} m/px")
         return point_witness(
             self.kind,
             gsd,
-            log_sd=log_sd,
-            chance_wrong=chance_wrong,
-            said=said,
-            shared=errors,
+            log_sd=math.hypot(tilt_log_sd, height_log_sd(height_m)),
+            chance_wrong=RELIABILITY[condition].chance_wrong,
+            statement=statement,
+            shared=[Shared(LENS, optics.log_sd)],
             notices=notices,
         )
 
-    def _unusable(self, *why: str) -> Witness:
-        message = f"The camera metadata are not usable: {'; '.join(filter(None, why))}."
+    def _unusable(self, *causes: str) -> Witness:
+        """Report why the metadata cannot be used; empty causes are left out."""
+        stated = "; ".join(cause for cause in causes if cause)
+        message = f"The camera metadata are not usable: {stated}."
         return unusable(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
 
 
 def coarsening(tilt_deg: float) -> tuple[float, float]:
-    """Compute the ratio of the scale at the centre of a tilted view to the scale at nadir (``vehanchor.scale.plane``).
+    """Compute how much coarser the scale at the centre of a tilted view is than at nadir.
+
+    The ratio is ``cos(tilt)^-1.5`` (see ``vehanchor.scale.plane``).
 
     Args:
         tilt_deg: angle between the camera's axis and straight down, below 90.
 
     Returns:
-        The ratio, and the standard deviation of its log.
+        The ratio, and the standard deviation of its log: the slope of the log ratio times the error
+        of the tilt.
     """
     tilt = math.radians(tilt_deg)
-    return math.cos(tilt) ** -1.5, 1.5 * math.tan(tilt) * math.radians(TILT_SD_DEG)
+    ratio = math.cos(tilt) ** -1.5
+    log_sd = 1.5 * math.tan(tilt) * math.radians(TILT_SD_DEG)
+    return ratio, log_sd
 
 
 def height_log_sd(height_m: float) -> float:
-    """Compute the standard deviation of the log of a height above take-off, as one above the ground."""
+    """Compute the log standard deviation of a height above take-off as one above the ground."""
     return math.hypot(RELIABILITY[Camera.kind].log_sd, _HEIGHT_SD_M / height_m)
 
 
-def _tilted(tilt_deg: float, *, unusable: bool = False) -> Notice:
-    rest = (
-        "without height and focal length, its metadata are not usable."
-        if unusable
-        else "the scale varies over the image. The given scale is that of the centre; areas and "
-        "distances are measured "
-        "on the ground plane."
-    )
+def _tilted(tilt_deg: float, *, is_usable: bool = True) -> Notice:
+    """Warn of a tilted camera, and of the consequence."""
+    consequence = "without height and focal length, its metadata are not usable."
+    if is_usable:
+        consequence = (
+            "the scale varies over the image. The given scale is that of the centre; areas and "
+            "distances are measured on the ground plane."
+        )
     return Notice(
         code=NoticeCode.CAMERA_TILTED,
-        message=f"The camera was tilted by {tilt_deg:.0f} degrees: {rest}",
+        message=f"The camera was tilted by {tilt_deg:.0f} degrees: {consequence}",
     )
 
 
-def cropped(image: ImageFacts, camera: CameraMetadata, means: str) -> Notice:
+def cropped(image: ImageFacts, camera: CameraMetadata, consequence: str) -> Notice:
     """Warn that the image is a crop of the photograph, and of the consequence."""
     return Notice(
         code=NoticeCode.CAMERA_UNUSABLE,
-        message=f"The image is a crop: the photograph had {camera.taken_width_px} x "
-        f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. "
-        f"Therefore {means}. Give the "
-        "original.",
+        message=(
+            f"The image is a crop: the photograph had {camera.taken_width_px} x "
+            f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. "
+            f"Therefore {consequence}. Give the original."
+        ),
     )

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
-_APART = 0.06  # of the log of the scale: further from the median, it is not such a court
+# Log distance from the median scale beyond which a find is not a court.
+_MAX_LOG_DISTANCE = 0.06
 
 
 class Courts(Ruler):
@@ -33,17 +34,17 @@ class Courts(Ruler):
     colour = "#D55E00"
 
     def measure(self, view: View) -> Witness | None:
-        """Weigh the courts found by how well each was fitted; none without pixels."""
-        return witness_of(
-            () if view.raster is None else find_courts(view.raster, view.prior, view.runtime)
-        )
+        """Find courts, and weigh them by how well each was fitted; None without pixels."""
+        if view.raster is None:
+            return None
+        return witness_of(find_courts(view.raster, view.prior, view.runtime))
 
 
 def witness_of(courts: Sequence[Court]) -> Witness | None:
     """Weigh courts by how well each was fitted.
 
     Args:
-        courts: of one image. Courts that differ from the median scale are left out.
+        courts: courts of one image. Courts that differ from the median scale are left out.
 
     Returns:
         The witness, with outlines and sides as marks; None without courts.
@@ -51,37 +52,42 @@ def witness_of(courts: Sequence[Court]) -> Witness | None:
     courts = [court for court in courts if on_grid(court.gsd_m_per_px)]
     if not courts:
         return None
-    middle = float(np.median([math.log(court.gsd_m_per_px) for court in courts]))
-    nearest = min(courts, key=lambda court: abs(math.log(court.gsd_m_per_px) - middle))
-    kept = [
-        court
-        for court in courts
-        if abs(math.log(court.gsd_m_per_px / nearest.gsd_m_per_px)) <= _APART
-    ]
+    # Courts of one image have one scale. The reference is the court nearest to the median, because
+    # the median of two lies between them.
+    median = float(np.median([math.log(court.gsd_m_per_px) for court in courts]))
+    reference = min(courts, key=lambda court: abs(math.log(court.gsd_m_per_px) - median))
+    consistent = []
+    for court in courts:
+        log_distance = abs(math.log(court.gsd_m_per_px / reference.gsd_m_per_px))
+        if log_distance <= _MAX_LOG_DISTANCE:
+            consistent.append(court)
+
+    # Mean by the precisions; the error is that of the mean, but no less than the courts' spread and
+    # the error of the rules.
     reliability = RELIABILITY[Courts.kind]
-    weights = np.array([1 / (court.log_sd**2 + reliability.log_sd**2) for court in kept])
-    logs = np.log([court.gsd_m_per_px for court in kept])
-    mean = float(weights @ logs / weights.sum())
-    spread = float(np.sqrt(weights @ (logs - mean) ** 2 / weights.sum()))
-    log_sd = max(reliability.log_sd, spread, float(weights.sum() ** -0.5))
+    weights = np.array([1 / (court.log_sd**2 + reliability.log_sd**2) for court in consistent])
+    log_scales = np.log([court.gsd_m_per_px for court in consistent])
+    mean = float(weights @ log_scales / weights.sum())
+    spread = float(np.sqrt(weights @ (log_scales - mean) ** 2 / weights.sum()))
+    mean_log_sd = float(weights.sum() ** -0.5)
     return point_witness(
         Courts.kind,
         math.exp(mean),
-        log_sd=log_sd,
+        log_sd=max(reliability.log_sd, spread, mean_log_sd),
         chance_wrong=reliability.chance_wrong,
-        said=f"{_named(kept)} {{}}.",
-        n=len(kept),
-        marks=[mark for court in kept for mark in _marks(court)],
+        statement=f"{_subject_and_verb(consistent)} {{}}.",
+        n=len(consistent),
+        marks=[mark for court in consistent for mark in _marks(court)],
     )
 
 
 def _marks(court: Court) -> list[Mark]:
     """Mark the outline, and a long and a short side with their lengths."""
-    points = [(float(x), float(y)) for x, y in court.corners]
-    sides = [(points[:2], court.length_m), (points[1:3], court.width_m)]
+    corners = [(float(x), float(y)) for x, y in court.corners]
     return [
-        Mark(tuple(points), closed=True),
-        *(Mark(tuple(ends), f"{metres:g} m") for ends, metres in sides),
+        Mark(tuple(corners), closed=True),
+        Mark(tuple(corners[:2]), f"{court.length_m:g} m"),
+        Mark(tuple(corners[1:3]), f"{court.width_m:g} m"),
     ]
 
 
@@ -93,12 +99,12 @@ _GAMES = {
 }
 
 
-def _named(courts: list[Court]) -> str:
-    """Name courts as subject and verb of a sentence."""
+def _subject_and_verb(courts: list[Court]) -> str:
+    """Begin a sentence about courts, such as "2 tennis courts give"."""
     kinds = {court.kind for court in courts}
     if len(courts) == 1:
-        return f"A {_GAMES[courts[0].kind]} says"
+        return f"A {_GAMES[courts[0].kind]} gives"
     if len(kinds) == 1:
-        first, _, rules = _GAMES[courts[0].kind].partition(" court")
-        return f"{len(courts)} {first} courts{rules} say"
-    return f"{len(courts)} sports courts say"
+        game, _, rules = _GAMES[courts[0].kind].partition(" court")
+        return f"{len(courts)} {game} courts{rules} give"
+    return f"{len(courts)} sports courts give"

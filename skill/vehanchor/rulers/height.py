@@ -10,7 +10,7 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import uses
 from vehanchor.rulers.camera import LENS, coarsening, cropped
-from vehanchor.rulers.ruler import Ruler, assumed, mark_of_height, point_witness, unusable
+from vehanchor.rulers.ruler import Ruler, as_assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY, SAME_NUMBER, Shared
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. "
-    "If yours is that "
-    "of the crop, leave out the metadata"
+    "If yours is that of the crop, leave out the metadata"
 )
 
 
@@ -39,64 +38,72 @@ class GivenHeight(Ruler):
 
     def measure(self, view: View) -> Witness:
         """Measure by the given height and the focal length."""
-        chosen = view.options.rulers
+        options = view.options.rulers
         image = view.image
-        assert chosen.height_m is not None
-        camera = image.camera if chosen.metadata else None
+        height_m = options.height_m
+        assert height_m is not None
+        camera = image.camera if options.metadata else None
         if camera is not None and taken_ratio(image, camera) is None:
             return unusable(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
-        if _repeats(view, chosen.height_m):
-            return unusable(self.kind, _repeated(chosen.height_m))
-        seen = lens(image, camera, chosen.focal_35mm)
-        if seen is None:
+        if _repeats_metadata(view, height_m):
+            return unusable(self.kind, _repeated(height_m))
+        optics = lens(image, camera, options.focal_35mm)
+        if optics is None:
             return _unusable("the file has no usable focal length. Also give its 35 mm equivalent")
-        coarser, tilt_log_sd = coarsening(0.0 if view.plane is None else view.plane.tilt_deg)
-        gsd = chosen.height_m / seen.pixels * coarser
-        said = (
-            f"The given height, {chosen.height_basis}, gives {{}}: {chosen.height_m:g} m and "
-            f"{seen.source}."
-        )
-        said += " This is the scale of the image's centre." if view.plane else ""
+
+        tilt_deg = 0.0 if view.plane is None else view.plane.tilt_deg
+        coarser, tilt_log_sd = coarsening(tilt_deg)
+        gsd = height_m / optics.pixels * coarser
         if not on_grid(gsd):
-            return _unusable(f"{chosen.height_m:g} m and {seen.source} would give {gsd:.3g} m/px")
-        reliability = RELIABILITY[
-            "assumed" if chosen.height_basis == "assumed" else "measured height"
-        ]
-        log_sd = reliability.log_sd
-        if chosen.height_tolerance_m is not None:
-            log_sd = chosen.height_tolerance_m / chosen.height_m / Z95
-        found = point_witness(
+            return _unusable(f"{height_m:g} m and {optics.source} would give {gsd:.3g} m/px")
+        is_assumed = options.height_basis == "assumed"
+        reliability = RELIABILITY["assumed" if is_assumed else "measured height"]
+        height_sd = reliability.log_sd
+        if options.height_tolerance_m is not None:
+            height_sd = options.height_tolerance_m / height_m / Z95
+        statement = (
+            f"The given height, {options.height_basis}, gives {{}}: {height_m:g} m and "
+            f"{optics.source}."
+        )
+        if view.plane is not None:
+            statement += " This is the scale of the image's centre."
+        witness = point_witness(
             self.kind,
             gsd,
-            log_sd=math.hypot(log_sd, tilt_log_sd),
+            log_sd=math.hypot(height_sd, tilt_log_sd),
             chance_wrong=reliability.chance_wrong,
-            said=said,
-            shared=[Shared(LENS, seen.log_sd)],
-            marks=[mark_of_height(image, chosen.height_m)],
+            statement=statement,
+            shared=[Shared(LENS, optics.log_sd)],
+            marks=[mark_of_height(image, height_m)],
         )
-        return assumed(found) if chosen.height_basis == "assumed" else found
+        return as_assumed(witness) if is_assumed else witness
 
 
-def _unusable(why: str) -> Witness:
-    message = f"The given height is not usable: {why}."
+def _unusable(cause: str) -> Witness:
+    """Report why the given height cannot be used."""
+    message = f"The given height is not usable: {cause}."
     return unusable(GivenHeight.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
 
 
-def _repeats(view: View, height_m: float) -> bool:
-    """Test whether a given height is the file's, which the ruler camera uses: the same number is one witness."""
+def _repeats_metadata(view: View, height_m: float) -> bool:
+    """Test whether a given height is the file's, which the ruler ``camera`` uses.
+
+    The same number is one witness: a copy would confirm it without new evidence.
+    """
     camera = view.image.camera
     if camera is None or camera.height_m is None or not uses(view.options.rulers, "camera"):
         return False
-    return (
-        lens(view.image, camera) is not None
-        and abs(height_m - camera.height_m) <= SAME_NUMBER * camera.height_m
-    )
+    if lens(view.image, camera) is None:
+        return False
+    return abs(height_m - camera.height_m) <= SAME_NUMBER * camera.height_m
 
 
 def _repeated(height_m: float) -> Notice:
+    """Warn that a given height repeats the file's."""
     return Notice(
         code=NoticeCode.HEIGHT_REPEATED,
-        message=f"The given height of {height_m:g} m is the file's own: it counts once, as the "
-        "file's. If it was "
-        "measured on its own, leave out the metadata.",
+        message=(
+            f"The given height of {height_m:g} m repeats that of the file, so that it counts once. "
+            "If it was measured independently, leave out the metadata."
+        ),
     )

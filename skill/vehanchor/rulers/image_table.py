@@ -1,4 +1,4 @@
-"""Tables about many images: a CSV whose rows each name the image that they belong to."""
+"""Tables about many images: a CSV in which each row names its image."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     Cells = Mapping[str, str | None]
 
 _Row = TypeVar("_Row")
-_MOST_BYTES = 64 << 20
+_MAX_BYTES = 64 << 20
 
 
 def read_image_table(
@@ -33,11 +33,12 @@ def read_image_table(
 
     Args:
         path: path of the table. Files are relative to the table.
-        content: what the rows are, for messages.
+        content: noun for the rows, in messages.
         needed: columns without which the table is refused.
-        read_row: reads a row; its ``ValueError`` gets the number of the line.
+        read_row: function that reads the cells of a row; its ``ValueError`` is raised again with
+            the number of the line.
         error: class of the errors raised.
-        optional: further columns that a message shows.
+        optional: further columns that messages show.
 
     Returns:
         The rows of each image, by its absolute path, in order.
@@ -47,33 +48,34 @@ def read_image_table(
             row is invalid.
     """
     table = Path(path)
-    found: dict[str, tuple[_Row, ...]] = {}
+    rows: dict[str, tuple[_Row, ...]] = {}
     try:
-        if table.stat().st_size > _MOST_BYTES:
+        if table.stat().st_size > _MAX_BYTES:
             raise error(
-                f"{str(table)!r} is larger than {_MOST_BYTES >> 20} MiB: give a table of {content}"
+                f"{str(table)!r} is larger than {_MAX_BYTES >> 20} MiB: give a table of {content}"
             )
         with table.open(newline="", encoding="utf-8-sig") as handle:
             reader = csv.DictReader(handle)
-            missing = [name for name in needed if name not in (reader.fieldnames or ())]
+            columns = reader.fieldnames or ()
+            missing = [name for name in needed if name not in columns]
             if missing:
-                first = ",".join((*needed, *optional))
+                first_line = ",".join((*needed, *optional))
                 raise error(
                     f"{str(table)!r} has no column {', '.join(missing)}: the first line must be "
-                    f"{first}"
+                    f"{first_line}"
                 )
-            for row in reader:
-                file = row["file"] or ""
+            for cells in reader:
+                file = cells["file"] or ""
                 try:
                     if not file:
                         raise error("the file is not named")
-                    read = read_row(row)
+                    row = read_row(cells)
                 except ValueError as problem:
                     raise error(f"{str(table)!r}, line {reader.line_num}: {problem}") from None
                 image = where_it_is(table.parent / file)
-                found[image] = (*found.get(image, ()), read)
+                rows[image] = (*rows.get(image, ()), row)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None
-    if not found:
+    if not rows:
         raise error(f"{str(table)!r} has no {content}: give at least one")
-    return found
+    return rows

@@ -13,7 +13,7 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import TILT_SD_DEG
-from vehanchor.rulers.ruler import Ruler, assumed, in_words
+from vehanchor.rulers.ruler import Ruler, as_assumed, in_words
 from vehanchor.rulers.standards import Variant, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
@@ -23,17 +23,17 @@ from vehanchor.scale.reliability import CALLER, RECOGNITION, RELIABILITY
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from vehanchor.options import KnownLength
     from vehanchor.rulers.ruler import View
+    from vehanchor.scale.density import Density
     from vehanchor.scale.plane import GroundPlane
 
-_END_SD_PX = 1.0  # error of a drawn end, in pixels of the picture where it was drawn
-# that one thing of known size is mistaken, beside the caller's chance to mistake all
-_LEAST_CHANCE = 0.01
-# mass of one line's density within 20 % of another line's scale, below which they disagree
-_AGREED = 0.05
+# Error of a drawn end, in pixels of the picture in which it was drawn.
+_END_SD_PX = 1.0
+# Least chance that one thing of known size is mistaken, beside the caller's chance to mistake all.
+_MIN_CHANCE_WRONG = 0.01
+# Two lines disagree if neither density has this mass within 20 % of the other line's scale.
+_MIN_AGREED_MASS = 0.05
 
 
 class KnownLengths(Ruler):
@@ -53,169 +53,247 @@ class KnownLengths(Ruler):
             KnownLengthError: a line gives an impossible scale.
         """
         lines = view.options.rulers.known_lengths
-        drawn = [_drawn(line, view) for line in lines]
+        drawn = [_draw(line, view) for line in lines]
         groups = _groups(drawn)
-        each = [_witness(group, view.options.reference.region) for group in groups]
+        witnesses = [_witness(group, view.options.reference.region) for group in groups]
         measured = [
-            one
-            for one, group in zip(each, groups, strict=True)
-            if group[0].line.basis == "measured"
+            witness
+            for witness, group in zip(witnesses, groups, strict=True)
+            if group[0].known_length.basis == "measured"
         ]
         basis = "measured" if measured else "assumed"
-        heard = measured or each
-        # each may be wrong by itself; contradictions show as several modes
-        found = (
-            heard[0]
-            if len(heard) == 1
-            else _of_density(product(*(one.density for one in heard)), 0.0)
-        )
-        given = (
-            f"The {len(lines)} given lines, {basis}, give"
-            if len(lines) > 1
-            else f"The given line, {basis}, gives"
-        )
-        assert found.gsd_m_per_px is not None
-        assert found.interval is not None
-        found = replace(
-            found,
+        combined = _combined(measured or witnesses)
+        assert combined.gsd_m_per_px is not None
+        assert combined.interval is not None
+
+        subject = f"The given line, {basis}, gives"
+        if len(lines) > 1:
+            subject = f"The {len(lines)} given lines, {basis}, give"
+        statement = f"{subject} {in_words(combined.gsd_m_per_px, combined.interval)}."
+        if view.plane is not None:
+            statement += " This is the scale of the image's centre."
+        witness = replace(
+            combined,
             n=len(lines),
-            notices=_lines_disagree(groups, each),
-            said=f"{given} {in_words(found.gsd_m_per_px, found.interval)}."
-            + (" This is the scale of the image's centre." if view.plane else ""),
-            marks=tuple(Mark(one.ends, _label(one.line)) for one in drawn),
+            notices=_disagreement(groups, witnesses),
+            statement=statement,
+            marks=tuple(Mark(line.ends, _label(line.known_length)) for line in drawn),
         )
         if measured:
-            return found
-        named = all(group[0].line.what is not None for group in groups)
-        return assumed(found, RECOGNITION if named else CALLER)
+            return witness
+        all_named = all(group[0].known_length.what is not None for group in groups)
+        return as_assumed(witness, RECOGNITION if all_named else CALLER)
 
 
-class _Drawn(NamedTuple):
+class _DrawnLine(NamedTuple):
     """Line in pixels of the image.
 
     Attributes:
-        line: the line as given.
+        known_length: the line as the caller gives it.
         ends: x, y of its ends.
         length_px: its length, in pixels of the image's centre.
         log_sd: standard deviation of the log of that length.
     """
 
-    line: KnownLength
+    known_length: KnownLength
     ends: tuple[tuple[float, float], tuple[float, float]]
     length_px: float
     log_sd: float
 
 
-def _groups(drawn: Sequence[_Drawn]) -> list[list[_Drawn]]:
-    """Group the lines at things of one kind, and lines that are given twice; other lines are groups of their own."""
-    groups: dict[object, list[_Drawn]] = {}
-    for each in drawn:
-        groups.setdefault(each.line.what or each.line, []).append(each)
-    return [group if group[0].line.what else group[:1] for group in groups.values()]
-
-
-def _label(line: KnownLength) -> str:
-    return f"{line.length_m:g} m" if line.what is None else line.what.replace("_", " ")
-
-
-def _drawn(line: KnownLength, view: View) -> _Drawn:
-    frame = view.options.frame.size or (view.image.width_px, view.image.height_px)
-    across = view.image.width_px / frame[0]
-    down = view.image.height_px / frame[1]
-    ends = (line.x1 * across, line.y1 * down), (line.x2 * across, line.y2 * down)
-    length_px, tilt_log_sd = _length_at_centre(*ends, view.plane)
-    return _Drawn(
-        line,
-        ends,
-        length_px=length_px,
-        log_sd=math.hypot(math.sqrt(2) * _END_SD_PX / line.length_px, tilt_log_sd),
+def _draw(line: KnownLength, view: View) -> _DrawnLine:
+    """Convert a line from the caller's copy of the image to the image."""
+    frame_width, frame_height = view.options.frame.size or (
+        view.image.width_px,
+        view.image.height_px,
     )
-
-
-def _witness(drawn: Sequence[_Drawn], region: str | None) -> Witness:
-    """Make the witness of one line in metres, or of all lines at things of one kind, which share their size."""
-    line = drawn[0].line
-    variants: tuple[Variant, ...]
-    if line.length_m is not None:
-        log_sd, chance_wrong = RELIABILITY[line.basis][:2]
-        if line.tolerance_m is not None:
-            log_sd = line.tolerance_m / line.length_m / Z95
-        variants = (Variant(line.length_m, log_sd),)
-    else:
-        assert line.what is not None
-        standard, variants = lengths_of(line.what, region)
-        chance_wrong = max(_LEAST_CHANCE, standard.chance_wrong - RECOGNITION.chance_wrong)
-    length_px, drawn_log_sd = _mean_length(drawn)
-    possible = [each for each in variants if on_grid(each.metres / length_px)]
-    if not possible:
-        raise _impossible(variants[0].metres, length_px)
-    total = sum(each.weight for each in possible)
-    densities = [
-        each.weight
-        / total
-        * lognormal(each.metres / length_px, math.hypot(each.log_sd, drawn_log_sd))
-        for each in possible
-    ]
-    return _of_density(sum(densities, np.zeros(1)), chance_wrong)
-
-
-def _of_density(right: NDArray[np.float64], chance_wrong: float) -> Witness:
-    return Witness(KnownLengths.kind, quantile(right, 0.5), right=right, chance_wrong=chance_wrong)
-
-
-def _mean_length(drawn: Sequence[_Drawn]) -> tuple[float, float]:
-    """Average lines of one length, pixels; the spread of its log grows if the lines contradict each other."""
-    weights = [1 / each.log_sd**2 for each in drawn]
-    logs = [math.log(each.length_px) for each in drawn]
-    mean = sum(weight * log for weight, log in zip(weights, logs, strict=True)) / sum(weights)
-    off_sds = [abs(log - mean) / each.log_sd for log, each in zip(logs, drawn, strict=True)]
-    return math.exp(mean), max(1.0, *off_sds) / math.sqrt(sum(weights))
-
-
-def _impossible(metres: float, length_px: float) -> KnownLengthError:
-    gsd = metres / length_px
-    hint = f" If the length is in centimetres, give {metres / 100:g}." if on_grid(gsd / 100) else ""
-    return KnownLengthError(
-        f"a line of {metres:g} m over {length_px:.0f} px would give {gsd:.3g} m/px: give "
-        "metres, and pixels of the "
-        f"image or of the frame that you name.{hint}"
+    x_factor = view.image.width_px / frame_width
+    y_factor = view.image.height_px / frame_height
+    first = (line.x1 * x_factor, line.y1 * y_factor)
+    second = (line.x2 * x_factor, line.y2 * y_factor)
+    length_px, tilt_log_sd = _length_at_centre(first, second, view.plane)
+    # Both ends have the error of drawing.
+    drawing_log_sd = math.sqrt(2) * _END_SD_PX / line.length_px
+    return _DrawnLine(
+        line,
+        (first, second),
+        length_px=length_px,
+        log_sd=math.hypot(drawing_log_sd, tilt_log_sd),
     )
 
 
 def _length_at_centre(
     first: tuple[float, float], second: tuple[float, float], plane: GroundPlane | None
 ) -> tuple[float, float]:
-    """Compute a line's length in pixels of the image's centre, and the standard deviation of its log by the tilt."""
+    """Compute the length of a line in pixels of the image's centre.
+
+    Args:
+        first: x, y of an end, pixels of the image.
+        second: x, y of the other end.
+        plane: ground plane of a tilted view; None at nadir.
+
+    Returns:
+        The length, and the standard deviation of its log by the error of the tilt.
+    """
     if plane is None:
         return math.dist(first, second), 0.0
-    less = replace(plane, gsd_m_per_px=1.0, tilt_deg=plane.tilt_deg - TILT_SD_DEG)
-    here, there = (
-        float(each.length([first], [second])[0])
-        for each in (replace(plane, gsd_m_per_px=1.0), less)
-    )
-    return here, abs(math.log(here / there))
+    # With 1 m/px at the centre, metres on the ground are pixels of the centre.
+    unit_plane = replace(plane, gsd_m_per_px=1.0)
+    less_tilted = replace(unit_plane, tilt_deg=plane.tilt_deg - TILT_SD_DEG)
+    length_px = float(unit_plane.length([first], [second])[0])
+    other_px = float(less_tilted.length([first], [second])[0])
+    return length_px, abs(math.log(length_px / other_px))
 
 
-def _lines_disagree(
-    groups: Sequence[Sequence[_Drawn]], lines: Sequence[Witness]
-) -> tuple[Notice, ...]:
-    """Warn of two lines of which neither allows the other's scale; name the line without which all agree."""
-    scales = [(each.density, each.gsd_m_per_px or 0.0) for each in lines]
-    apart = [
-        pair
-        for pair in combinations(range(len(lines)), 2)
-        if max(mass_within(scales[a][0], scales[b][1]) for a, b in (pair, pair[::-1])) < _AGREED
+def _groups(drawn: Sequence[_DrawnLine]) -> list[list[_DrawnLine]]:
+    """Group the lines at things of one kind; each other line is a group of its own.
+
+    A line that is given twice is one line.
+    """
+    groups: dict[object, list[_DrawnLine]] = {}
+    for line in drawn:
+        thing = line.known_length.what
+        if thing:
+            groups.setdefault(thing, []).append(line)
+        else:
+            # The same line again finds its group, and adds nothing.
+            groups.setdefault(line.known_length, [line])
+    return list(groups.values())
+
+
+def _label(line: KnownLength) -> str:
+    """Name a line in pictures and messages."""
+    if line.what is None:
+        return f"{line.length_m:g} m"
+    return line.what.replace("_", " ")
+
+
+def _witness(group: Sequence[_DrawnLine], region: str | None) -> Witness:
+    """Make the witness of one line in metres, or of all lines at things of one kind.
+
+    Things of one kind in one image share their size, so that their lines are averaged.
+
+    Args:
+        group: the lines.
+        region: country or region of the image; None if unknown.
+
+    Raises:
+        KnownLengthError: the lines give an impossible scale.
+    """
+    line = group[0].known_length
+    variants: tuple[Variant, ...]
+    if line.length_m is not None:
+        log_sd = RELIABILITY[line.basis].log_sd
+        chance_wrong = RELIABILITY[line.basis].chance_wrong
+        if line.tolerance_m is not None:
+            log_sd = line.tolerance_m / line.length_m / Z95
+        variants = (Variant(line.length_m, log_sd),)
+    else:
+        assert line.what is not None
+        standard, variants = lengths_of(line.what, region)
+        # The chance that the caller mistakes all things is a shared error; see RECOGNITION.
+        chance_wrong = max(_MIN_CHANCE_WRONG, standard.chance_wrong - RECOGNITION.chance_wrong)
+
+    length_px, drawing_log_sd = _mean_length(group)
+    possible = [variant for variant in variants if on_grid(variant.metres / length_px)]
+    if not possible:
+        raise _impossible(variants[0].metres, length_px)
+    # A thing of several usual lengths gives a mixture of densities.
+    total = sum(variant.weight for variant in possible)
+    right = np.zeros(1)
+    for variant in possible:
+        log_sd = math.hypot(variant.log_sd, drawing_log_sd)
+        density = lognormal(variant.metres / length_px, log_sd)
+        right = right + variant.weight / total * density
+    return _of_density(right, chance_wrong)
+
+
+def _of_density(right: Density, chance_wrong: float) -> Witness:
+    """Make a witness whose own scale is the median of a density ``[g]``."""
+    return Witness(KnownLengths.kind, quantile(right, 0.5), right=right, chance_wrong=chance_wrong)
+
+
+def _combined(witnesses: Sequence[Witness]) -> Witness:
+    """Combine the witnesses of all lines.
+
+    Each line may be wrong by itself, which its density includes. Contradictions show as several
+    modes of the product.
+    """
+    if len(witnesses) == 1:
+        return witnesses[0]
+    densities = [witness.density for witness in witnesses]
+    return _of_density(product(*densities), chance_wrong=0.0)
+
+
+def _mean_length(group: Sequence[_DrawnLine]) -> tuple[float, float]:
+    """Average lines of one length by their precisions, pixels.
+
+    Returns:
+        The mean, and the standard deviation of its log, which grows if the lines contradict each
+        other.
+    """
+    weights = [1 / line.log_sd**2 for line in group]
+    log_lengths = [math.log(line.length_px) for line in group]
+    weighted = [weight * log for weight, log in zip(weights, log_lengths, strict=True)]
+    mean = sum(weighted) / sum(weights)
+    deviations = [
+        abs(log - mean) / line.log_sd for log, line in zip(log_lengths, group, strict=True)
     ]
-    if not apart:
+    log_sd = max(1.0, *deviations) / math.sqrt(sum(weights))
+    return math.exp(mean), log_sd
+
+
+def _impossible(metres: float, length_px: float) -> KnownLengthError:
+    """Describe a line with an impossible scale; a length in centimetres gets a hint."""
+    gsd = metres / length_px
+    hint = ""
+    if on_grid(gsd / 100):
+        hint = f" If the length is in centimetres, give {metres / 100:g}."
+    return KnownLengthError(
+        f"a line of {metres:g} m over {length_px:.0f} px would give {gsd:.3g} m/px: give metres, "
+        f"and pixels of the image or of the frame that you name.{hint}"
+    )
+
+
+def _disagreement(
+    groups: Sequence[Sequence[_DrawnLine]], witnesses: Sequence[Witness]
+) -> tuple[Notice, ...]:
+    """Warn of lines that exclude each other's scale; name the line without which all agree.
+
+    Args:
+        groups: the lines.
+        witnesses: witness of each group.
+    """
+    contradictions = [
+        (a, b)
+        for a, b in combinations(range(len(witnesses)), 2)
+        if not _agree(witnesses[a], witnesses[b])
+    ]
+    if not contradictions:
         return ()
-    finest = min(scale for _, scale in scales)
-    coarsest = max(scale for _, scale in scales)
-    off = [k for k in range(len(lines)) if len(lines) > 2 and all(k in pair for pair in apart)]
     cause = "A line is wrong, or the camera was tilted."
-    if len(off) == 1:
+    # With more than two lines, one that is in all contradictions is probably the wrong one.
+    suspects = []
+    if len(witnesses) > 2:
+        suspects = [k for k in range(len(witnesses)) if all(k in pair for pair in contradictions)]
+    if len(suspects) == 1:
+        suspect = suspects[0]
+        label = _label(groups[suspect][0].known_length)
         cause = (
-            f"Without the line {_label(groups[off[0]][0].line)} ({scales[off[0]][1]:.4g} "
-            "m/px) they agree: check it."
+            f"Without the line {label} ({witnesses[suspect].gsd_m_per_px:.4g} m/px) they agree: "
+            "check it."
         )
-    message = f"The given lines disagree, from {finest:.4g} to {coarsest:.4g} m/px. {cause}"
+    scales = [witness.gsd_m_per_px or 0.0 for witness in witnesses]
+    message = f"The given lines disagree, from {min(scales):.4g} to {max(scales):.4g} m/px. {cause}"
     return (Notice(code=NoticeCode.KNOWN_LENGTHS_DISAGREE, message=message),)
+
+
+def _agree(first: Witness, second: Witness) -> bool:
+    """Test whether one of two lines allows the scale of the other."""
+    assert first.gsd_m_per_px is not None
+    assert second.gsd_m_per_px is not None
+    masses = (
+        mass_within(first.density, second.gsd_m_per_px),
+        mass_within(second.density, first.gsd_m_per_px),
+    )
+    return max(masses) >= _MIN_AGREED_MASS

@@ -1,4 +1,4 @@
-"""Table of known lengths for many images: a CSV with one row per line on the ground."""
+"""Table of known lengths for many images: a CSV with one row for each line on the ground."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def lines_in(
     Args:
         path: path of the table; an image may have several lines. Files are relative to the table.
             None for no lines.
-        images: the images to measure. Lines of other images are refused, because a name may be
+        images: images to measure. Lines of other images are refused, because a name may be
             misspelt.
 
     Returns:
@@ -53,11 +53,12 @@ def lines_in(
     )
     strangers = sorted(set(lines) - {where_it_is(image) for image in images})
     if strangers:
-        others = len(strangers) - 1
+        n_others = len(strangers) - 1
+        verb = "is" if n_others == 1 else "are"
+        others = f", nor {verb} {count(n_others, 'other')}" if n_others else ""
         raise KnownLengthError(
             f"a line of known length is in {strangers[0]!r}, which is not one of the images"
-            + (f", nor {'is' if others == 1 else 'are'} {count(others, 'other')}" if others else "")
-            + ": files are named relative to the table"
+            f"{others}: files are named relative to the table"
         )
     return lines
 
@@ -66,22 +67,25 @@ def with_lines_of(
     options: ScaleOptions, lines: KnownLengthTable, image: str | os.PathLike[str]
 ) -> ScaleOptions:
     """Add the lines of one image to the options."""
-    own = lines.get(where_it_is(image)) if lines else None
-    return (
-        options
-        if own is None
-        else replace(options, rulers=replace(options.rulers, known_lengths=own))
-    )
+    if not lines:
+        return options
+    lines_of_image = lines.get(where_it_is(image))
+    if lines_of_image is None:
+        return options
+    rulers = replace(options.rulers, known_lengths=lines_of_image)
+    return replace(options, rulers=rulers)
 
 
 def _line(row: Mapping[str, str | None]) -> KnownLength:
+    """Read a row.
+
+    Raises:
+        ValueError: a cell is invalid.
+    """
     basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
-    values: Any = (
-        *(row[name] for name in _COLUMNS[1:5]),
-        row["metres"] or what,
-        basis or "assumed",
-        tolerance,
-    )
+    coordinates = [row[name] for name in _COLUMNS[1:5]]
+    # The options model reads the texts of the cells, as it reads those of the command line.
+    values: Any = (*coordinates, row["metres"] or what, basis or "assumed", tolerance)
     (line,) = Rulers(known_lengths=(values,)).known_lengths
     check_name(line.what)
     line.check("the line of known length", KnownLengthError)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,16 +21,22 @@ if TYPE_CHECKING:
     from vehanchor.scale.posterior import Witness
 
 _EARTH_M = 6_371_009.0
-_LEAST = 2
-_POSITION_SD_M = 2.0  # of a small receiver, relative to the neighbouring photograph
-_AIM_SHARE = 0.05  # of the picture's width: offset of the centre by a tilt of three degrees
-_LEAST_AGREEMENT = 0.9  # of layout and positions; below, they do not match
+_MIN_POSITIONS = 2
+# Error of a small receiver, relative to the neighbouring photograph.
+_POSITION_SD_M = 2.0
+# Offset of a picture's centre by a tilt of three degrees, as a share of its width.
+_AIM_SHARE = 0.05
+# Least agreement of layout and positions; below, they do not match.
+_MIN_AGREEMENT = 0.9
+# Positions that are off by more than three times the typical error lose most of their weight.
 _REACH = 3.0
-_STEPS = 10
+_N_STEPS = 10
+# Median of a Rayleigh distribution over its root mean square: the root of ln 2.
+_MEDIAN_OVER_RMS = 0.8326
 
 
 class Positions(Ruler):
-    """Positions in the metadata of a flight's photographs; the flight measures them (``baseline``)."""
+    """Positions in the metadata of photographs; a flight measures them with ``baseline``."""
 
     kind = "positions"
     label = "positions"
@@ -55,23 +61,23 @@ def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
         ``[n, 2]`` metres east and north of the first known position, NaN for unknown ones; None if
         all are unknown.
     """
-    known = [
-        (math.nan, math.nan)
-        if (camera := image.camera) is None
-        or camera.latitude_deg is None
-        or camera.longitude_deg is None
-        else (camera.latitude_deg, camera.longitude_deg)
-        for image in images
-    ]
-    degrees = np.array(known, dtype=np.float64).reshape(-1, 2)
-    said = np.flatnonzero(np.isfinite(degrees[:, 0]))
-    if not len(said):
+    degrees = np.full((len(images), 2), math.nan)
+    for k, image in enumerate(images):
+        camera = image.camera
+        if camera is None or camera.latitude_deg is None or camera.longitude_deg is None:
+            continue
+        degrees[k] = camera.latitude_deg, camera.longitude_deg
+    known = np.flatnonzero(np.isfinite(degrees[:, 0]))
+    if len(known) == 0:
         return None
-    north, east = np.radians(degrees - degrees[said[0]]).T
-    east = np.where(
-        east > math.pi, east - 2 * math.pi, np.where(east < -math.pi, east + 2 * math.pi, east)
-    )
-    return np.column_stack([east * math.cos(math.radians(degrees[said[0], 0])), north]) * _EARTH_M
+    first = degrees[known[0]]
+    north, east = np.radians(degrees - first).T
+    # Across the 180th meridian, longitudes jump by a full turn.
+    east = np.where(east > math.pi, east - 2 * math.pi, east)
+    east = np.where(east < -math.pi, east + 2 * math.pi, east)
+    # A degree of longitude is shorter by the cosine of the latitude.
+    east = east * math.cos(math.radians(first[0]))
+    return np.column_stack([east, north]) * _EARTH_M
 
 
 def baseline(
@@ -89,45 +95,75 @@ def baseline(
         The witness; None for fewer than two positions, or if layout and positions differ.
     """
     known = np.isfinite(places).all(axis=1)
-    seen = layout[known]
-    taken = places[known, 0] - 1j * places[known, 1]
-    if len(seen) < _LEAST:
+    # Complex numbers, for which a rotation is a factor; north is up, and y points down.
+    pixels = layout[known]
+    metres = places[known, 0] - 1j * places[known, 1]
+    if len(pixels) < _MIN_POSITIONS:
         return None
-    weight = np.ones(len(seen))
-    for _ in range(_STEPS):
-        total = weight.sum()
-        in_px = seen - (weight @ seen) / total
-        in_m = taken - (weight @ taken) / total
-        spread_px = float(weight @ np.abs(in_px) ** 2)
-        spread_m = float(weight @ np.abs(in_m) ** 2)
-        if spread_px <= 0 or spread_m <= 0:
-            return None
-        product = complex(weight @ (np.conj(in_px) * in_m))
-        # rounding can exceed 1
-        agreement = min(1.0, abs(product) / math.sqrt(spread_px * spread_m))
-        # both have errors: geometric mean of the two regressions
-        gsd = math.sqrt(spread_m / spread_px)
-        off = np.abs(in_m - gsd * (product / max(abs(product), 1e-12)) * in_px)
-        # 0.8326: median of a Rayleigh distribution over its scale, / sqrt 2
-        typical = max(float(np.median(off)) / 0.8326, 1e-6)
-        weight = 1.0 / (1.0 + (off / (_REACH * typical)) ** 2) ** 2
-    n = float(weight.sum())
-    if agreement < _LEAST_AGREEMENT or n < _LEAST - 0.5:
+    fit = _fit(pixels, metres)
+    if fit is None or fit.agreement < _MIN_AGREEMENT or fit.n < _MIN_POSITIONS - 0.5:
         return None
-    radius = math.sqrt(spread_m / n)
-    stated_sd = math.hypot(_POSITION_SD_M, _AIM_SHARE * width_px * gsd) / (radius * math.sqrt(n))
-    seen_sd = math.sqrt((1 - agreement**2) / (2 * max(n - 2, 0.5))) / agreement
-    if not on_grid(gsd):
+    if not on_grid(fit.gsd_m_per_px):
         return None
-    n_known = int(known.sum())
+
+    # Two estimates of the error: from the receiver and the aim, and from the misfit.
+    radius_m = math.sqrt(fit.spread_m2 / fit.n)
+    place_sd_m = math.hypot(_POSITION_SD_M, _AIM_SHARE * width_px * fit.gsd_m_per_px)
+    expected_sd = place_sd_m / (radius_m * math.sqrt(fit.n))
+    degrees_of_freedom = 2 * max(fit.n - 2, 0.5)
+    misfit_sd = math.sqrt((1 - fit.agreement**2) / degrees_of_freedom) / fit.agreement
     reliability = RELIABILITY[Positions.kind]
-    log_sd = math.hypot(max(stated_sd, seen_sd), reliability.log_sd)
-    said = f"The positions of {n_known} overlapping photographs give {{}}."
+    n_known = int(known.sum())
     return point_witness(
         Positions.kind,
-        gsd,
-        log_sd=log_sd,
+        fit.gsd_m_per_px,
+        log_sd=math.hypot(max(expected_sd, misfit_sd), reliability.log_sd),
         chance_wrong=reliability.chance_wrong,
-        said=said,
+        statement=f"The positions of {n_known} overlapping photographs give {{}}.",
         n=n_known,
     )
+
+
+class _Fit(NamedTuple):
+    """Similarity transform from pixels to metres.
+
+    Attributes:
+        gsd_m_per_px: its scale.
+        agreement: 0..1, correlation of both sets of points.
+        n: sum of the weights, the number of positions that fit.
+        spread_m2: weighted sum of squared distances from the centre.
+    """
+
+    gsd_m_per_px: float
+    agreement: float
+    n: float
+    spread_m2: float
+
+
+def _fit(pixels: NDArray[np.complex128], metres: NDArray[np.complex128]) -> _Fit | None:
+    """Fit a similarity transform to points ``[m]`` by iterated reweighting, robust to outliers.
+
+    Returns:
+        The fit; None if the points have no extent.
+    """
+    weights = np.ones(len(pixels))
+    for _ in range(_N_STEPS):
+        total = weights.sum()
+        in_px = pixels - (weights @ pixels) / total
+        in_m = metres - (weights @ metres) / total
+        spread_px2 = float(weights @ np.abs(in_px) ** 2)
+        spread_m2 = float(weights @ np.abs(in_m) ** 2)
+        if spread_px2 <= 0 or spread_m2 <= 0:
+            return None
+        # The angle of the product is the rotation, and its size gives the correlation of both sets.
+        # Rounding can lift the correlation above 1.
+        product = complex(weights @ (np.conj(in_px) * in_m))
+        agreement = min(1.0, abs(product) / math.sqrt(spread_px2 * spread_m2))
+        # Both sets have errors: the geometric mean of the two regressions.
+        gsd = math.sqrt(spread_m2 / spread_px2)
+        rotation = product / max(abs(product), 1e-12)
+        errors_m = np.abs(in_m - gsd * rotation * in_px)
+        typical_m = max(float(np.median(errors_m)) / _MEDIAN_OVER_RMS, 1e-6)
+        # Weights of Geman and McClure: a far point counts little, and never drops out abruptly.
+        weights = 1.0 / (1.0 + (errors_m / (_REACH * typical_m)) ** 2) ** 2
+    return _Fit(gsd, agreement, n=float(weights.sum()), spread_m2=spread_m2)

@@ -18,12 +18,11 @@ if TYPE_CHECKING:
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
-
-_KNOWN_LENGTH = 0.5  # share of the spread that a length from the caller leaves; a choice
-# cars of the usual length that stand for those which are not in sight: (0.09 / 0.06)**2, the
-# spreads
+# Share of the spread that remains if the caller gives the length; a choice.
+_KNOWN_LENGTH = 0.5
+# Cars of the usual length that stand for those out of sight: (0.09 / 0.06)**2, the spreads of
+# lengths within fleets and between them.
 _USUAL_CARS = 2.0
-# of lengths within fleets and between them
 
 
 class ReferenceLength(NamedTuple):
@@ -46,7 +45,7 @@ class ReferenceLength(NamedTuple):
 
 
 def reference_length(
-    card: DetectorCard, given: Reference, appearance: Appearance | None
+    card: DetectorCard, reference: Reference, appearance: Appearance | None
 ) -> ReferenceLength:
     """Choose the caller's reference length, else the fleet's by appearance, else the model's.
 
@@ -55,9 +54,9 @@ def reference_length(
     precisions of both.
 
     Args:
-        card: of the model that found the vehicles.
-        given: source chosen by the caller.
-        appearance: of the vehicles of the fleet; None if unknown.
+        card: card of the model that found the vehicles.
+        reference: the caller's options for the reference length.
+        appearance: appearance of the vehicles of the fleet; None if unknown.
 
     Returns:
         The length, its spread and its source.
@@ -66,24 +65,28 @@ def reference_length(
         InvalidParameterError: the model knows neither the region nor the country.
         CalibrationMismatchError: the calibration was made for another model.
     """
-    if given.calibration is not None:
-        given.calibration.check_detector(card.name, card.sha256)
-        length_m = given.calibration.reference_length_m
-        sd_m = given.calibration.reference_length_sd_m
-        return ReferenceLength(length_m, "calibration", sd_m / length_m)
+    calibration = reference.calibration
+    if calibration is not None:
+        calibration.check_detector(card.name, card.sha256)
+        length_m = calibration.reference_length_m
+        log_sd = calibration.reference_length_sd_m / length_m
+        return ReferenceLength(length_m, "calibration", log_sd)
     sd_m = card.reference_length_sd_m
-    if given.reference_length_m is not None:
-        return ReferenceLength(
-            given.reference_length_m, "given", _KNOWN_LENGTH * sd_m / given.reference_length_m
-        )
+    if reference.reference_length_m is not None:
+        length_m = reference.reference_length_m
+        return ReferenceLength(length_m, "given", _KNOWN_LENGTH * sd_m / length_m)
     if card.bodies is not None and appearance is not None:
-        return _by_appearance(card.bodies, appearance, given.region)
-    if given.region is not None:
-        # where nobody measured boxes
-        of_bodies = {} if card.bodies is None else card.bodies.region_lengths_m
-        length_m = _region_length(given.region, {**of_bodies, **card.region_lengths_m})
+        return _by_appearance(card.bodies, appearance, reference.region)
+    if reference.region is not None:
+        lengths_m: dict[str, float] = {}
+        if card.bodies is not None:
+            # Lengths of bodies stand in for regions without measured boxes.
+            lengths_m.update(card.bodies.region_lengths_m)
+        lengths_m.update(card.region_lengths_m)
+        length_m = _region_length(reference.region, lengths_m)
         return ReferenceLength(length_m, "region", KNOWN_REGION * sd_m / length_m)
-    return ReferenceLength(card.reference_length_m, "model", sd_m / card.reference_length_m)
+    length_m = card.reference_length_m
+    return ReferenceLength(length_m, "model", sd_m / length_m)
 
 
 def _by_appearance(
@@ -99,35 +102,51 @@ def _by_appearance(
             log_mean=APPEARANCE_LOG_MEAN,
             by_appearance=0.0,
         )
+    # The region is about the whole fleet. Cars out of sight are taken to have the usual length, so
+    # that few unusual cars do not count as an unusual fleet.
+    n = len(appearance)
     usual = math.log(bodies.reference_length_m)
-    fleet = (len(appearance) * log_length + _USUAL_CARS * usual) / (len(appearance) + _USUAL_CARS)
-    spread = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
-    share = APPEARANCE_LOG_SD**2 / (APPEARANCE_LOG_SD**2 + spread**2)
-    moved = share * (math.log(_region_length(region, bodies.region_lengths_m)) - fleet)
-    log_sd = math.sqrt(1 - share) * APPEARANCE_LOG_SD
-    log_mean = (1 - share) * APPEARANCE_LOG_MEAN
+    fleet = (n * log_length + _USUAL_CARS * usual) / (n + _USUAL_CARS)
+
+    # Precision-weighted mean of both lengths: variances of the appearance and within the region.
+    region_log_sd = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
+    region_share = APPEARANCE_LOG_SD**2 / (APPEARANCE_LOG_SD**2 + region_log_sd**2)
+    region_length = math.log(_region_length(region, bodies.region_lengths_m))
+    moved = region_share * (region_length - fleet)
     return ReferenceLength(
         math.exp(log_length + moved),
         "region",
-        log_sd=log_sd,
-        log_mean=log_mean,
+        log_sd=math.sqrt(1 - region_share) * APPEARANCE_LOG_SD,
+        log_mean=(1 - region_share) * APPEARANCE_LOG_MEAN,
         by_appearance=moved,
     )
 
 
-def _region_length(name: str, known: Mapping[str, float]) -> float:
-    """Look up the reference length of a region or country, metres."""
-    plain = " ".join(name.lower().replace("_", " ").replace("-", " ").split())
-    length_m = known.get(plain.replace(" ", "_")) or country_length(
-        COUNTRY_CODES.get(plain, name), known
-    )
+def _region_length(name: str, lengths_m: Mapping[str, float]) -> float:
+    """Look up the reference length of a region or country.
+
+    Args:
+        name: name of a region or country in any spelling, or code of a country.
+        lengths_m: reference lengths by region, metres.
+
+    Returns:
+        Metres.
+
+    Raises:
+        InvalidParameterError: the place is unknown; the message names the nearest ones.
+    """
+    words = name.lower().replace("_", " ").replace("-", " ").split()
+    length_m = lengths_m.get("_".join(words))
+    if not length_m:
+        country = COUNTRY_CODES.get(" ".join(words), name)
+        length_m = country_length(country, lengths_m)
     if length_m is not None:
         return length_m
-    near = ", ".join(
-        get_close_matches(name.lower(), known) or get_close_matches(name.upper(), COUNTRY_REGIONS)
-    )
+    nearest = get_close_matches(name.lower(), lengths_m)
+    if not nearest:
+        nearest = get_close_matches(name.upper(), COUNTRY_REGIONS)
+    hint = f" (nearest: {', '.join(nearest)})" if nearest else ""
     raise InvalidParameterError(
-        f"region is {name!r}: this model knows {', '.join(sorted(known))}, and countries there "
-        "by name or ISO code, "
-        f"such as FR{near and f' (nearest: {near})'}. For another place, leave region out"
+        f"region is {name!r}: this model knows {', '.join(sorted(lengths_m))}, and countries there "
+        f"by name or ISO code, such as FR{hint}. For another place, leave region out"
     )

@@ -1,4 +1,4 @@
-"""What a ruler is made of: its input, its base class, and witnesses of one scale with a lognormal error.
+"""Parts of a ruler: its input, its base class, and witnesses from a scale or from a prior.
 
 To add a ruler, subclass ``Ruler`` in a file of its own and name it in
 ``vehanchor.records.ruler_registry``.
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from vehanchor.models.runtime import Runtime
     from vehanchor.options import ScaleOptions
     from vehanchor.rulers.camera_tilt import CameraTilt
+    from vehanchor.scale.density import Density
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.plane import GroundPlane
     from vehanchor.scale.posterior import Remark
@@ -42,15 +43,15 @@ class View:
     Attributes:
         image: facts of the image.
         detections: result of the search.
-        card: of the detector.
+        card: card of the detector.
         options: all options of the method.
-        measure_detail_share: function of centres ``[n, 2]`` in pixels and the scale where they were
-            found; it gives the share of the resolution at which there is detail
+        measure_detail_share: function of centres ``[n, 2]`` in pixels and of the reduction in which
+            they were found; it returns the share of the resolution at which there is detail
             (``vehanchor.imagery.detail``).
         raster: the open image, for a ruler that reads pixels; None if only search results are kept.
         runtime: runtime of a ruler's own model.
         prior: the scene-scale prior; None without one.
-        tilt: of the camera; None for an image taken at nadir, or of unknown tilt.
+        tilt: tilt of the camera; None for an image taken at nadir, or of unknown tilt.
         expected: ``[g]`` density of the scale in a tilted view, from rulers that do not depend on
             vehicles; None without any.
     """
@@ -64,12 +65,14 @@ class View:
     runtime: Runtime | None = None
     prior: SceneScalePrior | None = None
     tilt: CameraTilt | None = None
-    expected: NDArray[np.float64] | None = None
+    expected: Density | None = None
 
     @cached_property
     def plane(self) -> GroundPlane | None:
-        """Ground plane of a tilted view, with one metre per pixel at the image's centre; None at nadir."""
-        return None if self.tilt is None else self.tilt.plane(self.image)
+        """Ground plane of a tilted view, with 1 m/px at the image's centre; None at nadir."""
+        if self.tilt is None:
+            return None
+        return self.tilt.plane(self.image)
 
     def at_nadir(self) -> View:
         """Copy the view without its tilt."""
@@ -85,19 +88,19 @@ class Ruler:
         kind: name in options and records.
         label: name in messages and pictures, as a noun.
         plural: whether the label is a plural.
-        help: what the ruler needs, for the help of ``--rulers``.
-        colour: of its curve in plots, ``#rrggbb``.
+        help: what the ruler needs, in a few words.
+        colour: colour of its curve in plots, ``#rrggbb``.
         pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same
-            error, 1 if their errors are independent. None: it measures the boxes of all photographs
-            together, and after other rulers, whose ``View.expected`` tells it cars from parts of
-            cars in a tilted view.
-        needs_search: it measures detections, so that the detector must run.
-        reads_metadata: it is left out if the caller forbids metadata.
+            error, 1 if their errors are independent. None: the ruler measures the boxes of all
+            photographs together. It then measures after the other rulers, whose
+            ``View.expected`` separates cars from parts of cars in a tilted view.
+        needs_search: whether it measures detections, so that the detector must run.
+        reads_metadata: whether it is left out if the caller forbids metadata.
         fact: field of ``vehanchor.options.Rulers`` that it measures with, and without which it is
             left out; None for a ruler that needs no fact from the caller.
-        uses_plane: it measures on ``View.plane``. If False, it is left out in a tilted view.
-        sets_scale: it can set the scale by itself. If False, it is a prior, which only weighs other
-            rulers.
+        uses_plane: whether it measures on ``View.plane``; if not, it is left out in a tilted view.
+        sets_scale: whether it can set the scale by itself; if not, it is a prior, which only weighs
+            other rulers.
     """
 
     kind: ClassVar[str]
@@ -116,17 +119,18 @@ class Ruler:
         """Measure the scale; in a tilted view, the scale of the image's centre.
 
         Args:
-            view: of the image.
+            view: view of the image.
 
         Returns:
-            The witness, or ``unusable`` with the reason; None if there is nothing to say.
+            The witness, or ``unusable`` with the cause; None if there is nothing to report.
         """
         raise NotImplementedError
 
     @classmethod
-    def says(cls) -> str:
-        """Begin a sentence, as "the courts say"."""
-        return f"the {cls.label} {'say' if cls.plural else 'says'}"
+    def subject_and_verb(cls) -> str:
+        """Begin a sentence, such as "the courts give"."""
+        verb = "give" if cls.plural else "gives"
+        return f"the {cls.label} {verb}"
 
 
 def mark_of_height(image: ImageFacts, height_m: float) -> Mark:
@@ -135,7 +139,7 @@ def mark_of_height(image: ImageFacts, height_m: float) -> Mark:
 
 
 def unusable(kind: str, *notices: Remark) -> Witness:
-    """Make the witness of a ruler that cannot measure; notices say why."""
+    """Make the witness of a ruler that cannot measure; the notices give the cause."""
     return Witness(kind, n=0, notices=notices)
 
 
@@ -144,22 +148,22 @@ def point_witness(
     gsd_m_per_px: float,
     log_sd: float,
     chance_wrong: float,
-    said: str,
+    statement: str,
     *,
     shared: Sequence[Shared] = (),
     n: int = 1,
     notices: Sequence[Remark] = (),
     marks: Sequence[Mark] = (),
 ) -> Witness:
-    """Make a witness from a scale and its standard deviation.
+    """Make a witness from a scale with a lognormal error.
 
     Args:
-        kind: of the ruler.
+        kind: kind of the ruler.
         gsd_m_per_px: the scale, on the grid (see ``vehanchor.scale.density.on_grid``).
         log_sd: standard deviation of its log, without shared errors.
         chance_wrong: 0..1, chance that it measured something else.
-        said: a sentence with the source and the measurement; ``{}`` in it stands for the scale and
-            its interval.
+        statement: sentence with the source and the measurement; ``{}`` in it stands for the scale
+            and its interval.
         shared: errors in common with other witnesses.
         n: number of things measured.
         notices: warnings.
@@ -176,28 +180,37 @@ def point_witness(
         marks=tuple(marks),
     )
     assert witness.interval is not None
-    return replace(witness, said=said.replace("{}", in_words(gsd_m_per_px, witness.interval)))
+    words = in_words(gsd_m_per_px, witness.interval)
+    return replace(witness, statement=statement.replace("{}", words))
 
 
-def assumed(witness: Witness, caller: Shared = CALLER) -> Witness:
+def as_assumed(witness: Witness, caller: Shared = CALLER) -> Witness:
     """Mark a witness as a guess of the caller, whose guesses may all be wrong together."""
     return replace(
-        witness, assumed=True, shared=(*witness.shared, caller), lacks=(Lack("assumed", witness),)
+        witness,
+        assumed=True,
+        shared=(*witness.shared, caller),
+        lacks=(Lack("assumed", witness),),
     )
 
 
-def prior_witness(kind: str, density: NDArray[np.float64], power: float, n: int) -> Witness:
-    """Make the witness of a prior; its floor is its chance to be wrong.
+def prior_witness(kind: str, density: Density, power: float, n: int) -> Witness:
+    """Make the witness of a prior.
+
+    Its chance to be wrong is the mass of its floor, the part that supports all scales alike.
 
     Args:
-        kind: of the ruler.
+        kind: kind of the ruler.
         density: ``[g]`` probabilities.
         power: exponent on the density, for a prior that counts elsewhere, too.
         n: number of things measured.
     """
     weighed = normalised(density**power)
-    chance_wrong = float(weighed.min() / flat()[0])
-    right = normalised(np.maximum(weighed - weighed.min(), 0.0)) if chance_wrong < 1.0 else flat()
+    floor = weighed.min()
+    chance_wrong = float(floor / flat()[0])
+    right = flat()
+    if chance_wrong < 1.0:
+        right = normalised(np.maximum(weighed - floor, 0.0))
     return Witness(
         kind,
         quantile(density, 0.5),

@@ -1,4 +1,4 @@
-"""Scene-scale prior as a ruler: the texture of the ground gives a rough scale; it never sets the scale."""
+"""Scene-scale prior as a ruler: the texture of the ground gives a rough scale, never the answer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class SceneScale(Ruler):
     sets_scale = False
 
     def measure(self, view: View) -> Witness | None:
-        """Weigh the prior's density; None without a prior or in a tilted view."""
+        """Weigh the prior's density; None without a prior, or in a tilted view."""
         if view.prior is None or view.plane is not None:
             return None
         return prior_witness(self.kind, view.prior.density, power=PRIOR_POWER, n=view.prior.n_tiles)

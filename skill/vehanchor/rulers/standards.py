@@ -1,4 +1,4 @@
-"""Catalogue of things of known size, ``standards.toml``: lengths by a rule or a custom, with spreads and sources."""
+"""Catalogue of things of known size, ``standards.toml``: lengths, their spreads and sources."""
 
 from __future__ import annotations
 
@@ -33,23 +33,28 @@ class Variant(NamedTuple):
     countries: tuple[str, ...] = ()
 
     def is_of(self, place: str) -> bool:
-        """Tell whether the length is that of a country or region, by name; a region has those of its countries."""
+        """Test whether the length is used in a country or region.
+
+        A country also has the lengths of its region, a region those of its countries.
+
+        Args:
+            place: code of a country, in any case, or name of a region.
+        """
         code = place.upper()
-        return (
-            place in self.countries
-            or code in self.countries
-            or COUNTRY_REGIONS.get(code) in self.countries
-            or any(COUNTRY_REGIONS.get(country) == place for country in self.countries)
-        )
+        if place in self.countries or code in self.countries:
+            return True
+        if COUNTRY_REGIONS.get(code) in self.countries:
+            return True
+        return any(COUNTRY_REGIONS.get(country) == place for country in self.countries)
 
 
 class Standard(NamedTuple):
     """Thing of known size.
 
     Attributes:
-        name: in options and tables.
+        name: name in options and tables.
         between: ends of the line to draw.
-        chance_wrong: 0..1, chance that the thing is another one.
+        chance_wrong: 0..1, chance that a caller takes something else for the thing.
         source: rule or survey behind the lengths.
         variants: lengths, with their countries.
     """
@@ -61,31 +66,37 @@ class Standard(NamedTuple):
     variants: tuple[Variant, ...]
 
     def lengths_in(self, place: str | None) -> tuple[Variant, ...]:
-        """Select the lengths of a country or region, with weights that add up to 1; all lengths if none is of it."""
-        chosen = [each for each in self.variants if place and each.is_of(place)] or self.variants
-        total = sum(each.weight for each in chosen)
-        return tuple(each._replace(weight=each.weight / total) for each in chosen)
+        """Select the lengths of a country or region, with weights that add up to 1.
+
+        Args:
+            place: code of a country or name of a region. All lengths are returned if it is None,
+                or if no length is used there.
+        """
+        variants = self.variants
+        if place:
+            variants = tuple(variant for variant in variants if variant.is_of(place))
+        if not variants:
+            variants = self.variants
+        total = sum(variant.weight for variant in variants)
+        return tuple(variant._replace(weight=variant.weight / total) for variant in variants)
 
 
 @cache
 def standards() -> Mapping[str, Standard]:
     """Read the catalogue, by name."""
-    table = tomllib.loads(
-        files("vehanchor.rulers").joinpath("standards.toml").read_text(encoding="utf-8")
-    )
-    return TypeAdapter(dict[str, Standard]).validate_python(
-        {name: {"name": name, **entry} for name, entry in table.items()}
-    )
+    file = files("vehanchor.rulers").joinpath("standards.toml")
+    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    entries = {name: {"name": name, **entry} for name, entry in table.items()}
+    return TypeAdapter(dict[str, Standard]).validate_python(entries)
 
 
 def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Variant, ...]]:
     """Find a thing of known size and its lengths.
 
     Args:
-        what: its name, as ``check_name`` allows it, with an optional country, as
+        what: its name, as ``check_name`` allows it, with an optional country, such as
             "railway_gauge/ES".
-        region: country or region of the image; the country in the name is used instead if there is
-            one.
+        region: country or region of the image; a country in the name is used instead.
     """
     name, _, country = what.partition("/")
     standard = standards()[name]
@@ -96,15 +107,19 @@ def check_name(what: str | None) -> None:
     """Check the name of a thing of known size; None is valid.
 
     Raises:
-        KnownLengthError: the thing is not in the catalogue, or the country is no two-letter code.
+        KnownLengthError: the thing is not in the catalogue, or the country is not a two-letter
+            code.
     """
     if what is None:
         return
     name, slash, country = what.partition("/")
     if name not in standards():
-        known = "; ".join(f"{each.name}: {each.between}" for each in standards().values())
-        raise KnownLengthError(f"there is no thing of known size {name!r}. Known are {known}")
-    if slash and not (len(country) == 2 and country.isascii() and country.isupper()):
+        things = "; ".join(f"{thing.name}: {thing.between}" for thing in standards().values())
+        raise KnownLengthError(
+            f"there is no thing of known size {name!r}. The catalogue has {things}"
+        )
+    is_code = len(country) == 2 and country.isascii() and country.isupper()
+    if slash and not is_code:
         raise KnownLengthError(
             f"the country in {what!r} is {country!r}: use two capital letters, as in {name}/DE"
         )

@@ -1,10 +1,10 @@
-"""Stated scale as a ruler: metres per pixel from the caller, as of a map or a sister photograph."""
+"""Stated scale as a ruler: metres per pixel from the caller, such as those of a map."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from vehanchor.rulers.ruler import Ruler, assumed, point_witness
+from vehanchor.rulers.ruler import Ruler, as_assumed, point_witness
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import RELIABILITY
 
@@ -34,10 +34,11 @@ class StatedScale(Ruler):
 
 def stated_witness(stated: Stated) -> Witness:
     """Make the witness of a stated scale."""
-    log_sd = stated.tolerance / stated.gsd_m_per_px / Z95
-    chance_wrong = RELIABILITY[stated.basis].chance_wrong
-    said = f"The stated scale, {stated.basis}, is {{}}."
-    found = point_witness(
-        StatedScale.kind, stated.gsd_m_per_px, log_sd=log_sd, chance_wrong=chance_wrong, said=said
+    witness = point_witness(
+        StatedScale.kind,
+        stated.gsd_m_per_px,
+        log_sd=stated.tolerance / stated.gsd_m_per_px / Z95,
+        chance_wrong=RELIABILITY[stated.basis].chance_wrong,
+        statement=f"The stated scale, {stated.basis}, is {{}}.",
     )
-    return assumed(found) if stated.basis == "assumed" else found
+    return as_assumed(witness) if stated.basis == "assumed" else witness

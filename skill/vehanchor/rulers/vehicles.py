@@ -1,4 +1,16 @@
-"""Vehicles as a ruler: the fleet among the detections, its votes for the scale, and doubts about it."""
+"""Vehicles as a ruler: the fleet among the detections, its votes for the scale, and its doubts.
+
+1. ``select`` separates the fleet (cars of one image differ by less than a factor of 1.5) from
+   things of other sizes.
+2. The ruler's own scale is the paper's: ``L_ref / P_mode``, the reference length in metres over the
+   modal length in pixels.
+3. The evidence for the posterior is not that single number, but the votes of all boxes: each is a
+   car with a chance that depends on its score, and a car has a known length. The votes are widened
+   by the error of the reference length.
+4. The vehicles are wrong with a small chance, which grows with doubts: vehicles that are too coarse
+   to measure, and a rival group of other lengths. Notices name doubts that concern other rulers,
+   too (a stretched image, look-alikes); ``vehanchor.rulers.witnesses.with_doubts`` counts them.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +29,7 @@ from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, UNCALIBRATED, blurred, product, vehicle_likelihood
 from vehanchor.scale.lengths import (
-    LEAST_SCORE,
+    MIN_SCORE,
     dominant_group,
     guard_length,
     inlier_mask,
@@ -45,15 +57,20 @@ if TYPE_CHECKING:
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
-    from vehanchor.scale.density import Votes
+    from vehanchor.scale.density import Density, Votes
     from vehanchor.scale.paper import PaperScale
 
-_CLEAR_SCORE = 1.0  # of a car that nobody doubts
-_LEAST_ALIKE = 20  # vehicles with which the spread is known to a sixth
-# spread of log lengths, as measured and by appearance; of 204 fleets 3 have less, none in both
-_EQUAL = 0.045
-_LEAST_LOGIT = 2.0  # mean; 203 of 204 fleets have more
-_QUARTILES_PER_SD = 1.349  # of a normal distribution
+# Score of a car that is beyond doubt.
+_CLEAR_SCORE = 1.0
+# Look-alikes are judged from 20 vehicles on: then their spread is known to a sixth.
+_MIN_ALIKE = 20
+# Spread of log lengths below which vehicles are alike, as measured and by appearance. Of 204 fleets
+# 3 have less in one of the two, none in both.
+_EQUAL_LOG_SD = 0.045
+# Mean logit below which vehicles look unlike cars; 203 of 204 fleets have more.
+_MIN_MEAN_LOGIT = 2.0
+# Interquartile range of a normal distribution, in standard deviations.
+_QUARTILES_PER_SD = 1.349
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +115,17 @@ class Fleet:
     def appearance(self) -> Appearance | None:
         """Appearance of the vehicles that have any; None without such vehicles."""
         appearance = self.detections.appearance
-        if appearance is None or not self.kept[: len(appearance)].any():
+        if appearance is None:
             return None
-        return appearance.take(self.kept[: len(appearance)])
+        # Only the first detections have an appearance.
+        kept = self.kept[: len(appearance)]
+        if not kept.any():
+            return None
+        return appearance.take(kept)
 
 
-def select(
-    detections: Detections, lengths: Lengths, expected: NDArray[np.float64] | None = None
-) -> Fleet:
-    """Select the fleet with the outlier filter and, after a search over scales, by lengths that fit one fleet.
+def select(detections: Detections, lengths: Lengths, expected: Density | None = None) -> Fleet:
+    """Select the fleet by the outlier filter and, after a search over scales, by one modal length.
 
     Vehicles that the caller states to be cars are always kept, and their lengths choose the fleet.
 
@@ -118,32 +137,50 @@ def select(
     Returns:
         The fleet, empty if nothing was found.
     """
-    found = detections.boxes[:, 2]
+    lengths_px = detections.boxes[:, 2]
     stated = detections.stated
-    if detections.reductions is None or len(found) == 0:
-        kept = inlier_mask(found, lengths.alpha)
-        rival_share = 0.0
+    rival_share = 0.0
+    if detections.reductions is None or len(lengths_px) == 0:
+        kept = inlier_mask(lengths_px, lengths.alpha)
     else:
-        weights = np.maximum(detections.scores, LEAST_SCORE) ** 2
-        if expected is not None:  # how likely each box is as long as a car
-            likely = np.interp(np.log(CAR_LENGTH_M / found), GRID, expected / expected.max())
-            weights = np.where(stated, 1.0, likely) * weights
-        kept, rival_share = dominant_group(found, weights, stated)
-        kept[kept] = inlier_mask(found[kept], lengths.alpha)
+        # A search over scales also finds things of a car's shape that are larger or smaller.
+        weights = _evidence_of_cars(detections, expected)
+        kept, rival_share = dominant_group(lengths_px, weights, stated)
+        kept[kept] = inlier_mask(lengths_px[kept], lengths.alpha)
     kept |= stated
-    return Fleet(
-        detections, kept, _main_reduction(detections, kept), 0.0 if stated.any() else rival_share
-    )
+    if stated.any():
+        rival_share = 0.0
+    return Fleet(detections, kept, _main_reduction(detections, kept), rival_share)
+
+
+def _evidence_of_cars(detections: Detections, expected: Density | None) -> NDArray[np.float64]:
+    """Weigh each box ``[n]`` by its squared score, and by how likely it is as long as a car.
+
+    The square reduces the weight of false alarms, most of which have low scores.
+
+    Args:
+        detections: vehicles in pixels of the image.
+        expected: as in ``select``.
+    """
+    weights = np.maximum(detections.scores, MIN_SCORE) ** 2
+    if expected is None:
+        return np.asarray(weights)
+    # The scale at which each box would be as long as a car, and how likely that scale is.
+    log_scales = np.log(CAR_LENGTH_M / detections.boxes[:, 2])
+    likely = np.interp(log_scales, GRID, expected / expected.max())
+    return np.asarray(np.where(detections.stated, 1.0, likely) * weights)
 
 
 def _main_reduction(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
-    """Find the scale with most of the kept vehicles, by score; the finer of equals."""
+    """Find the reduction with most of the kept vehicles, by score; the finer of equals."""
     if not kept.any():
         return None
     if detections.reductions is None:
         return 1.0
-    reductions, which = np.unique(-detections.reductions[kept], return_inverse=True)
-    return float(-reductions[np.argmax(np.bincount(which, weights=detections.scores[kept]))])
+    # Negative reductions sort finer copies first; argmax takes the first of equals.
+    negative, inverse = np.unique(-detections.reductions[kept], return_inverse=True)
+    scores = np.bincount(inverse, weights=detections.scores[kept])
+    return float(-negative[np.argmax(scores)])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -152,7 +189,7 @@ class VehicleWitness(Witness):
 
     Attributes:
         fleet: the vehicles.
-        card: of the detector.
+        card: card of the detector.
         reference: ``L_ref`` and its source.
         mode_length_px: ``P_mode``; None without vehicles.
         aggregation: statistic of the lengths.
@@ -176,13 +213,16 @@ class VehicleWitness(Witness):
 
     @cached_property
     def paper(self) -> PaperScale:
-        """Scale by the published method; a search needs none of it."""
+        """Scale by the published method, computed on first use; a search does not need it."""
+        reference = self.reference
         shortest_px, longest_px = self.card.length_range_px
         return paper_scale(
             self.fleet.lengths,
             self.fleet.scores,
-            mode=(self.mode_length_px, self.aggregation),
-            reference_m=(self.reference.length_m, self.reference.log_sd * self.reference.length_m),
+            mode_px=self.mode_length_px,
+            aggregation=self.aggregation,
+            reference_length_m=reference.length_m,
+            reference_sd_m=reference.log_sd * reference.length_m,
             reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
             length_range_px=(max(self.card.min_length_px, shortest_px), longest_px),
@@ -190,10 +230,16 @@ class VehicleWitness(Witness):
 
     @property
     def statistical_log_sds(self) -> tuple[float, float]:
-        """Log standard deviations of the mode under resampling and of the fleet's spread; there must be vehicles."""
+        """Log standard deviations of the mode under resampling and of the fleet's spread.
+
+        The witness must have vehicles.
+        """
         assert self.mode_length_px is not None
         return statistical_log_sds(
-            self.fleet.lengths, self.fleet.scores, self.mode_length_px, self.aggregation
+            self.fleet.lengths,
+            self.fleet.scores,
+            mode_px=self.mode_length_px,
+            aggregation=self.aggregation,
         )
 
     @property
@@ -209,89 +255,105 @@ class VehicleWitness(Witness):
 
     @property
     def doubted(self) -> bool:
-        """Whether the vehicles may be look-alikes, the image stretched, or the vehicles too coarse."""
-        return any(notice.code in _DOUBTS for notice in self.notices) or self.coarseness > 1.0
+        """Whether the vehicles may be look-alikes, stretched, or too coarse."""
+        return self.coarseness > 1.0 or any(notice.code in _DOUBT_CODES for notice in self.notices)
 
-    def by_votes(self) -> VehicleWitness:
-        """Weigh the votes of the boxes; their lacks are detail, cars without doubt, one car more, a known fleet."""
-        model = self.card.votes or UNCALIBRATED
-        scores = self.fleet.detections.scores
-        likelihood = self._likelihood(scores, model)
-        clear = self._likelihood(np.where(self.fleet.kept, _CLEAR_SCORE, scores), model)
-        another = vehicle_likelihood(
-            [np.median(self.fleet.lengths)],
-            [_CLEAR_SCORE],
-            lengths_m=self.reference.length_m,
-            votes=model,
-        )
-        without: list[tuple[Reason, VehicleWitness, NDArray[np.float64]]] = [
-            ("too_coarse", replace(self, detail_share=math.inf), likelihood),
-            ("not_cars", self, clear),
-            ("disagree", replace(self, fleet=replace(self.fleet, rival_share=0.0)), likelihood),
-            ("too_few", self, product(likelihood, another)),
-            (
-                "imprecise",
-                replace(self, reference=self.reference._replace(log_sd=0.0, log_mean=0.0)),
-                likelihood,
-            ),
-        ]
+    def with_votes(self) -> VehicleWitness:
+        """Add the evidence: votes of all boxes, the chance that they are wrong, and the lacks."""
+        likelihood = self._likelihood(self.fleet.detections.scores)
         return replace(
             self,
             right=self._widened(likelihood),
             chance_wrong=self._chance_wrong,
-            lacks=tuple(
-                Lack(
-                    reason,
-                    Witness(
-                        self.kind,
-                        None,
-                        right=each._widened(density),
-                        chance_wrong=each._chance_wrong,
-                    ),
-                )
-                for reason, each, density in without
-            ),
+            lacks=self._lacks(likelihood),
         )
 
-    def _likelihood(self, scores: NDArray[np.float64], votes: Votes) -> NDArray[np.float64]:
-        """Compute the density ``[g]`` of the scale for a known fleet, with these scores ``[n]``.
+    def _likelihood(self, scores: NDArray[np.float64]) -> Density:
+        """Compute the density ``[g]`` of the scale for a known fleet.
 
-        The boxes' lengths in metres, if they are cars, are those by their looks, or the reference.
+        A box that is a car has the length of its appearance, or else the reference length.
+
+        Args:
+            scores: ``[n]`` scores of all detections.
         """
-        found = self.fleet.detections
-        lengths_m = np.full(len(found.boxes), self.reference.length_m)
-        log_sds = np.full(len(found.boxes), CAR_LOG_SD)
-        if self.reference.by_appearance is not None and found.appearance is not None:
-            seen = len(found.appearance)
-            lengths_m[:seen] = np.exp(found.appearance.log_lengths + self.reference.by_appearance)
-            log_sds[:seen] = found.appearance.log_sds * appearance_error(scores[:seen])
-        if found.corrections is not None:
-            log_sds = np.hypot(log_sds, found.corrections.pointed_log_sds)
+        detections = self.fleet.detections
+        appearance = detections.appearance
+        lengths_m = np.full(len(detections.boxes), self.reference.length_m)
+        log_sds = np.full(len(detections.boxes), CAR_LOG_SD)
+        if self.reference.by_appearance is not None and appearance is not None:
+            n = len(appearance)
+            lengths_m[:n] = np.exp(appearance.log_lengths + self.reference.by_appearance)
+            log_sds[:n] = appearance.log_sds * appearance_error(scores[:n])
+        if detections.corrections is not None:
+            # Lengths of added vehicles have the error of the caller's pointing, too.
+            log_sds = np.hypot(log_sds, detections.corrections.pointed_log_sds)
         voting = self.fleet.kept if self.only_kept else slice(None)
         return vehicle_likelihood(
-            found.boxes[voting, 2],
+            detections.boxes[voting, 2],
             scores[voting],
             lengths_m=lengths_m[voting],
-            votes=votes,
+            votes=self._votes,
             log_sds=log_sds[voting],
         )
 
-    def _widened(self, likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
+    @property
+    def _votes(self) -> Votes:
+        """Votes of the detector; a default if nobody has fitted any."""
+        return self.card.votes or UNCALIBRATED
+
+    def _widened(self, likelihood: Density) -> Density:
         """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles."""
         log_sd = math.hypot(self.reference.log_sd, unresolved(self.coarseness).log_sd)
         return blurred(likelihood, log_sd, self.reference.log_mean)
 
     @property
     def _chance_wrong(self) -> float:
-        """0..1, chance that the vehicles do not tell the scale."""
+        """Chance, 0..1, that the vehicles do not show the scale."""
         if self.card.votes is None:
             likely = UNCALIBRATED.log_odds(self.fleet.scores) > 0
             chance = uncalibrated_wrong(int(likely.sum()))
         else:
             chance = RELIABILITY["vehicles"].chance_wrong
-        rival_odds = self.fleet.rival_share**2  # that the other group is the fleet; a choice
+        # The rival group is the fleet with these odds: its share of evidence, squared. A choice.
+        rival_odds = self.fleet.rival_share**2
         chance = max(chance, rival_odds / (1.0 + rival_odds))
         return 1.0 - (1.0 - chance) * (1.0 - unresolved(self.coarseness).chance_wrong)
+
+    def _lacks(self, likelihood: Density) -> tuple[Lack, ...]:
+        """Compute what the vehicles would be without each of their weaknesses.
+
+        Args:
+            likelihood: ``[g]`` density of the scale for a known fleet.
+        """
+        # With enough detail, coarse vehicles add no error.
+        detailed = replace(self, detail_share=math.inf)
+        # All vehicles of the fleet are cars beyond doubt.
+        certain_scores = np.where(self.fleet.kept, _CLEAR_SCORE, self.fleet.detections.scores)
+        certain = self._likelihood(certain_scores)
+        # No other group of lengths competes with the fleet.
+        unrivalled = replace(self, fleet=replace(self.fleet, rival_share=0.0))
+        # There is one more car, of the fleet's median length.
+        another = vehicle_likelihood(
+            [np.median(self.fleet.lengths)],
+            [_CLEAR_SCORE],
+            lengths_m=self.reference.length_m,
+            votes=self._votes,
+        )
+        # The fleet's reference length is known exactly.
+        exact_length = self.reference._replace(log_sd=0.0, log_mean=0.0)
+        known_fleet = replace(self, reference=exact_length)
+        return (
+            detailed._lack("too_coarse", likelihood),
+            self._lack("not_cars", certain),
+            unrivalled._lack("disagree", likelihood),
+            self._lack("too_few", product(likelihood, another)),
+            known_fleet._lack("imprecise", likelihood),
+        )
+
+    def _lack(self, reason: Reason, likelihood: Density) -> Lack:
+        """Name a lack that this copy of the vehicles does not have."""
+        right = self._widened(likelihood)
+        return Lack(reason, Witness(self.kind, right=right, chance_wrong=self._chance_wrong))
 
 
 class Vehicles(Ruler):
@@ -315,14 +377,20 @@ class Vehicles(Ruler):
         """
         card = view.card
         plane = view.plane
-        detections = view.detections if plane is None else rectified(view.detections, plane)
-        expected = view.expected if view.prior is None or plane is not None else view.prior.density
+        detections = view.detections
+        # In a tilted view, other rulers identify the cars; at nadir, the scene-scale prior.
+        expected = view.expected
+        if plane is not None:
+            detections = rectified(detections, plane)
+        elif view.prior is not None:
+            expected = view.prior.density
         fleet = select(detections, view.options.lengths, expected)
+
         mode_px = None
         aggregation = view.options.lengths.aggregation or card.aggregation
         if fleet.kept.any():
             mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
-        found = VehicleWitness(
+        vehicles = VehicleWitness(
             self.kind,
             n=len(fleet.lengths),
             notices=_capped(detections),
@@ -335,109 +403,118 @@ class Vehicles(Ruler):
             only_kept=fleet.is_stated or (plane is not None and view.expected is not None),
         )
         if mode_px is None:
-            return found
-        notices = (
-            *found.notices,
-            *_detail_missing(found),
-            *_doubts(fleet, None if plane else detections.stretch),
-        )
+            return vehicles
+        stretch = detections.stretch if plane is None else None
         return replace(
-            found.by_votes(), gsd_m_per_px=found.reference.length_m / mode_px, notices=notices
+            vehicles.with_votes(),
+            gsd_m_per_px=vehicles.reference.length_m / mode_px,
+            notices=(
+                *vehicles.notices,
+                *_detail_missing(vehicles),
+                *_doubts(fleet, stretch),
+            ),
         )
 
 
-_DOUBTS = {
-    NoticeCode.STRETCHED: Notice(
-        code=NoticeCode.STRETCHED,
-        message="The vehicles have a car's proportions only if the image is made narrower or "
-        "wider: it was stretched "
-        "in one direction, or taken at a tilt, and its width and height have different scales.",
+_STRETCHED = Notice(
+    code=NoticeCode.STRETCHED,
+    message=(
+        "The vehicles would have a car's proportions only if the image were narrower or wider. It "
+        "was stretched in one direction or taken at a tilt, so that its width and height have "
+        "different scales."
     ),
-    NoticeCode.LOOK_ALIKES: Notice(
-        code=NoticeCode.LOOK_ALIKES,
-        message="The vehicles are more alike than cars of different makes, or unlike all known "
-        "cars: they may be equal "
-        "lorries, caravans, containers, roof units or boats, and the scale wrong by the ratio "
-        "of their length to a "
-        "car's.",
+)
+_LOOK_ALIKES = Notice(
+    code=NoticeCode.LOOK_ALIKES,
+    message=(
+        "The vehicles are more alike than cars of different makes, or unlike any known car. They "
+        "may be lorries, caravans or containers of one model, roof units or boats. The scale is "
+        "then wrong by the ratio of their length to a car's."
     ),
-}
+)
+_DOUBT_CODES = (_STRETCHED.code, _LOOK_ALIKES.code)
 
 
 def _doubts(fleet: Fleet, stretch: float | None) -> tuple[Notice, ...]:
     """Doubt that the vehicles are cars of true proportions, after a search over scales.
 
-    A caller who states that most of the vehicles are cars resolves the doubt that they are
+    Without such a search, the vehicles were not chosen by their length, and no doubt arises. A
+    caller who states that most of the vehicles are cars resolves the doubt that they are
     look-alikes.
+
+    Args:
+        fleet: the vehicles.
+        stretch: see ``vehanchor.detection.detections.Detections``; None if it is not doubted.
     """
     if fleet.detections.reductions is None:
         return ()
-    stretched = stretch is not None and abs(stretch) > 1.0
-    alike = not fleet.is_stated and look_alikes(fleet.lengths, fleet.appearance)
-    return tuple(
-        each for each, doubted in zip(_DOUBTS.values(), (stretched, alike), strict=True) if doubted
-    )
+    doubts = []
+    if stretch is not None and abs(stretch) > 1.0:
+        doubts.append(_STRETCHED)
+    if not fleet.is_stated and look_alikes(fleet.lengths, fleet.appearance):
+        doubts.append(_LOOK_ALIKES)
+    return tuple(doubts)
 
 
 def look_alikes(lengths: ArrayLike, appearance: Appearance | None) -> bool:
-    """Test whether vehicles may be equal things that are no cars, such as lorries, caravans and boats in rows.
+    """Test whether vehicles may be equal things, such as lorries, caravans or boats in rows.
 
-    One of two signs is enough, from 20 vehicles on: their lengths and their looks spread less than
-    those of cars of different makes (interquartile range over 1.349), or they look less like cars
-    than any fleet.
+    One of two signs is enough, from 20 vehicles on. Either their lengths and their appearances
+    spread less than those of cars of different makes (interquartile range over 1.349), or they look
+    less like cars than any fleet.
 
     Args:
         lengths: ``[n]`` pixels.
-        appearance: of the vehicles that have any; None without a chip network.
+        appearance: appearance of the vehicles that have any; None without a chip network.
     """
-    values = np.asarray(lengths, dtype=np.float64)
-    if len(values) < _LEAST_ALIKE:
+    lengths_px = np.asarray(lengths, dtype=np.float64)
+    if len(lengths_px) < _MIN_ALIKE:
         return False
-    equal = _spread(np.log(values)) < _EQUAL
-    if appearance is None or len(appearance) < _LEAST_ALIKE:
-        return bool(equal)
-    return bool(
-        appearance.logits.mean() < _LEAST_LOGIT
-        or (equal and _spread(appearance.log_lengths) < _EQUAL)
-    )
+    equal_lengths = _spread(np.log(lengths_px)) < _EQUAL_LOG_SD
+    if appearance is None or len(appearance) < _MIN_ALIKE:
+        return equal_lengths
+    if appearance.logits.mean() < _MIN_MEAN_LOGIT:
+        return True
+    return equal_lengths and _spread(appearance.log_lengths) < _EQUAL_LOG_SD
 
 
 def _spread(values: NDArray[np.float64]) -> float:
+    """Estimate the standard deviation by the quartiles, which outliers hardly move."""
     low, high = np.percentile(values, [25, 75])
     return float(high - low) / _QUARTILES_PER_SD
 
 
 def _capped(detections: Detections) -> tuple[Notice, ...]:
+    """Warn of tiles in which the model returned its largest number of boxes."""
     if not detections.n_capped_tiles:
         return ()
     message = (
         f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest "
-        "number of boxes: "
-        "vehicles may be missing. Export the model without nms=True, or use smaller tiles."
+        "number of boxes: vehicles may be missing. Export the model without nms=True, or use "
+        "smaller tiles."
     )
     return (Notice(code=NoticeCode.DETECTIONS_CAPPED, message=message),)
 
 
-def _detail_missing(found: VehicleWitness) -> tuple[Notice, ...]:
+def _detail_missing(vehicles: VehicleWitness) -> tuple[Notice, ...]:
     """Warn of vehicles that have enough pixels, but not enough detail."""
-    seen_px = found.seen_length_px
-    guard_px = found.guard_length_px
-    if not seen_px >= guard_px > seen_px * found.detail_share:
+    length_px = vehicles.seen_length_px
+    guard_px = vehicles.guard_length_px
+    detailed_px = length_px * vehicles.detail_share
+    if length_px < guard_px or detailed_px >= guard_px:
         return ()
+    finest_px = 1 / vehicles.detail_share
     message = (
-        f"The image has no detail finer than {1 / found.detail_share:.2g} px, as after "
-        "enlarging or "
-        "blur: vehicles of "
-        f"{seen_px:.1f} px have the detail of {seen_px * found.detail_share:.1f} px, and "
-        f"{guard_px:.1f} px are needed. "
-        "Give the original image."
+        f"The image has no detail finer than {finest_px:.2g} px, perhaps because it was enlarged "
+        f"or blurred: vehicles of {length_px:.1f} px have the detail of {detailed_px:.1f} px, and "
+        f"{guard_px:.1f} px are needed. Give the original image."
     )
     return (Notice(code=NoticeCode.DETAIL_MISSING, message=message),)
 
 
 def measured_vehicles(witnesses: Iterable[Witness]) -> VehicleWitness | None:
     """Find the witness of the vehicles; None if the caller excludes them."""
-    return cast(
-        "VehicleWitness | None",
-        next((each for each in witnesses if each.kind == Vehicles.kind), None),
-    )
+    for witness in witnesses:
+        if witness.kind == Vehicles.kind:
+            return cast("VehicleWitness", witness)
+    return None

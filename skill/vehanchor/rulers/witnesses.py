@@ -1,4 +1,8 @@
-"""Witnesses of an image, from all rulers: first those that do not depend on vehicles, then the others."""
+"""Witnesses of an image, from all rulers.
+
+In a tilted view, rulers that do not depend on vehicles measure first: the vehicles need their
+scale to separate cars from parts of cars.
+"""
 
 from __future__ import annotations
 
@@ -14,63 +18,68 @@ from vehanchor.rulers.ruler import unusable
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
-from vehanchor.scale.posterior import sharing
+from vehanchor.scale.posterior import with_shared_error
 from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from vehanchor.rulers.ruler import Ruler, View
+    from vehanchor.scale.density import Density
     from vehanchor.scale.posterior import Answer, Remark, Witness
 
-# centimetres for metres; scenes tell a factor of two
-_UNIT_RATIO = math.log(100.0)
-_UNIT_TOLERANCE = math.log(2.0)
+# Log ratio of a length in centimetres that is stated as metres, and how exactly rulers show it.
+_UNIT_LOG_RATIO = math.log(100.0)
+_UNIT_LOG_TOLERANCE = math.log(2.0)
 
 
-def measure_all(view: View, known: Sequence[Witness] | None = None) -> tuple[Witness, ...]:
+def measure_all(view: View, earlier: Sequence[Witness] | None = None) -> tuple[Witness, ...]:
     """Measure an image with all rulers that the caller allows.
 
     Args:
-        view: of the image, with its tilt.
-        known: earlier witnesses of all rulers but those that measure the boxes of a flight
+        view: view of the image, with its tilt.
+        earlier: witnesses from before, of all rulers but those that measure the boxes of a flight
             together; None without any.
 
     Returns:
         The witnesses; those of boxes first.
     """
     rulers = active_rulers(view.options.rulers)
-    first = known
-    if first is None:
-        first = _measured([ruler for ruler in rulers if ruler.pooling_gain is not None], view)
+    if earlier is None:
+        independent = [ruler for ruler in rulers if ruler.pooling_gain is not None]
+        earlier = _measure(independent, view)
     if view.expected is None and view.plane is not None:
-        view = replace(view, expected=expected_scale(first))
-    last = [ruler for ruler in rulers if ruler.pooling_gain is None]
-    return (*_measured(last, view), *first)
+        view = replace(view, expected=expected_scale(earlier))
+    of_boxes = [ruler for ruler in rulers if ruler.pooling_gain is None]
+    return (*_measure(of_boxes, view), *earlier)
 
 
-def expected_scale(witnesses: Iterable[Witness]) -> NDArray[np.float64] | None:
+def expected_scale(witnesses: Iterable[Witness]) -> Density | None:
     """Multiply the densities of rulers that do not depend on vehicles, for a tilted view.
 
     In oblique views the detector often finds parts of cars; the camera's height or a court
     identifies the whole ones.
 
     Args:
-        witnesses: of these rulers, measured on the ground plane.
+        witnesses: witnesses of these rulers, measured on the ground plane.
 
     Returns:
         ``[g]`` probabilities on ``vehanchor.scale.density.GRID``; None if no ruler found anything.
     """
-    densities = [each.density for each in witnesses if each.found]
-    return product(*densities) if densities else None
+    densities = [witness.density for witness in witnesses if witness.found]
+    if not densities:
+        return None
+    return product(*densities)
 
 
-def _measured(rulers: Iterable[Ruler], view: View) -> list[Witness]:
-    witnesses = (_witness(ruler, view) for ruler in rulers)
-    return [each for each in witnesses if each is not None]
+def _measure(rulers: Iterable[Ruler], view: View) -> list[Witness]:
+    """Measure with several rulers, and leave out those that have nothing to report."""
+    witnesses = []
+    for ruler in rulers:
+        witness = _witness(ruler, view)
+        if witness is not None:
+            witnesses.append(witness)
+    return witnesses
 
 
 def _witness(ruler: Ruler, view: View) -> Witness | None:
@@ -82,8 +91,7 @@ def _witness(ruler: Ruler, view: View) -> Witness | None:
         return None
     message = (
         f"The camera was tilted by {view.plane.tilt_deg:.0f} degrees: the ruler {ruler.label} "
-        "is left out, because it "
-        "only measures nadir images."
+        "is left out, because it only measures nadir images."
     )
     return unusable(ruler.kind, Notice(code=NoticeCode.CAMERA_TILTED, message=message))
 
@@ -91,77 +99,88 @@ def _witness(ruler: Ruler, view: View) -> Witness | None:
 def with_doubts(
     witnesses: Sequence[Witness], notices: Iterable[Remark] = ()
 ) -> tuple[Witness, ...]:
-    """Give witnesses the errors that doubts make common.
+    """Add to witnesses the errors that doubts make common.
 
-    An image without one scale misleads all of them; look-alikes mislead the vehicles, and a prior
-    that agrees.
+    An image without a single scale misleads all rulers. Look-alikes mislead the vehicles, and a
+    prior that agrees with them.
 
     Args:
-        witnesses: of an image, with their own doubts.
+        witnesses: witnesses of an image, with their own doubts as notices.
         notices: further doubts.
     """
-    codes = {
-        notice.code for notice in (*(own for each in witnesses for own in each.notices), *notices)
-    }
+    codes = {notice.code for notice in notices}
+    for witness in witnesses:
+        codes.update(notice.code for notice in witness.notices)
     no_one_scale = NoticeCode.STRETCHED in codes or NoticeCode.TILT_SUSPECTED in codes
-    found = []
-    for each in witnesses:
-        one = sharing(each, NO_ONE_SCALE, "disagree") if no_one_scale and each.found else each
-        if (
-            NoticeCode.LOOK_ALIKES in codes
-            and each.found
-            and (each.kind == Vehicles.kind or not each.sets_scale)
-        ):
-            one = sharing(one, NO_CARS, "not_cars")
-        found.append(one)
-    return tuple(found)
+    doubted = []
+    for witness in witnesses:
+        if not witness.found:
+            doubted.append(witness)
+            continue
+        shared = witness
+        if no_one_scale:
+            shared = with_shared_error(shared, NO_ONE_SCALE, removes="disagree")
+        depends_on_cars = witness.kind == Vehicles.kind or not witness.sets_scale
+        if NoticeCode.LOOK_ALIKES in codes and depends_on_cars:
+            shared = with_shared_error(shared, NO_CARS, removes="not_cars")
+        doubted.append(shared)
+    return tuple(doubted)
 
 
-def disagreements(witnesses: Sequence[Witness], found: Answer) -> list[Notice]:
-    """Warn of rulers that are probably wrong, and of stated facts whose unit is probably wrong.
+def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
+    """Warn of rulers that are probably wrong, and of stated facts with a probably wrong unit.
 
     Args:
-        witnesses: of all rulers.
-        found: their answer.
+        witnesses: witnesses of all rulers.
+        answer: their answer.
     """
-    heard = [each for each in witnesses if each.found]
-    setting = [(each, p) for each, p in zip(heard, found.p_right, strict=True) if each.sets_scale]
-    doubted = [each for each, p_right in setting if p_right < PROBABLY_RIGHT]
-    if found.reason == "disagree" and not doubted and len(setting) > 1:
-        doubted = [each for each, _ in setting]
-    notices = [
-        Notice(
-            code=NoticeCode.RULERS_DISAGREE,
-            message=f"{_says(each)} m/px, and all rulers together {found.gsd_m_per_px:.2g}. "
-            "Check which is wrong "
-            "before using either.",
-        )
-        for each in doubted
-        if len(setting) > 1
-    ]
-    return notices + _unit_notices(heard)
+    informative = [witness for witness in witnesses if witness.found]
+    setting = []
+    doubted = []
+    for witness, p_right in zip(informative, answer.p_right, strict=True):
+        if not witness.sets_scale:
+            continue
+        setting.append(witness)
+        if p_right < PROBABLY_RIGHT:
+            doubted.append(witness)
+    if answer.reason == "disagree" and not doubted:
+        doubted = setting
+    notices = []
+    # A single ruler has none to disagree with.
+    if len(setting) > 1:
+        for witness in doubted:
+            message = (
+                f"{_stated_scale(witness)} m/px, and all rulers together "
+                f"{answer.gsd_m_per_px:.2g}. Check which is wrong before using either."
+            )
+            notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
+    return notices + _unit_notices(informative)
 
 
-def _unit_notices(heard: Sequence[Witness]) -> list[Notice]:
+def _unit_notices(witnesses: Sequence[Witness]) -> list[Notice]:
     """Warn of stated facts that differ from another ruler by a factor of about 100."""
     notices = {}
-    for fact, other in permutations(heard, 2):
-        if (
-            ruler_class(fact.kind).fact is None
-            or fact.gsd_m_per_px is None
-            or other.gsd_m_per_px is None
-        ):
+    for fact, other in permutations(witnesses, 2):
+        is_fact = ruler_class(fact.kind).fact is not None
+        if not is_fact or fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
             continue
-        off = math.log(fact.gsd_m_per_px / other.gsd_m_per_px)
-        if abs(abs(off) - _UNIT_RATIO) <= _UNIT_TOLERANCE:
-            message = (
-                f"{_says(fact)} m/px, another ruler {other.gsd_m_per_px:.2g}: some 100 times "
-                f"{'less' if off > 0 else 'more'}. Its unit is probably wrong: give metres"
-                f"{', not centimetres' if off > 0 else ''}."
-            )
-            notices[fact.kind] = Notice(code=NoticeCode.UNIT_MISTYPED, message=message)
+        log_ratio = math.log(fact.gsd_m_per_px / other.gsd_m_per_px)
+        if abs(abs(log_ratio) - _UNIT_LOG_RATIO) > _UNIT_LOG_TOLERANCE:
+            continue
+        comparison = "more"
+        remedy = "give metres"
+        if log_ratio > 0:
+            comparison = "less"
+            remedy = "give metres, not centimetres"
+        message = (
+            f"{_stated_scale(fact)} m/px, another ruler {other.gsd_m_per_px:.2g}: some 100 times "
+            f"{comparison}. Its unit is probably wrong: {remedy}."
+        )
+        notices[fact.kind] = Notice(code=NoticeCode.UNIT_MISTYPED, message=message)
     return list(notices.values())
 
 
-def _says(witness: Witness) -> str:
-    return f"{ruler_class(witness.kind).says().capitalize()} {witness.gsd_m_per_px:.2g}"
+def _stated_scale(witness: Witness) -> str:
+    """Begin a sentence with a ruler and its scale, such as "The courts give 0.1"."""
+    subject_and_verb = ruler_class(witness.kind).subject_and_verb()
+    return f"{subject_and_verb.capitalize()} {witness.gsd_m_per_px:.2g}"

@@ -1,4 +1,4 @@
-"""Fleet calibration: the reference length ``L_ref`` of a region's fleet, measured on images of known scale.
+"""Fleet calibration: ``L_ref`` of a region's fleet, measured on images of known scale.
 
 The paper's calibration (section III-F) computes ``L_i = P_i * GSD_i`` for every vehicle, and the
 KDE mode of ``{L_i}``. The lengths ``P_i`` come from labels or from a detector's boxes.
@@ -29,12 +29,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MIN_VEHICLES = 100
-"""Least number of vehicles. Lengths of one fleet spread by about 9 %: the mode of 100 cars is known to 3 % (95 %)."""
+"""Least number of vehicles. Lengths of one fleet spread by about 9 %, so that the mode of 100 cars
+is known to 3 % (95 % interval)."""
 
-# cars in one block (a car park, a street) are similar, so they are resampled together
+# Side of a block. Cars in one block (a car park, a street) are similar, so that they are resampled
+# together.
 _BLOCK_M = 50.0
-_MIN_BLOCKS = 10  # with fewer, single vehicles are resampled
+# With fewer blocks, single vehicles are resampled.
+_MIN_BLOCKS = 10
 _MAX_FILE_BYTES = 1 << 20
+# Digits of a checksum in messages.
 _SHORT_SHA = 12
 
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
@@ -61,20 +65,18 @@ class Calibration(BaseModel):
     reference_length_sd_m: float = Field(
         ge=0,
         le=LARGEST_VEHICLE_M,
-        description="Standard deviation that an estimate reckons with, metres: of the "
-        "bootstrap, and of what places of "
-        "one region differ by (half of what regions differ by), and of what the images' scales "
-        "may be off by.",
+        description="Standard deviation used by estimates, in metres: bootstrap error, spread "
+        "within the region (half of the spread between regions), and error of the images' scales.",
     )
-    source: Literal["labels", "detections"] = Field(description="Whose boxes were measured.")
-    n_vehicles: int = Field(gt=0, description="Vehicles measured.")
-    n_images: int = Field(gt=0, description="Images with a vehicle.")
+    source: Literal["labels", "detections"] = Field(description="Origin of the measured boxes.")
+    n_vehicles: int = Field(gt=0, description="Number of measured vehicles.")
+    n_images: int = Field(gt=0, description="Number of images with a vehicle.")
     mode_length_px: float = Field(gt=0, description="KDE mode of the vehicles' lengths in pixels.")
     median_gsd_m_per_px: float = Field(
         gt=0, description="Median over the vehicles of their image's true scale."
     )
     detector: str | None = Field(
-        description="Name of the detector it is for; null where it fits any (labels alone)."
+        description="Name of the calibration's detector; null for any detector (labels alone)."
     )
     detector_sha256: str | None = Field(description="SHA-256 of that detector's file.")
 
@@ -95,7 +97,7 @@ class Calibration(BaseModel):
         return self
 
     def check_detector(self, name: str, sha256: str) -> None:
-        """Refuse another detector than the calibration's: its boxes differ.
+        """Refuse another detector than the calibration's, because its boxes differ.
 
         Raises:
             CalibrationMismatchError: the checksums differ.
@@ -103,9 +105,8 @@ class Calibration(BaseModel):
         if self.detector_sha256 is not None and self.detector_sha256 != sha256:
             raise CalibrationMismatchError(
                 f"the calibration was made for detector {self.detector!r} "
-                f"({self.detector_sha256[:_SHORT_SHA]}), not "
-                f"for {name!r} ({sha256[:_SHORT_SHA]}): calibrate again with this detector, or "
-                "use the other one"
+                f"({self.detector_sha256[:_SHORT_SHA]}), not for {name!r} "
+                f"({sha256[:_SHORT_SHA]}): calibrate again with this detector, or use the other one"
             )
 
 
@@ -143,10 +144,10 @@ class ModalLength(NamedTuple):
 
 
 def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
-    """Compute the KDE mode of ``L_i = P_i * GSD_i`` (paper, section III-F) with a bootstrap interval from a fixed seed.
+    """Compute the KDE mode of ``L_i = P_i * GSD_i`` (paper, section III-F), with its interval.
 
-    The bootstrap resamples squares of 50 m on the ground with all their cars, because neighbouring
-    cars are similar. With fewer than ten squares it resamples single vehicles.
+    The bootstrap, from a fixed seed, resamples squares of 50 m on the ground with all their cars,
+    because neighbouring cars are similar. With fewer than ten squares it resamples single vehicles.
 
     Args:
         images: images with at least one vehicle in total.
@@ -157,52 +158,58 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
     Raises:
         InvalidParameterError: there is no vehicle.
     """
-    metres, weights, smoothing = weighted_lengths_m(images)
-    mode = kde_mode(metres, weights, smoothing=smoothing)
-    modes = resampled_modes(metres, weights, smoothing=smoothing, block=_blocks(images))
-    low, high = np.percentile(modes, [2.5, 97.5])
-    spread = float(np.sqrt(np.mean(np.log(modes / mode) ** 2))) * mode
-    return ModalLength(mode, min(float(low), mode), high_m=max(float(high), mode), sd_m=spread)
+    lengths_m, weights, smoothing = weighted_lengths_m(images)
+    mode_m = kde_mode(lengths_m, weights, smoothing=smoothing)
+    modes_m = resampled_modes(lengths_m, weights, smoothing=smoothing, block=_blocks(images))
+    low_m, high_m = np.percentile(modes_m, [2.5, 97.5])
+    log_sd = float(np.sqrt(np.mean(np.log(modes_m / mode_m) ** 2)))
+    return ModalLength(
+        mode_m,
+        low_m=min(float(low_m), mode_m),
+        high_m=max(float(high_m), mode_m),
+        sd_m=log_sd * mode_m,
+    )
 
 
 def weighted_lengths_m(
     images: Sequence[SurveyedImage],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Collect the lengths ``[n]`` in metres, their weights ``[n]``, and the factor on the bandwidth of the density."""
-    metres = np.concatenate(
-        [np.zeros(0), *(image.boxes[:, 2] * image.gsd_m_per_px for image in images)]
-    )
-    return metres, *_weights(images, metres)
+    """Collect the lengths of all vehicles with the parameters of their density.
+
+    Returns:
+        ``[n]`` lengths in metres, their weights ``[n]``, and the factor on the bandwidth.
+    """
+    by_image = [image.boxes[:, 2] * image.gsd_m_per_px for image in images]
+    lengths_m = np.concatenate([np.zeros(0), *by_image])
+    weights, smoothing = _weights(images, lengths_m)
+    return lengths_m, weights, smoothing
 
 
 def _weights(
     images: Sequence[SurveyedImage], lengths: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """Choose each vehicle's weight and the factor on the bandwidth, as in estimates with this calibration."""
+    """Choose each vehicle's weight and the factor on the bandwidth, as in estimates.
+
+    Vehicles are weighted by their scores only if all images have scores.
+    """
     scores = [image.scores for image in images if image.scores is not None]
-    weighted = len(scores) == len(images)
-    return kernel_weights(
-        lengths, np.concatenate(scores) if weighted else (), "weighted_kde" if weighted else "kde"
-    )
+    if len(scores) < len(images):
+        return kernel_weights(lengths, (), "kde")
+    return kernel_weights(lengths, np.concatenate(scores), "weighted_kde")
 
 
 def _blocks(images: Sequence[SurveyedImage]) -> NDArray[np.intp]:
     """Number the squares of all images, and return each vehicle's number ``[n]``."""
-    places = np.concatenate(
-        [
-            np.column_stack(
-                [
-                    np.full(len(image.boxes), index),
-                    image.boxes[:, :2] * image.gsd_m_per_px // _BLOCK_M,
-                ]
-            )
-            for index, image in enumerate(images)
-        ]
-    )
-    squares, block = np.unique(places, axis=0, return_inverse=True)
-    return np.asarray(
-        block.ravel() if len(squares) >= _MIN_BLOCKS else np.arange(len(places)), dtype=np.intp
-    )
+    rows = []
+    for index, image in enumerate(images):
+        image_numbers = np.full(len(image.boxes), index)
+        squares = image.boxes[:, :2] * image.gsd_m_per_px // _BLOCK_M
+        rows.append(np.column_stack([image_numbers, squares]))
+    vehicles = np.concatenate(rows)
+    blocks, block = np.unique(vehicles, axis=0, return_inverse=True)
+    if len(blocks) < _MIN_BLOCKS:
+        return np.arange(len(vehicles), dtype=np.intp)
+    return np.asarray(block.ravel(), dtype=np.intp)
 
 
 def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[SurveyedImage]:
@@ -210,22 +217,22 @@ def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[Surveye
     with_vehicles = [image for image in images if len(image.boxes)]
     n_vehicles = sum(len(image.boxes) for image in with_vehicles)
     if n_vehicles < MIN_VEHICLES:
-        found = "labelled" if source == "labels" else "found"
+        origin = "labelled" if source == "labels" else "found"
         raise CalibrationRefusedError(
-            f"vehicles {found} for a reference length: {n_vehicles}; at least {MIN_VEHICLES} "
-            "are needed. Add images of "
-            "the same region with more cars"
+            f"vehicles {origin} for a reference length: {n_vehicles}; at least {MIN_VEHICLES} "
+            "are needed. Add images of the same region with more cars"
         )
     return with_vehicles
 
 
 def _check_lengths(mode_m: float, spread_m: float) -> None:
     """Refuse implausible fleet lengths."""
-    if not LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M or spread_m > mode_m:
+    plausible = LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M
+    if not plausible or spread_m > mode_m:
         raise CalibrationRefusedError(
-            f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), as no fleet is: "
-            f"{LEAST_VEHICLE_M:g} "
-            f"to {LARGEST_VEHICLE_M:g} m. Check the images' scales, and what the labels are of"
+            f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), but fleets "
+            f"are {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m long. Check the images' scales, "
+            "and what the labels show"
         )
 
 
@@ -261,29 +268,29 @@ def calibrate(
             lengths are too short.
     """
     with_vehicles = _with_vehicles(images, source)
+    # Medians over vehicles, not over images.
     counts = [len(image.boxes) for image in with_vehicles]
-    median_gsd = float(
-        np.median(np.repeat([image.gsd_m_per_px for image in with_vehicles], counts))
-    )
-    truth_log_sd = float(
-        np.median(np.repeat([image.gsd_log_sd for image in with_vehicles], counts))
-    )
+    gsds = np.repeat([image.gsd_m_per_px for image in with_vehicles], counts)
+    gsd_log_sds = np.repeat([image.gsd_log_sd for image in with_vehicles], counts)
+    median_gsd = float(np.median(gsds))
+    gsd_log_sd = float(np.median(gsd_log_sds))
+
     length = modal_length_m(with_vehicles)
-    spread_m = math.hypot(length.sd_m, region_sd_m / 2, truth_log_sd * length.mode_m)
+    spread_m = math.hypot(length.sd_m, region_sd_m / 2, gsd_log_sd * length.mode_m)
     _check_lengths(length.mode_m, spread_m)
+
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
     weights, smoothing = _weights(with_vehicles, lengths_px)
     mode_px = kde_mode(lengths_px, weights, smoothing=smoothing)
-    shortest_px = guard_length(length.mode_m, min_length_px)
-    if mode_px < shortest_px:
+    guard_px = guard_length(length.mode_m, min_length_px)
+    if mode_px < guard_px:
         raise CalibrationRefusedError(
             f"the imagery is too coarse: vehicles are {mode_px:.1f} px long at {median_gsd:.3g} "
-            "m/px, below the "
-            f"resolution guard of {shortest_px:.1f} px, where lengths come out too short. Use "
-            "images of "
-            f"{length.mode_m / shortest_px:.2f} m/px or finer"
+            f"m/px, below the resolution guard of {guard_px:.1f} px, where lengths come out too "
+            f"short. Use images of {length.mode_m / guard_px:.2f} m/px or finer"
         )
-    low_m, high_m = Spread.of_interval(*length[:3]).plus(truth_log_sd).around(length.mode_m)
+    bootstrap = Spread.of_interval(length.mode_m, length.low_m, length.high_m)
+    low_m, high_m = bootstrap.plus(gsd_log_sd).around(length.mode_m)
     return Calibration(
         reference_length_m=length.mode_m,
         reference_length_ci95_low_m=low_m,
@@ -309,16 +316,19 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
     try:
         with Path(path).open("rb") as handle:
             text = handle.read(_MAX_FILE_BYTES)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise CalibrationFileError(f"cannot read calibration {str(path)!r}: {reason}") from None
+    except OSError as error:
+        message = f"cannot read calibration {str(path)!r}: {error.strerror}"
+        raise CalibrationFileError(message) from None
+    except ValueError as error:
+        # Python refuses a NUL in a file name.
+        raise CalibrationFileError(f"cannot read calibration {str(path)!r}: {error}") from None
     try:
         return Calibration.model_validate_json(text)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
+        field = ".".join(map(str, first["loc"])) or "the file"
         raise CalibrationFileError(
-            f"{str(path)!r} is not a calibration ({where}: {first['msg']}); make one with "
+            f"{str(path)!r} is not a calibration ({field}: {first['msg']}); make one with "
             "'vehanchor calibrate'"
         ) from None
 

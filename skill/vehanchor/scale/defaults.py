@@ -14,7 +14,8 @@ Stopped = Literal["all_searched", "converged", "max_tiles", "max_seconds"]
 """Why a search ended."""
 
 USABLE_CHANCE = 0.9
-"""Least chance of an error below 20 % for a usable scale; a choice: a planner acts if nine of ten cases are right."""
+"""Least chance of an error below 20 % for a usable scale: a planner acts if nine of ten cases are
+right. A choice."""
 
 Reason = Literal["too_few", "too_coarse", "not_cars", "disagree", "assumed", "imprecise"]
 """Why a scale is not usable."""
@@ -22,11 +23,17 @@ Reason = Literal["too_few", "too_coarse", "not_cars", "disagree", "assumed", "im
 PROBABLY_RIGHT = 0.5
 """Chance from which a ruler counts as right in words and pictures."""
 
-NMS_IOU = 0.45  # paper, section III-B
-OUTLIER_ALPHA = 1.5  # paper, equation 2
+NMS_IOU = 0.45
+"""Overlap above which the box with the lower score is dropped (paper, section III-B)."""
+
+OUTLIER_ALPHA = 1.5
+"""Factor on the median length above which a vehicle is an outlier (paper, equation 2)."""
 
 CAR_LENGTH_M = 4.6
-"""Typical car length in metres, within 20 % for all fleets; used only to choose resolutions and to weigh sizes."""
+"""Typical car length in metres, within 20 % for all fleets.
+
+It is used only to choose resolutions and to weigh sizes.
+"""
 
 CAR_LENGTH_OVER_WIDTH = 2.21
 """Proportions of the detector's boxes at nadir."""
@@ -37,4 +44,5 @@ LARGEST_GSD_M_PER_PX = 1000.0
 
 LEAST_VEHICLE_M = 2.0
 LARGEST_VEHICLE_M = 20.0
-"""Limits of vehicle lengths, metres: a quadricycle has 2.3 m, a lorry with its trailer 18.75 m in Europe."""
+"""Limits of vehicle lengths, metres: in Europe a quadricycle has 2.3 m, a lorry with its trailer
+18.75 m."""

@@ -1,13 +1,13 @@
 """Densities over the log of the ground sampling distance, among them the vehicles' votes.
 
-A density is ``[g]`` cell probabilities on one grid, ``GRID``: steps of 0.5 % from 3 mm to 3 m per
-pixel.
+A density holds ``[g]`` cell probabilities on one grid, ``GRID``: steps of 0.5 % from 3 mm to 3 m
+per pixel.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -17,62 +17,68 @@ from vehanchor.scale.reliability import CAR_LOG_SD
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+Density: TypeAlias = "NDArray[np.float64]"
+"""Probabilities ``[g]`` of the cells of ``GRID``."""
+
 LOG_STEP = 0.005
-TOLERANCE = 0.2  # largest ``|estimated - true| / true`` with which a planner can use a scale
-# metres per pixel
+# Largest ``|estimated - true| / true`` with which a planner can use a scale.
+TOLERANCE = 0.2
+# Ends of the grid, metres per pixel.
 _FINEST = 0.003
 _COARSEST = 3.0
 GRID: NDArray[np.float64] = np.arange(np.log(_FINEST), np.log(_COARSEST), LOG_STEP)
 """``[g]`` natural logs of metres per pixel."""
 
-LEAST_PROBABILITY = 1e-300  # of a cell, so that it has a log
+# Smallest probability of a cell, so that it has a log.
+MIN_PROBABILITY = 1e-300
+# Beyond six standard deviations, a normal kernel is cut off.
 KERNEL_REACH_SDS = 6.0
-# log odds of a car, 1 in 1,000 to 199 in 200: no box is certain
-_LEAST_ODDS = -7.0
-_MOST_ODDS = 5.3
-# votes are binned by odds and spread: the cost hardly depends on their number
-_ODDS_STEP = 0.25
+# Limits of the log odds of a car, 1 in 1,000 to 199 in 200: no box is certain.
+_MIN_LOG_ODDS = -7.0
+_MAX_LOG_ODDS = 5.3
+# Votes are binned by odds and spread, so that the cost hardly depends on their number.
+_LOG_ODDS_STEP = 0.25
 _SD_STEP = 0.01
 
 
-def flat() -> NDArray[np.float64]:
+def flat() -> Density:
     """Return the flat density: ``[g]`` equal probabilities."""
     return np.full(len(GRID), 1.0 / len(GRID))
 
 
 def on_grid(gsd_m_per_px: float) -> bool:
-    """Tell whether a scale is possible: 3 mm to 3 m per pixel."""
-    return gsd_m_per_px > 0 and bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
+    """Test whether a scale is possible: 3 mm to 3 m per pixel."""
+    if gsd_m_per_px <= 0:
+        return False
+    return bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
 
 
-def lognormal(gsd_m_per_px: float, log_sd: float) -> NDArray[np.float64]:
+def lognormal(gsd_m_per_px: float, log_sd: float) -> Density:
     """Make a lognormal density.
 
     Args:
         gsd_m_per_px: its median, on the grid (see ``on_grid``).
-        log_sd: standard deviation of its log; at least one cell is used.
+        log_sd: standard deviation of its log; a smaller one than a cell counts as one cell.
 
     Returns:
         ``[g]`` probabilities.
     """
-    off = (GRID - math.log(gsd_m_per_px)) / max(log_sd, LOG_STEP)
-    return normalised(np.exp(-0.5 * off**2))
+    deviations = (GRID - math.log(gsd_m_per_px)) / max(log_sd, LOG_STEP)
+    return normalised(np.exp(-0.5 * deviations**2))
 
 
-def normalised(density: NDArray[np.float64]) -> NDArray[np.float64]:
+def normalised(density: Density) -> Density:
     """Scale a non-negative density ``[g]`` to the sum 1."""
     return np.asarray(density / density.sum())
 
 
-def blurred(
-    density: NDArray[np.float64], log_sd: float, log_mean: float = 0.0
-) -> NDArray[np.float64]:
+def blurred(density: Density, log_sd: float, log_mean: float = 0.0) -> Density:
     """Add a normal error of the log scale.
 
     Args:
         density: ``[g]``, of any sum.
-        log_sd: standard deviation of the error; less than a sixtieth of a cell is taken as exact.
-        log_mean: its mean.
+        log_sd: standard deviation of the error; less than a sixtieth of a cell counts as exact.
+        log_mean: mean of the error.
 
     Returns:
         ``[g]`` of the same sum.
@@ -82,14 +88,15 @@ def blurred(
         return density
     cells = math.ceil(reach / LOG_STEP)
     errors = np.arange(-cells, cells + 1) * LOG_STEP
-    kernel = normalised(np.exp(-0.5 * ((errors - log_mean) / max(log_sd, LOG_STEP)) ** 2))
-    padded = np.pad(density, cells, mode="edge")  # a flat floor stays flat
-    return np.asarray(
-        density.sum() * normalised(np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0))
-    )
+    deviations = (errors - log_mean) / max(log_sd, LOG_STEP)
+    kernel = normalised(np.exp(-0.5 * deviations**2))
+    # The end cells are repeated, so that a flat floor stays flat up to the ends of the grid.
+    padded = np.pad(density, cells, mode="edge")
+    convolved = np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0)
+    return np.asarray(density.sum() * normalised(convolved))
 
 
-def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
+def product(*densities: Density) -> Density:
     """Multiply densities.
 
     Args:
@@ -98,28 +105,34 @@ def product(*densities: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns:
         ``[g]`` probabilities.
     """
-    logs = np.sum([np.log(np.maximum(density, LEAST_PROBABILITY)) for density in densities], axis=0)
-    return normalised(np.exp(logs - logs.max()))
+    logs = [np.log(np.maximum(density, MIN_PROBABILITY)) for density in densities]
+    log_product = np.sum(logs, axis=0)
+    # The largest cell becomes 1 before the exponential, so that no product underflows.
+    return normalised(np.exp(log_product - log_product.max()))
 
 
-def shifted(density: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
-    """Shift a density ``[g]`` of log scale down by ``offset``, to the pixels of another photograph."""
-    return density if offset == 0 else normalised(np.interp(GRID + offset, GRID, density))
+def shifted(density: Density, offset: float) -> Density:
+    """Shift a density ``[g]`` of log scale down by ``offset``, to another photograph's pixels."""
+    if offset == 0:
+        return density
+    return normalised(np.interp(GRID + offset, GRID, density))
 
 
-def quantile(density: NDArray[np.float64], probability: float) -> float:
+def quantile(density: Density, probability: float) -> float:
     """Compute a quantile of a density ``[g]``, metres per pixel."""
-    return float(np.exp(np.interp(probability, np.cumsum(density), GRID + LOG_STEP / 2)))
+    upper_edges = GRID + LOG_STEP / 2
+    log_gsd = np.interp(probability, np.cumsum(density), upper_edges)
+    return float(np.exp(log_gsd))
 
 
-def credible_interval(density: NDArray[np.float64], probability: float = 0.95) -> Interval:
-    """Compute the central interval of a density ``[g]`` that holds a probability, metres per pixel."""
+def credible_interval(density: Density, probability: float = 0.95) -> Interval:
+    """Compute the central interval of a density ``[g]`` with a probability, metres per pixel."""
     tail = (1.0 - probability) / 2
     return Interval(quantile(density, tail), quantile(density, 1.0 - tail))
 
 
-def mass_within(density: NDArray[np.float64], gsd_m_per_px: float) -> float:
-    """Compute the mass of the scales from which an estimate differs by at most 20 %.
+def mass_within(density: Density, gsd_m_per_px: float) -> float:
+    """Compute the mass of the true scales with which an estimate is at most 20 % off.
 
     Args:
         density: ``[g]`` probabilities of the true scale; their sum may be below 1.
@@ -128,19 +141,24 @@ def mass_within(density: NDArray[np.float64], gsd_m_per_px: float) -> float:
     Returns:
         At most the sum of the density.
     """
+    # |estimated - true| / true <= 0.2 holds from estimated / 1.2 to estimated / 0.8.
     low = np.log(gsd_m_per_px / (1 + TOLERANCE))
     high = np.log(gsd_m_per_px / (1 - TOLERANCE))
-    below = np.concatenate([[0.0], np.cumsum(density)])
-    edges = np.concatenate([GRID - LOG_STEP / 2, [GRID[-1] + LOG_STEP / 2]])
-    return float(np.interp(high, edges, below) - np.interp(low, edges, below))
+    half_cell = LOG_STEP / 2
+    edges = np.append(GRID - half_cell, GRID[-1] + half_cell)
+    mass_below = np.append(0.0, np.cumsum(density))
+    below_low, below_high = np.interp([low, high], edges, mass_below)
+    return float(below_high - below_low)
 
 
 class Votes(NamedTuple):
-    """Chance that a detector's box is a car, fitted by ``research/training/fusion`` on images of known scale.
+    """Chance that a detector's box is a car, by its score.
+
+    ``research/training/fusion`` fits it on images of known scale.
 
     Attributes:
-        share_at_zero: log odds that a box of score 0 is a car; in a new place less than where the
-            detector was trained.
+        share_at_zero: log odds that a box of score 0 is a car; in a new place they are lower than
+            where the detector was trained.
         share_slope: increase of these log odds from score 0 to 1.
     """
 
@@ -149,12 +167,14 @@ class Votes(NamedTuple):
 
     def log_odds(self, scores: ArrayLike) -> NDArray[np.float64]:
         """Compute the log odds that each box is a car from its score, in steps of a quarter."""
-        odds = self.share_at_zero + self.share_slope * np.asarray(scores, dtype=np.float64)
-        return np.round(np.clip(odds, _LEAST_ODDS, _MOST_ODDS) / _ODDS_STEP) * _ODDS_STEP
+        log_odds = self.share_at_zero + self.share_slope * np.asarray(scores, dtype=np.float64)
+        limited = np.clip(log_odds, _MIN_LOG_ODDS, _MAX_LOG_ODDS)
+        return np.round(limited / _LOG_ODDS_STEP) * _LOG_ODDS_STEP
 
 
 UNCALIBRATED = Votes(-4.0, 10.0)
-"""Votes of a detector without fitted ones: a box of score 0.4 is a car or not, one of 0.9 nearly surely. A choice."""
+"""Votes of a detector without fitted ones: a box of score 0.4 is a car with even odds, one of 0.9
+almost certainly. A choice."""
 
 
 def vehicle_likelihood(
@@ -163,7 +183,7 @@ def vehicle_likelihood(
     lengths_m: ArrayLike,
     votes: Votes,
     log_sds: ArrayLike = CAR_LOG_SD,
-) -> NDArray[np.float64]:
+) -> Density:
     """Compute the density of the scale from the votes of all boxes.
 
     The likelihood of a scale g is the product over boxes of ``1 + o N(log length; log(L / g),
@@ -173,8 +193,8 @@ def vehicle_likelihood(
     Args:
         lengths_px: ``[n]`` pixels of the full image.
         scores: ``[n]`` detection scores.
-        lengths_m: ``[n]`` or one for all, ``L``: lengths in metres if they are cars.
-        votes: of the detector.
+        lengths_m: ``[n]`` or one for all, ``L``: lengths in metres if the boxes are cars.
+        votes: votes of the detector.
         log_sds: ``[n]`` or one for all, standard deviations of the logs of both lengths.
 
     Returns:
@@ -183,18 +203,24 @@ def vehicle_likelihood(
     lengths = np.asarray(lengths_px, dtype=np.float64)
     if len(lengths) == 0:
         return flat()
-    cells = np.rint((np.log(np.asarray(lengths_m) / lengths) - GRID[0]) / LOG_STEP).astype(np.intp)
-    odds = votes.log_odds(scores)
+    # The scale at which each box would have its length in metres, as a cell of the grid.
+    log_scales = np.log(np.asarray(lengths_m) / lengths)
+    cells = np.rint((log_scales - GRID[0]) / LOG_STEP).astype(np.intp)
     inside = (cells >= 0) & (cells < len(GRID))
-    spreads = np.maximum(np.round(np.broadcast_to(log_sds, lengths.shape) / _SD_STEP), 1) * _SD_STEP
-    total = np.zeros(len(GRID))
-    for level, log_sd in sorted(
-        set(zip(odds[inside].tolist(), spreads[inside].tolist(), strict=True))
-    ):
-        chosen = inside & (odds == level) & (spreads == log_sd)
+    log_odds = votes.log_odds(scores)
+    sd_steps = np.round(np.broadcast_to(log_sds, lengths.shape) / _SD_STEP)
+    spreads = np.maximum(sd_steps, 1) * _SD_STEP
+
+    # Boxes of equal odds and spread have the same curve log(1 + o N). The sum of their curves is
+    # one convolution of the curve with the number of boxes in each cell.
+    log_likelihood = np.zeros(len(GRID))
+    bins = set(zip(log_odds[inside].tolist(), spreads[inside].tolist(), strict=True))
+    for bin_log_odds, log_sd in sorted(bins):
+        in_bin = inside & (log_odds == bin_log_odds) & (spreads == log_sd)
+        counts = np.bincount(cells[in_bin], minlength=len(GRID)).astype(np.float64)
         reach = int(np.ceil(KERNEL_REACH_SDS * log_sd / LOG_STEP))
-        offsets = np.arange(-reach, reach + 1) * LOG_STEP / log_sd
-        normal = np.exp(-0.5 * offsets**2) / (log_sd * np.sqrt(2 * np.pi))
-        counts = np.bincount(cells[chosen], minlength=len(GRID)).astype(np.float64)
-        total += np.convolve(counts, np.log1p(np.exp(level) * normal))[reach : reach + len(GRID)]
-    return normalised(np.exp(total - total.max()))
+        deviations = np.arange(-reach, reach + 1) * LOG_STEP / log_sd
+        normal = np.exp(-0.5 * deviations**2) / (log_sd * np.sqrt(2 * np.pi))
+        curve = np.log1p(np.exp(bin_log_odds) * normal)
+        log_likelihood += np.convolve(counts, curve)[reach : reach + len(GRID)]
+    return normalised(np.exp(log_likelihood - log_likelihood.max()))

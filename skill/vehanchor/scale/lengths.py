@@ -1,4 +1,4 @@
-"""Vehicle lengths in pixels to metres per pixel: outlier filter, modal length, scale and interval."""
+"""Lengths of vehicles: the fleet among them, the outlier filter, the modal length and its error."""
 
 from __future__ import annotations
 
@@ -15,24 +15,33 @@ if TYPE_CHECKING:
 
     from vehanchor.scale.defaults import Aggregation
 
-GUARD_GSD_M_PER_PX = 0.3  # paper, GSD_max
-MIN_KDE_VEHICLES = 5  # paper, section III-C: with fewer vehicles the median is used
-# of a fleet around its modal length, as in the paper's outlier filter
+# Paper, GSD_max of the resolution guard.
+GUARD_GSD_M_PER_PX = 0.3
+# Paper, section III-C: with fewer vehicles the median is used.
+MIN_KDE_VEHICLES = 5
+# Lengths of a fleet lie this close to their modal length, as in the paper's outlier filter.
 GROUP_LOG_REACH = math.log(OUTLIER_ALPHA)
-# more than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together
+# More than the spread of a fleet (0.09) and of the measurement (0.05 to 0.1) together.
 _GROUP_LOG_BANDWIDTH = 0.15
 _GROUP_LOG_STEP = 0.01
-_GRID_STEP = 0.2  # of a bandwidth; the maximum is then refined between grid points
-# of the highest point of the grid, which lies up to a tenth of a bandwidth beside its peak
+# Step of the grid, in bandwidths; the maximum is then refined between grid points.
+_GRID_STEP = 0.2
+# A peak may be the highest if its grid point has this share of the highest grid point: a peak lies
+# up to a tenth of a bandwidth beside its grid point.
 _MAY_BE_HIGHEST = 0.98
-# of Scott's bandwidth; on the train split 1.5 to 3 do alike, 1 jumps between peaks
+# Bandwidth of the weighted density over Scott's. On the train split 1.5 to 3 do alike; with 1 the
+# mode jumps between peaks.
 _WEIGHTED_SMOOTHING = 2.0
-LEAST_SCORE = 1e-3  # some models give scores of 0
+# Some models give scores of 0.
+MIN_SCORE = 1e-3
 _BOOTSTRAP_REPLICATES = 400
 _BOOTSTRAP_SEED = 20260
-# error of an estimate from one car, false alarms included, fitted on the held-out tenth
+# Error of an estimate from one car, false alarms included, fitted on the held-out tenth.
 _FLEET_LOG_SD = 0.40
-Z95 = 1.959963984540054  # standard deviations to either end of a 95 % interval
+# Values per block of a kernel density: 32 MB.
+_BLOCK_VALUES = 4_000_000
+# Standard deviations to either end of a 95 % interval.
+Z95 = 1.959963984540054
 
 
 class Interval(NamedTuple):
@@ -59,13 +68,18 @@ class Spread(NamedTuple):
 
     @classmethod
     def of_interval(cls, value: float | None, low: float | None, high: float | None) -> Spread:
-        """Convert a 95 % interval; without one, both sides are 0; with a value at an end, that side is."""
+        """Convert a 95 % interval around a value.
+
+        Both sides are 0 without an interval. A side is 0 if the value lies at or beyond that end.
+        """
         if not (value and low and high):
             return cls()
-        return cls(max(math.log(value / low), 0.0) / Z95, max(math.log(high / value), 0.0) / Z95)
+        below = max(math.log(value / low), 0.0) / Z95
+        above = max(math.log(high / value), 0.0) / Z95
+        return cls(below, above)
 
     def times(self, factor: float) -> Spread:
-        """Return the spread of a power of the quantity, or of the quantity with its relative error multiplied."""
+        """Return the spread of a power of the quantity: its relative error times a factor."""
         return Spread(self.below * factor, self.above * factor)
 
     def plus(self, log_sd: float) -> Spread:
@@ -74,7 +88,9 @@ class Spread(NamedTuple):
 
     def around(self, value: float) -> Interval:
         """Return the 95 % interval around a value."""
-        return Interval(value * math.exp(-Z95 * self.below), value * math.exp(Z95 * self.above))
+        low = value * math.exp(-Z95 * self.below)
+        high = value * math.exp(Z95 * self.above)
+        return Interval(low, high)
 
 
 def dominant_group(
@@ -97,27 +113,43 @@ def dominant_group(
         ``[n]`` bool, members of the dominant group; and the weight of its rival over its own, 0
         without any. Of two equal groups the one with shorter lengths wins.
     """
-    logs = np.log(np.asarray(lengths, dtype=np.float64))
-    weight = _normalised(logs, weights)
-    cells = np.rint((logs - logs.min()) / _GROUP_LOG_STEP).astype(np.intp)
-    reach = round(4 * _GROUP_LOG_BANDWIDTH / _GROUP_LOG_STEP)
-    kernel = np.exp(
-        -0.5 * (np.arange(-reach, reach + 1) * _GROUP_LOG_STEP / _GROUP_LOG_BANDWIDTH) ** 2
-    )
+    log_lengths = np.log(np.asarray(lengths, dtype=np.float64))
+    shares = _normalised(log_lengths, weights)
+    cells = np.rint((log_lengths - log_lengths.min()) / _GROUP_LOG_STEP).astype(np.intp)
 
-    told = np.zeros(len(logs), dtype=bool) if stated is None else np.asarray(stated, dtype=bool)
-
-    def strongest(voting: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        mass = np.bincount(cells[voting], weights=weight[voting], minlength=int(cells.max()) + 1)
-        density = np.convolve(mass, kernel)[reach : reach + len(mass)]
-        mode = int(np.argmax(density > density.max() * (1 - 1e-9)))
-        return np.asarray(np.abs(cells - mode) * _GROUP_LOG_STEP <= GROUP_LOG_REACH + 1e-9)
-
-    members = strongest(told if told.any() else np.ones(len(logs), dtype=bool))
+    voting = np.ones(len(log_lengths), dtype=bool)
+    if stated is not None and np.any(stated):
+        voting = np.asarray(stated, dtype=bool)
+    members = _near_strongest_mode(cells, shares, voting)
     if members.all():
         return members, 0.0
-    rival = strongest(~members) & ~members
-    return members, float(weight[rival].sum() / weight[members].sum())
+    rivals = _near_strongest_mode(cells, shares, ~members) & ~members
+    return members, float(shares[rivals].sum() / shares[members].sum())
+
+
+def _near_strongest_mode(
+    cells: NDArray[np.intp], shares: NDArray[np.float64], voting: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Select all lengths within a factor of 1.5 of the strongest mode of the voting ones.
+
+    Args:
+        cells: ``[n]`` cells of the log lengths.
+        shares: ``[n]`` weights.
+        voting: ``[n]`` bool, lengths that make the density.
+
+    Returns:
+        ``[n]`` bool.
+    """
+    # The kernel density on the cells: their weights, convolved with a Gaussian of four sigmas.
+    reach = round(4 * _GROUP_LOG_BANDWIDTH / _GROUP_LOG_STEP)
+    offsets = np.arange(-reach, reach + 1) * _GROUP_LOG_STEP
+    kernel = np.exp(-0.5 * (offsets / _GROUP_LOG_BANDWIDTH) ** 2)
+    mass = np.bincount(cells[voting], weights=shares[voting], minlength=int(cells.max()) + 1)
+    density = np.convolve(mass, kernel)[reach : reach + len(mass)]
+    # The first of equal maxima, whatever the rounding.
+    mode = int(np.argmax(density > density.max() * (1 - 1e-9)))
+    log_distances = np.abs(cells - mode) * _GROUP_LOG_STEP
+    return np.asarray(log_distances <= GROUP_LOG_REACH + 1e-9)
 
 
 def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> NDArray[np.bool_]:
@@ -137,36 +169,42 @@ def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> NDAr
 
 
 def scott_bandwidth(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Compute Scott's bandwidth with the effective sample size, as ``scipy.stats.gaussian_kde``; 0 without spread.
+    """Compute Scott's bandwidth with the effective sample size, as ``scipy.stats.gaussian_kde``.
 
     Args:
         values: ``[n]``.
         weights: ``[n]`` non-negative, their sum 1.
 
     Returns:
-        The standard deviation of the kernel, in the unit of the values.
+        The standard deviation of the kernel, in the unit of the values; 0 without spread.
     """
-    effective = 1.0 / np.sum(weights**2)
-    if len(values) < 2 or effective <= 1.0 + 1e-12:
+    n_effective = 1.0 / np.sum(weights**2)
+    if len(values) < 2 or n_effective <= 1.0 + 1e-12:
         return 0.0
     mean = np.sum(weights * values)
     variance = np.sum(weights * (values - mean) ** 2) / (1.0 - np.sum(weights**2))
-    return float(np.sqrt(max(variance, 0.0)) * effective ** (-0.2))
+    return float(np.sqrt(max(variance, 0.0)) * n_effective ** (-0.2))
 
 
 def _normalised(values: NDArray[np.float64], weights: ArrayLike | None) -> NDArray[np.float64]:
-    raw = np.ones(len(values)) if weights is None else np.asarray(weights, dtype=np.float64)
-    if raw.shape != values.shape or not np.isfinite(raw).all() or (raw < 0).any() or raw.sum() <= 0:
+    """Scale the weights ``[n]`` of values to the sum 1; None gives equal weights."""
+    shares = np.ones(len(values))
+    if weights is not None:
+        shares = np.asarray(weights, dtype=np.float64)
+    fits = shares.shape == values.shape and np.isfinite(shares).all()
+    if not fits or (shares < 0).any() or shares.sum() <= 0:
         raise InvalidParameterError(
             "weights must be finite, non-negative, not all zero, and as many as the lengths"
         )
-    return np.asarray(raw / raw.sum())
+    return np.asarray(shares / shares.sum())
 
 
 def kde_density(
     at: ArrayLike, lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing: float = 1.0
 ) -> NDArray[np.float64]:
-    """Compute the Gaussian kernel density of lengths (paper, equation 3), equal to ``scipy.stats.gaussian_kde``.
+    """Compute the Gaussian kernel density of lengths (paper, equation 3).
+
+    With a smoothing of 1, it equals ``scipy.stats.gaussian_kde``.
 
     Args:
         at: ``[g]`` points, pixels.
@@ -179,31 +217,33 @@ def kde_density(
     """
     values = np.asarray(lengths, dtype=np.float64)
     points = np.asarray(at, dtype=np.float64)
-    share = _normalised(values, weights)
-    bandwidth = smoothing * scott_bandwidth(values, share)
+    shares = _normalised(values, weights)
+    bandwidth = smoothing * scott_bandwidth(values, shares)
     if bandwidth == 0.0:
         return np.zeros(len(points))
-    return _mixture(points, values, share=share, bandwidth=bandwidth)
+    return _mixture(points, values, shares=shares, bandwidth=bandwidth)
 
 
 def _mixture(
     points: NDArray[np.float64],
     values: NDArray[np.float64],
-    share: NDArray[np.float64],
+    shares: NDArray[np.float64],
     bandwidth: float,
 ) -> NDArray[np.float64]:
-    out = np.empty(len(points))
-    block = max(1, 4_000_000 // max(1, len(values)))  # 32 MB a block
+    """Compute a mixture of normal densities at points ``[g]``, in blocks that bound the memory."""
+    density = np.empty(len(points))
+    block = max(1, _BLOCK_VALUES // max(1, len(values)))
     for start in range(0, len(points), block):
-        z = (points[start : start + block, None] - values[None, :]) / bandwidth
-        out[start : start + block] = np.exp(-0.5 * z * z) @ share
-    return np.asarray(out / (bandwidth * np.sqrt(2 * np.pi)))
+        block_points = points[start : start + block, None]
+        deviations = (block_points - values[None, :]) / bandwidth
+        density[start : start + block] = np.exp(-0.5 * deviations * deviations) @ shares
+    return np.asarray(density / (bandwidth * np.sqrt(2 * np.pi)))
 
 
 def kde_mode(
     lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing: float = 1.0
 ) -> float:
-    """Find the mode of the kernel density estimate, ``argmax f(x)`` (paper, equation 3), to better than 1e-3 px.
+    """Find the mode of the kernel density, ``argmax f(x)`` (paper, equation 3), within 1e-3 px.
 
     The mode is searched on a grid of a fifth of a bandwidth. Golden-section search refines each
     peak of the grid that may be the highest.
@@ -217,60 +257,74 @@ def kde_mode(
         The modal length in pixels; the (weighted) mean if there is no spread.
 
     Raises:
-        InvalidParameterError: no lengths, or unusable weights.
+        InvalidParameterError: there are no lengths, or the weights are unusable.
     """
     values = np.asarray(lengths, dtype=np.float64)
-    share = _normalised(values, weights)
+    shares = _normalised(values, weights)
     low = float(values.min())
     high = float(values.max())
-    bandwidth = smoothing * scott_bandwidth(values, share)
+    bandwidth = smoothing * scott_bandwidth(values, shares)
     if high - low <= 1e-9 * high or bandwidth <= 1e-9 * high:
-        return float(np.sum(share * values))
-    points = np.linspace(low, high, int(np.ceil((high - low) / (_GRID_STEP * bandwidth))) + 2)
-    density = _mixture(points, values, share=share, bandwidth=bandwidth)
+        return float(np.sum(shares * values))
+
+    n_steps = int(np.ceil((high - low) / (_GRID_STEP * bandwidth)))
+    points = np.linspace(low, high, n_steps + 2)
+    density = _mixture(points, values, shares=shares, bandwidth=bandwidth)
+
+    # A peak of the grid is at least as high as its left neighbour and higher than its right one.
     padded = np.pad(density, 1, constant_values=-np.inf)
-    peaks = (
-        (density >= padded[:-2])
-        & (density > padded[2:])
-        & (density >= _MAY_BE_HIGHEST * density.max())
-    )
-    modes = np.array(
-        [
-            _peak(points, int(top), values=values, share=share, bandwidth=bandwidth)
-            for top in np.flatnonzero(peaks)
-        ]
-    )
-    return float(modes[np.argmax(_mixture(modes, values, share=share, bandwidth=bandwidth))])
+    is_peak = (density >= padded[:-2]) & (density > padded[2:])
+    may_be_highest = density >= _MAY_BE_HIGHEST * density.max()
+    modes = []
+    for index in np.flatnonzero(is_peak & may_be_highest):
+        mode = _refined_peak(points, int(index), values=values, shares=shares, bandwidth=bandwidth)
+        modes.append(mode)
+    heights = _mixture(np.array(modes), values, shares=shares, bandwidth=bandwidth)
+    return float(modes[np.argmax(heights)])
 
 
-def _peak(
+def _refined_peak(
     points: NDArray[np.float64],
-    top: int,
+    index: int,
     values: NDArray[np.float64],
-    share: NDArray[np.float64],
+    shares: NDArray[np.float64],
     bandwidth: float,
 ) -> float:
-    """Refine the peak of the density beside a point of the grid, to 1e-5 px."""
-    left = points[max(top - 1, 0)]
-    right = points[min(top + 1, len(points) - 1)]
-    near = np.abs(values - points[top]) < 12 * bandwidth  # beyond, a Gaussian adds less than 1e-31
-    local = values[near]
-    local_share = share[near]
+    """Refine the peak of the density beside a point of the grid, to 1e-5 px.
+
+    Args:
+        points: ``[g]`` grid.
+        index: index of the highest point of this peak.
+        values: ``[n]`` lengths.
+        shares: ``[n]`` weights, their sum 1.
+        bandwidth: standard deviation of the kernel.
+    """
+    left = points[max(index - 1, 0)]
+    right = points[min(index + 1, len(points) - 1)]
+    # Beyond 12 bandwidths a Gaussian adds less than 1e-31.
+    near = np.abs(values - points[index]) < 12 * bandwidth
+    near_values = values[near]
+    near_shares = shares[near]
+    # Golden-section search: the part beside the lower of two inner points is dropped.
     golden = (np.sqrt(5) - 1) / 2
     while right - left > 1e-5:
-        inner = np.array([right - golden * (right - left), left + golden * (right - left)])
-        first, second = _mixture(inner, local, share=local_share, bandwidth=bandwidth)
-        left, right = (left, inner[1]) if first >= second else (inner[0], right)
+        step = golden * (right - left)
+        inner = np.array([right - step, left + step])
+        heights = _mixture(inner, near_values, shares=near_shares, bandwidth=bandwidth)
+        if heights[0] >= heights[1]:
+            right = inner[1]
+        else:
+            left = inner[0]
     return float((left + right) / 2)
 
 
 def kernel_weights(
     lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
 ) -> tuple[NDArray[np.float64], float]:
-    """Choose the vehicles' weights and the factor on the bandwidth: ``score^2 * length`` and 2 for ``weighted_kde``.
+    """Choose the vehicles' weights, and the factor on the bandwidth of their density.
 
-    Most false alarms, such as roof windows and bushes, have low scores and short boxes, as have
-    half-hidden cars.
+    ``weighted_kde`` uses ``score^2 * length`` and 2: most false alarms, such as roof windows and
+    bushes, have low scores and short boxes, and so do half-hidden cars.
 
     Args:
         lengths: ``[n]`` pixels.
@@ -283,14 +337,15 @@ def kernel_weights(
     values = np.asarray(lengths, dtype=np.float64)
     if aggregation != "weighted_kde":
         return np.ones(len(values)), 1.0
-    score = np.maximum(np.asarray(scores, dtype=np.float64), LEAST_SCORE)
-    return np.asarray(score**2 * values), _WEIGHTED_SMOOTHING
+    score = np.maximum(np.asarray(scores, dtype=np.float64), MIN_SCORE)
+    weights = np.asarray(score**2 * values)
+    return weights, _WEIGHTED_SMOOTHING
 
 
 def modal_density(
     at: ArrayLike, lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
 ) -> NDArray[np.float64]:
-    """Compute the density whose mode is ``modal_length``; for ``median`` and ``mean`` the paper's density.
+    """Compute the density whose mode is ``modal_length``; the paper's for median and mean.
 
     Args:
         at: ``[g]`` points, pixels.
@@ -323,8 +378,10 @@ def modal_length(
     values = np.asarray(lengths, dtype=np.float64)
     if aggregation in ("kde", "weighted_kde") and len(values) < MIN_KDE_VEHICLES:
         aggregation = "median"
-    if aggregation in ("median", "mean"):
-        return float(np.median(values) if aggregation == "median" else np.mean(values)), aggregation
+    if aggregation == "median":
+        return float(np.median(values)), aggregation
+    if aggregation == "mean":
+        return float(np.mean(values)), aggregation
     weights, smoothing = kernel_weights(values, scores, aggregation)
     return kde_mode(values, weights, smoothing=smoothing), aggregation
 
@@ -345,29 +402,72 @@ def resampled_modes(
         smoothing: factor on Scott's bandwidth.
         block: ``[n]`` number of each length's block, 0 and up; blocks are drawn whole. None draws
             single lengths.
+
+    Returns:
+        ``[400]`` modal lengths.
     """
     bandwidth = smoothing * scott_bandwidth(values, weights / weights.sum())
     low = float(values.min())
     high = float(values.max())
     if bandwidth <= 1e-9 * high:
         return np.full(_BOOTSTRAP_REPLICATES, kde_mode(values, weights, smoothing=smoothing))
-    cells = int(np.clip(np.ceil((high - low) / (_GRID_STEP * bandwidth)), 8, 1024))
-    counts, edges = np.histogram(values, bins=cells, range=(low, high))
-    mass, _ = np.histogram(values, bins=cells, range=(low, high), weights=weights)
-    centres = (edges[:-1] + edges[1:]) / 2
-    kernel = np.exp(-0.5 * ((centres[:, None] - centres[None, :]) / bandwidth) ** 2)
-    rng = np.random.default_rng(_BOOTSTRAP_SEED)
+    n_cells = int(np.clip(np.ceil((high - low) / (_GRID_STEP * bandwidth)), 8, 1024))
+    counts, edges = np.histogram(values, bins=n_cells, range=(low, high))
     if block is None:
-        each = mass / np.maximum(counts, 1)  # mean weight of a cell's vehicles
-        drawn = (
-            rng.multinomial(len(values), counts / counts.sum(), size=_BOOTSTRAP_REPLICATES) * each
-        )
+        mass, _ = np.histogram(values, bins=n_cells, range=(low, high), weights=weights)
+        masses = _resampled_lengths(counts, mean_weights=mass / np.maximum(counts, 1))
     else:
-        cell = np.minimum(np.searchsorted(edges, values, side="right") - 1, cells - 1)
-        n = int(block.max()) + 1
-        times = rng.multinomial(n, np.full(n, 1 / n), size=_BOOTSTRAP_REPLICATES)
-        drawn = np.array([np.bincount(cell, weights * each[block], cells) for each in times])
-    return np.asarray(centres[np.argmax(drawn @ kernel, axis=1)])
+        cells = np.minimum(np.searchsorted(edges, values, side="right") - 1, n_cells - 1)
+        masses = _resampled_blocks(cells, weights, n_cells, block=block)
+
+    # Each resample's density at the centres of the cells is its masses times the kernel.
+    centres = (edges[:-1] + edges[1:]) / 2
+    deviations = (centres[:, None] - centres[None, :]) / bandwidth
+    kernel = np.exp(-0.5 * deviations**2)
+    return np.asarray(centres[np.argmax(masses @ kernel, axis=1)])
+
+
+def _resampled_lengths(
+    counts: NDArray[np.intp], mean_weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Draw single lengths with replacement.
+
+    Args:
+        counts: ``[cells]`` number of lengths by cell.
+        mean_weights: ``[cells]`` mean weight of the lengths by cell.
+
+    Returns:
+        ``[400, cells]`` weights drawn.
+    """
+    rng = np.random.default_rng(_BOOTSTRAP_SEED)
+    n = int(counts.sum())
+    drawn = rng.multinomial(n, counts / n, size=_BOOTSTRAP_REPLICATES)
+    return np.asarray(drawn * mean_weights)
+
+
+def _resampled_blocks(
+    cells: NDArray[np.intp],
+    weights: NDArray[np.float64],
+    n_cells: int,
+    *,
+    block: NDArray[np.intp],
+) -> NDArray[np.float64]:
+    """Draw whole blocks with replacement.
+
+    Args:
+        cells: ``[n]`` cell of each length.
+        weights: ``[n]`` weight of each length.
+        n_cells: number of cells.
+        block: ``[n]`` block of each length.
+
+    Returns:
+        ``[400, cells]`` weights drawn.
+    """
+    rng = np.random.default_rng(_BOOTSTRAP_SEED)
+    n_blocks = int(block.max()) + 1
+    chances = np.full(n_blocks, 1 / n_blocks)
+    times_drawn = rng.multinomial(n_blocks, chances, size=_BOOTSTRAP_REPLICATES)
+    return np.array([np.bincount(cells, weights * times[block], n_cells) for times in times_drawn])
 
 
 def statistical_log_sds(
@@ -390,18 +490,17 @@ def statistical_log_sds(
     weights, smoothing = kernel_weights(values, scores, aggregation)
     resampling = 0.0
     if len(values) >= MIN_KDE_VEHICLES:
-        resampling = float(
-            np.sqrt(np.mean(np.log(resampled_modes(values, weights, smoothing) / mode_px) ** 2))
-        )
+        log_errors = np.log(resampled_modes(values, weights, smoothing) / mode_px)
+        resampling = float(np.sqrt(np.mean(log_errors**2)))
     return resampling, _FLEET_LOG_SD / np.sqrt(len(values))
 
 
 def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:
-    """Compute ``P_thresh`` of the resolution guard (paper, equation 6), at least the model's own limit.
+    """Compute ``P_thresh`` of the resolution guard (paper, equation 6).
 
     Args:
         reference_length_m: ``L_ref``.
-        min_length_px: shortest length that the model measures without bias.
+        min_length_px: shortest length that the model measures without bias; a lower limit.
 
     Returns:
         Pixels: ``max(L_ref / 0.3, min_length_px)``.

@@ -1,8 +1,9 @@
-"""The published method to the letter: outlier filter, modal length, scale, composite confidence, resolution guard.
+"""The published method to the letter: scale, composite confidence and resolution guard.
 
-The preset ``paper`` reports it; it never meets the posterior. The weights are the paper's (section
-III-D). The shapes of the terms were fitted on the held-out tenth of the train split (commit
-``3b3b4f3`` has the program).
+The preset ``paper`` reports it; the posterior does not use it. The weights are the paper's (section
+III-D). The paper does not define the terms; their shapes were fitted on the held-out tenth of the
+train split (commit ``3b3b4f3`` has the program). Outlier filter and modal length are in
+``vehanchor.scale.lengths``.
 """
 
 from __future__ import annotations
@@ -19,20 +20,24 @@ if TYPE_CHECKING:
 
     from vehanchor.scale.defaults import Aggregation
 
-FALLBACK_CONFIDENCE = 0.5  # paper, section III-E: with less a planner must fall back
-GUARD_CONFIDENCE = 0.3  # paper: C = min(C_raw, 0.3)
-_SAMPLE_SCALE = 12.0  # vehicles; 1 - exp(-n / 12): 5 give 0.34, 20 give 0.81
-# coefficient of variation of a clean fleet, and of uninformative lengths
+# Paper, section III-E: with less a planner must fall back.
+FALLBACK_CONFIDENCE = 0.5
+# Paper: C = min(C_raw, 0.3) under the resolution guard.
+GUARD_CONFIDENCE = 0.3
+# Sample term, 1 - exp(-n / 12): 5 vehicles give 0.34, 20 give 0.81.
+_SAMPLE_SCALE = 12.0
+# Coefficients of variation of a clean fleet, and of uninformative lengths.
 _CV_FULL = 0.05
 _CV_NONE = 0.25
-# median detection score
+# Median detection scores at which the quality is 0 and 1.
 _SCORE_NONE = 0.55
 _SCORE_FULL = 0.75
-_FADE = 1.5  # factor outside the trained range over which plausibility falls to 0
+# Factor outside the trained range of lengths over which plausibility falls to 0.
+_FADE = 1.5
 
 
 class Terms(NamedTuple):
-    """Four terms of the composite confidence before weighting, each in 0..1 (paper, section III-D)."""
+    """Terms of the composite confidence before weighting, each in 0..1 (paper, section III-D)."""
 
     sample: float = 0.0
     concentration: float = 0.0
@@ -40,7 +45,8 @@ class Terms(NamedTuple):
     plausibility: float = 0.0
 
 
-_WEIGHTS = Terms(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)  # paper
+# Paper, section III-D.
+_WEIGHTS = Terms(sample=0.35, concentration=0.35, quality=0.20, plausibility=0.10)
 
 
 class PaperScale(NamedTuple):
@@ -61,24 +67,24 @@ class PaperScale(NamedTuple):
     guarded: bool
 
     def reason(self, n_vehicles: int) -> Literal["too_coarse", "too_few", "imprecise"] | None:
-        """Say why C is below 0.5; None if it is not."""
+        """Name the cause of a C below 0.5; None if it is not below."""
         if self.confidence >= FALLBACK_CONFIDENCE:
             return None
-        return (
-            "too_coarse"
-            if self.guarded
-            else "too_few"
-            if n_vehicles < MIN_KDE_VEHICLES
-            else "imprecise"
-        )
+        if self.guarded:
+            return "too_coarse"
+        if n_vehicles < MIN_KDE_VEHICLES:
+            return "too_few"
+        return "imprecise"
 
 
 def paper_scale(
     lengths: ArrayLike,
     scores: ArrayLike,
-    mode: tuple[float | None, Aggregation],
-    reference_m: tuple[float, float],
     *,
+    mode_px: float | None,
+    aggregation: Aggregation,
+    reference_length_m: float,
+    reference_sd_m: float,
     reduction: float,
     guard_length_px: float,
     length_range_px: tuple[float, float],
@@ -88,28 +94,31 @@ def paper_scale(
     Args:
         lengths: ``[n]`` lengths of the kept vehicles, pixels.
         scores: ``[n]`` detection scores of the kept vehicles.
-        mode: their modal length and its statistic, from ``vehanchor.scale.lengths.modal_length``.
-        reference_m: ``L_ref`` and its standard deviation between regions, metres.
-        reduction: scale of the image copy that the model saw.
+        mode_px: ``P_mode`` of ``vehanchor.scale.lengths.modal_length``; None without vehicles.
+        aggregation: its statistic.
+        reference_length_m: ``L_ref``.
+        reference_sd_m: standard deviation of ``L_ref`` between regions, metres.
+        reduction: reduction of the image copy that the model saw.
         guard_length_px: ``P_thresh``, in pixels of that copy.
         length_range_px: shortest and longest vehicle in the model's training data.
     """
-    mode_px, aggregation = mode
     if mode_px is None:
         return PaperScale(None, None, confidence=0.0, terms=Terms(), guarded=False)
-    length_m = reference_m[0]
-    log_sd = reference_m[1] / reference_m[0]
-    gsd = length_m / mode_px
-    (resampling, fleet) = statistical_log_sds(lengths, scores, mode_px, aggregation)
-    # of a lognormal 95 % interval
-    reach = float(np.exp(Z95 * np.sqrt(resampling**2 + fleet**2 + log_sd**2)))
-    terms = confidence_terms(
-        lengths, scores, mode_px=mode_px * reduction, length_range_px=length_range_px
-    )
-    guarded = mode_px * reduction < guard_length_px
+    gsd = reference_length_m / mode_px
+
+    # The interval is lognormal, with three independent errors: of the mode, of the few cars, and of
+    # the reference length.
+    resampling, fleet = statistical_log_sds(lengths, scores, mode_px, aggregation)
+    region = reference_sd_m / reference_length_m
+    log_sd = np.sqrt(resampling**2 + fleet**2 + region**2)
+    factor = float(np.exp(Z95 * log_sd))
+
+    seen_px = mode_px * reduction
+    guarded = seen_px < guard_length_px
+    terms = confidence_terms(lengths, scores, mode_px=seen_px, length_range_px=length_range_px)
     return PaperScale(
         gsd,
-        Interval(gsd / reach, gsd * reach),
+        Interval(gsd / factor, gsd * factor),
         confidence=composite(terms, guarded=guarded),
         terms=terms,
         guarded=guarded,
@@ -136,25 +145,34 @@ def confidence_terms(
         length_range_px: shortest and longest vehicle in the model's training data.
     """
     values = np.asarray(lengths, dtype=np.float64)
-    score = np.asarray(scores, dtype=np.float64)
-    variation = float(np.std(values) / np.mean(values))
+    concentration = 0.0
+    if len(values) >= MIN_KDE_VEHICLES:
+        variation = float(np.std(values) / np.mean(values))
+        concentration = _ramp(variation, zero_at=_CV_NONE, one_at=_CV_FULL)
+    median_score = float(np.median(np.asarray(scores, dtype=np.float64)))
     shortest, longest = length_range_px
-    outside = max(np.log(shortest / mode_px), np.log(mode_px / longest), 0.0)
+    log_outside = max(np.log(shortest / mode_px), np.log(mode_px / longest), 0.0)
     return Terms(
         sample=float(1.0 - np.exp(-len(values) / _SAMPLE_SCALE)),
-        concentration=_ramp(variation, _CV_NONE, _CV_FULL)
-        if len(values) >= MIN_KDE_VEHICLES
-        else 0.0,
-        quality=_ramp(float(np.median(score)), _SCORE_NONE, _SCORE_FULL),
-        plausibility=_ramp(outside, float(np.log(_FADE)), 0.0),
+        concentration=concentration,
+        quality=_ramp(median_score, zero_at=_SCORE_NONE, one_at=_SCORE_FULL),
+        plausibility=_ramp(log_outside, zero_at=float(np.log(_FADE)), one_at=0.0),
     )
 
 
 def composite(terms: Terms, *, guarded: bool) -> float:
-    """Compute the weighted sum of the terms, C in [0, 1] (paper, equation 5), under the guard at most 0.3."""
+    """Compute C in [0, 1], the weighted sum of the terms (paper, equation 5).
+
+    Args:
+        terms: of the confidence.
+        guarded: whether the resolution guard applies; C is then at most 0.3.
+    """
     total = math.fsum(weight * term for weight, term in zip(_WEIGHTS, terms, strict=True))
-    return min(total, GUARD_CONFIDENCE) if guarded else total
+    if guarded:
+        return min(total, GUARD_CONFIDENCE)
+    return total
 
 
-def _ramp(value: float, zero_at: float, one_at: float) -> float:
+def _ramp(value: float, *, zero_at: float, one_at: float) -> float:
+    """Interpolate linearly from 0 to 1, and stay there outside."""
     return float(np.clip((value - zero_at) / (one_at - zero_at), 0.0, 1.0))

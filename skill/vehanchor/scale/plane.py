@@ -20,9 +20,10 @@ from vehanchor.errors import TooObliqueError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# cosine of 80 degrees; closer to the horizon one degree changes the scale by a sixth or more
+# Cosine of 80 degrees. Closer to the horizon, one degree changes the scale by a sixth or more.
 LEAST_DESCENT = 0.174
-_ROWS = 512  # rows of a mask per block
+# Rows of a mask per block, which bounds the memory.
+_ROWS = 512
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,10 @@ class GroundPlane:
 
     @property
     def down(self) -> NDArray[np.float64]:
-        """Unit vector ``[3]`` straight down: components to the right, to the lower side, and along the axis."""
+        """Unit vector ``[3]`` straight down, in the camera's frame.
+
+        The components are to the right, to the lower side, and along the axis.
+        """
         tilt = math.radians(self.tilt_deg)
         roll = math.radians(self.roll_deg)
         sine = math.sin(tilt)
@@ -56,9 +60,9 @@ class GroundPlane:
     @property
     def height_m(self) -> float:
         """Height of the camera above the plane, metres."""
-        return (
-            self.gsd_m_per_px * self.focal_px * float(math.cos(math.radians(self.tilt_deg)) ** 1.5)
-        )
+        # The GSD of the module's equation at the centre, where n d = cos(tilt), solved for h.
+        cosine = math.cos(math.radians(self.tilt_deg))
+        return self.gsd_m_per_px * self.focal_px * float(cosine**1.5)
 
     def check(self) -> None:
         """Refuse a plane whose horizon is in the image or close to it.
@@ -67,11 +71,11 @@ class GroundPlane:
             TooObliqueError: the ray of a corner descends at less than ten degrees.
         """
         rays = self._rays(self._corners)
-        if float((rays @ self.down / np.linalg.norm(rays, axis=1)).min()) < LEAST_DESCENT:
+        descents = rays @ self.down / np.linalg.norm(rays, axis=1)
+        if float(descents.min()) < LEAST_DESCENT:
             raise TooObliqueError(
                 f"the camera was tilted by {self.tilt_deg:.0f} degrees: the horizon is in the "
-                "image or close to it, "
-                "and no scale holds there. Crop the image to the near ground"
+                "image or close to it, and no scale holds there. Crop the image to the near ground"
             )
 
     def ground(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -87,7 +91,8 @@ class GroundPlane:
             TooObliqueError: a point lies above the horizon, or close to it.
         """
         rays = self._rays(points)
-        return np.asarray(self.height_m * rays / self._checked(rays @ self.down)[:, None])
+        descents = self._below_horizon(rays @ self.down)
+        return np.asarray(self.height_m * rays / descents[:, None])
 
     def from_above(self, points: ArrayLike) -> NDArray[np.float64]:
         """Rectify pixels to a nadir view at the scale of the image's centre.
@@ -101,12 +106,13 @@ class GroundPlane:
         Raises:
             TooObliqueError: as in ``ground``.
         """
-        return self._above(self.ground(points))
+        return self._nadir_pixels(self.ground(points))
 
     @property
     def foot(self) -> NDArray[np.float64]:
         """``[2]`` point straight below the camera, in the pixels of ``from_above``."""
-        return np.asarray(self._above(self.height_m * self.down[None])[0])
+        ground = self.height_m * self.down
+        return np.asarray(self._nadir_pixels(ground[None])[0])
 
     def gsd_at(self, points: ArrayLike) -> NDArray[np.float64]:
         """Compute the GSD at points of the image.
@@ -120,7 +126,7 @@ class GroundPlane:
         Raises:
             TooObliqueError: as in ``ground``.
         """
-        descents = self._checked(self._rays(points) @ self.down)
+        descents = self._below_horizon(self._rays(points) @ self.down)
         return np.asarray(self.height_m / self.focal_px * descents**-1.5)
 
     @property
@@ -130,8 +136,8 @@ class GroundPlane:
         Raises:
             TooObliqueError: as in ``ground``.
         """
-        found = self.gsd_at(self._corners)
-        return float(found.min()), float(found.max())
+        gsds = self.gsd_at(self._corners)
+        return float(gsds.min()), float(gsds.max())
 
     def area(self, mask: NDArray[np.bool_], left: int = 0, top: int = 0) -> float:
         """Compute the ground area of a mask, square metres: the sum over its pixels.
@@ -147,9 +153,11 @@ class GroundPlane:
         total = 0.0
         for start in range(0, len(mask), _ROWS):
             rows, columns = np.nonzero(mask[start : start + _ROWS])
-            if len(rows):
-                points = np.column_stack([columns + left + 0.5, rows + start + top + 0.5])
-                total += float((self.gsd_at(points) ** 2).sum())
+            if len(rows) == 0:
+                continue
+            # The centre of a pixel lies half a pixel from its upper left corner.
+            points = np.column_stack([columns + left + 0.5, rows + start + top + 0.5])
+            total += float((self.gsd_at(points) ** 2).sum())
         return total
 
     def length(self, first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
@@ -162,16 +170,19 @@ class GroundPlane:
         Raises:
             TooObliqueError: as in ``ground``.
         """
-        return np.asarray(np.linalg.norm(self.ground(first) - self.ground(second), axis=1))
+        offsets = self.ground(first) - self.ground(second)
+        return np.asarray(np.linalg.norm(offsets, axis=1))
 
-    def _above(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert points ``[n, 3]`` on the ground to pixels of a nadir view, from the image's centre."""
+    def _nadir_pixels(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert points ``[n, 3]`` on the ground to pixels of a nadir view, from the centre."""
         centre = [[self.width_px / 2, self.height_px / 2]]
         from_centre = (ground - self.ground(centre)) / self.gsd_m_per_px
+        # Axes of the ground plane: the image's right without its vertical part, and across it.
         down = self.down
         right = np.array([1.0, 0.0, 0.0]) - down[0] * down
         right /= np.linalg.norm(right)
-        return np.asarray(from_centre @ np.column_stack([right, np.cross(down, right)]))
+        axes = np.column_stack([right, np.cross(down, right)])
+        return np.asarray(from_centre @ axes)
 
     @property
     def _corners(self) -> NDArray[np.float64]:
@@ -180,15 +191,16 @@ class GroundPlane:
         return np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]])
 
     def _rays(self, points: ArrayLike) -> NDArray[np.float64]:
-        places = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        middle = np.array([self.width_px / 2, self.height_px / 2])
-        return np.column_stack([(places - middle) / self.focal_px, np.ones(len(places))])
+        """Compute the rays ``[n, 3]`` of pixels ``[n, 2]``, with length 1 along the axis."""
+        pixels = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        centre = np.array([self.width_px / 2, self.height_px / 2])
+        return np.column_stack([(pixels - centre) / self.focal_px, np.ones(len(pixels))])
 
-    def _checked(self, descents: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _below_horizon(self, descents: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the descents ``[n]`` of rays; refuse rays at the horizon and above."""
         if len(descents) and float(descents.min()) < LEAST_DESCENT:
             raise TooObliqueError(
-                f"the camera was tilted by {self.tilt_deg:.0f} degrees, and a point lies above "
-                "the horizon or close to "
-                "it, where no scale holds: crop the image to the near ground"
+                f"the camera was tilted by {self.tilt_deg:.0f} degrees, and a point lies above the "
+                "horizon or close to it, where no scale holds: crop the image to the near ground"
             )
         return descents

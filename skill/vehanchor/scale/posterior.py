@@ -1,16 +1,25 @@
-"""From evidence to an answer by one rule: each witness of the scale measured what it thinks, or did not.
+"""Decide on the scale from all evidence by one rule: a witness is right, or it says nothing.
 
-The posterior is the product over witnesses of ``(1 - c) right + c wrong``, in which c is the chance
-that the witness is wrong. Witnesses with a common error (one lens, one height, one caller) form a
-group: their product is blurred by the common error, and may be wrong as a whole. Value, interval,
-chance and reason follow from this posterior alone:
+A witness measured what it is meant to measure, or something else. In the second case it says
+nothing: all scales are equally likely, and its density is flat. All densities are over the log of
+the ground sampling distance::
 
-* the value is the median, given that at least one witness who can set a scale is right;
-* the interval is the central 95 % of the same distribution;
-* the chance is the posterior's mass within 20 % of the value. A prior does not confirm what a
-  caller assumes;
-* the scale is usable if the chance is at least 0.9;
-* the reason is the doubt or lack whose removal raises the chance most.
+    factor    = (1 - c) right + c flat                       a witness that is wrong with chance c
+    group     = (1 - s) blur(product of factors) + s flat    witnesses that share an error
+    posterior = product of all factors and groups, normalised
+
+Witnesses share an error if it has one cause, such as one lens, one height or one caller. Therefore
+they do not confirm each other beyond that error: its standard deviation blurs their product, and
+with the chance s the error makes all of them wrong.
+
+The answer follows from this posterior alone:
+
+* The value is the median, given that at least one witness that can set a scale is right.
+* The interval is the central 95 % of the same distribution.
+* The chance is the posterior's mass within 20 % of the value. What a caller assumes gains no
+  chance by the agreement of a prior.
+* The scale is usable if the chance is at least 0.9.
+* The reason is the weakness whose removal would raise the chance most.
 """
 
 from __future__ import annotations
@@ -25,7 +34,7 @@ import numpy as np
 
 from vehanchor.scale.defaults import PROBABLY_RIGHT, USABLE_CHANCE
 from vehanchor.scale.density import (
-    LEAST_PROBABILITY,
+    MIN_PROBABILITY,
     blurred,
     credible_interval,
     flat,
@@ -34,24 +43,24 @@ from vehanchor.scale.density import (
     quantile,
 )
 from vehanchor.scale.lengths import Interval
-from vehanchor.scale.reliability import MOST_SURE, Shared
+from vehanchor.scale.reliability import MAX_CHANCE, Shared
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from vehanchor.scale.defaults import Reason
+    from vehanchor.scale.density import Density
 
-_LEAST_GAIN = 1e-6
+# Smallest rise of the chance that makes a weakness the reason.
+_MIN_GAIN = 1e-6
 
 
 class Mark(NamedTuple):
-    """Measured line of a ruler, or a labelled place.
+    """Measured line of a ruler, or a labelled point.
 
     Attributes:
-        points: its corners, x and y in pixels of the image; a single point is a place.
-        label: text beside its middle, as "60 m"; empty for none.
+        points: its corners, x and y in pixels of the image; a label can have a single point.
+        label: text beside its middle, such as "60 m"; empty for none.
         closed: whether the last corner is connected to the first.
     """
 
@@ -73,11 +82,11 @@ class Remark(Protocol):
 
 
 class Lack(NamedTuple):
-    """Doubt or lack of a witness.
+    """Weakness of a witness: a doubt about it, or something that it lacks.
 
     Attributes:
-        reason: its name.
-        without: the witness if the doubt were removed, or the lack filled.
+        reason: name of the weakness.
+        without: the witness as it would be without the weakness.
     """
 
     reason: Reason
@@ -89,33 +98,33 @@ class Witness:
     """Measurement of the scale by one ruler.
 
     Attributes:
-        kind: of the ruler.
+        kind: kind of the ruler.
         gsd_m_per_px: its own scale, metres per pixel of the full image, at its centre in a tilted
             view; None if nothing was found.
-        right: ``[g]`` density of the scale if it measured what it thinks, without shared errors;
-            None if nothing was found.
-        chance_wrong: 0..1, chance that it did not, and says nothing.
+        right: ``[g]`` density of the scale if the witness is right, without shared errors; None
+            if nothing was found.
+        chance_wrong: 0..1, chance that it measured something else and says nothing.
         sets_scale: whether it can set a scale; a prior cannot.
         assumed: whether it rests on a guess of the caller, neither found in the picture nor
             measured.
         shared: errors in common with other witnesses.
-        lacks: what would raise its weight.
+        lacks: weaknesses whose removal would raise its weight.
         n: number of things measured.
-        said: the measurement in a sentence; None if not needed.
+        statement: the measurement in a sentence; None if not needed.
         marks: measured lines, for pictures.
-        notices: warnings; without a scale they say why.
+        notices: warnings; without a scale they give the cause.
     """
 
     kind: str
     gsd_m_per_px: float | None = None
-    right: NDArray[np.float64] | None = None
+    right: Density | None = None
     chance_wrong: float = 0.0
     sets_scale: bool = True
     assumed: bool = False
     shared: tuple[Shared, ...] = ()
     lacks: tuple[Lack, ...] = ()
     n: int = 1
-    said: str | None = None
+    statement: str | None = None
     marks: tuple[Mark, ...] = ()
     notices: tuple[Remark, ...] = ()
 
@@ -125,32 +134,51 @@ class Witness:
         return self.right is not None
 
     @cached_property
-    def density(self) -> NDArray[np.float64]:
-        """``[g]`` density of the scale by this witness alone, with its shared errors; flat if nothing was found."""
-        return flat() if self.right is None else self.factor(self.shared)
+    def density(self) -> Density:
+        """Density ``[g]`` of the scale by this witness alone; flat if nothing was found."""
+        if self.right is None:
+            return flat()
+        return self.factor(self.shared)
 
     @property
     def interval(self) -> Interval | None:
-        """Its own 95 % interval if it is right, metres per pixel, extended to its scale; None if nothing was found."""
+        """95 % interval if the witness is right, metres per pixel; None if nothing was found.
+
+        The interval includes the shared errors, and is extended to the witness's own scale.
+        """
         if self.right is None or self.gsd_m_per_px is None:
             return None
-        low, high = credible_interval(blurred(self.right, _log_sd(self.shared)))
+        low, high = credible_interval(blurred(self.right, _total_log_sd(self.shared)))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
-    def factor(self, shared: Sequence[Shared]) -> NDArray[np.float64]:
-        """Compute the density ``[g]`` with some of the shared errors."""
+    def factor(self, errors: Sequence[Shared]) -> Density:
+        """Compute the factor ``[g]`` of the posterior.
+
+        Args:
+            errors: shared errors to include, those of this witness alone. Errors of a group are
+                included once, in the product of the group.
+        """
         assert self.right is not None
-        return _mixed(self.right * (1.0 - self.chance_wrong) + flat() * self.chance_wrong, shared)
+        factor = self.right * (1.0 - self.chance_wrong) + flat() * self.chance_wrong
+        return _with_errors(factor, errors)
 
 
-def sharing(witness: Witness, error: Shared, removes: Reason) -> Witness:
-    """Give a witness an error that it shares; its lack ``removes`` is the witness without that error."""
-    lacks = [each for each in witness.lacks if each.reason != removes]
-    kept = tuple(
-        Lack(each.reason, replace(each.without, shared=(*each.without.shared, error)))
-        for each in lacks
-    )
-    return replace(witness, shared=(*witness.shared, error), lacks=(*kept, Lack(removes, witness)))
+def with_shared_error(witness: Witness, error: Shared, *, removes: Reason) -> Witness:
+    """Add a shared error to a witness, and the lack whose removal takes it away.
+
+    Args:
+        witness: a witness that found something.
+        error: the error; it also applies to the witness without its other lacks.
+        removes: name of the lack. A lack of this name is replaced.
+    """
+    lacks = []
+    for lack in witness.lacks:
+        if lack.reason == removes:
+            continue
+        shared = (*lack.without.shared, error)
+        lacks.append(Lack(lack.reason, replace(lack.without, shared=shared)))
+    lacks.append(Lack(removes, witness))
+    return replace(witness, shared=(*witness.shared, error), lacks=tuple(lacks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +189,8 @@ class Answer:
         gsd_m_per_px: the value, metres per pixel.
         interval: 95 % interval, metres per pixel.
         chance: 0..1, chance of an error below 20 %.
-        density: ``[g]`` posterior, given that at least one witness who can set a scale is right.
-        p_right: by witness that found something, the chance that it is right; these do not add up
-            to 1.
+        density: ``[g]`` posterior, given that at least one witness that can set a scale is right.
+        p_right: chance of each witness with a finding that it is right; these do not add up to 1.
         leading: index of the setting witness without which the interval is widest, of those that
             are probably right.
         reason: why the scale is not usable; None if it is.
@@ -172,7 +199,7 @@ class Answer:
     gsd_m_per_px: float
     interval: Interval
     chance: float
-    density: NDArray[np.float64] = field(repr=False)
+    density: Density = field(repr=False)
     p_right: tuple[float, ...] = ()
     leading: int = 0
     reason: Reason | None = None
@@ -184,141 +211,244 @@ class Answer:
 
 
 def answer(witnesses: Sequence[Witness]) -> Answer | None:
-    """Decide on the scale.
+    """Decide on the scale, and explain the decision.
 
     Args:
-        witnesses: all that found something, and others, which change nothing.
+        witnesses: of all rulers; those that found nothing do not change the answer.
 
     Returns:
         The answer; None without a witness that can set a scale.
     """
-    heard = [each for each in witnesses if each.found]
-    found = judged(heard)
-    if found is None:
+    witnesses = [witness for witness in witnesses if witness.found]
+    decision = judge(witnesses)
+    if decision is None:
         return None
-    _, *wrong = _posterior(heard, *((k,) for k in range(len(heard))))
-    without = [judged([*heard[:k], *heard[k + 1 :]]) for k in range(len(heard))]
-    widths = [
-        math.inf if each is None else each.interval.high / each.interval.low for each in without
-    ]
-    p_right = tuple(max(0.0, 1.0 - float(each.sum())) for each in wrong)
-    setting = [k for k, each in enumerate(heard) if each.sets_scale]
+    posterior = _Posterior(witnesses)
+    p_right = []
+    answers_without = []
+    for k in range(len(witnesses)):
+        # P(witness k is right | all witnesses) is one minus the part in which it is wrong.
+        p_wrong = float(posterior.part_if_wrong([k]).sum())
+        p_right.append(max(0.0, 1.0 - p_wrong))
+        answers_without.append(judge(_all_but(witnesses, k)))
+    reason = None
+    if not decision.usable:
+        reason = _weakness(witnesses, answers_without, decision.chance)
     return replace(
-        found,
-        p_right=p_right,
-        leading=max(setting, key=lambda k: (p_right[k] >= PROBABLY_RIGHT, widths[k])),
-        reason=None if found.usable else _reason(heard, without, found.chance),
+        decision,
+        p_right=tuple(p_right),
+        leading=_leading(witnesses, answers_without, p_right),
+        reason=reason,
     )
 
 
-def judged(witnesses: Sequence[Witness]) -> Answer | None:
-    """Compute value, interval and chance alone; see ``answer``."""
-    heard = [each for each in witnesses if each.found]
-    setting = [k for k, each in enumerate(heard) if each.sets_scale]
-    if not setting:
-        return None
-    posterior, none_right = _posterior(heard, setting)
-    confirmed = np.zeros_like(posterior)  # by priors alone
-    if any(each.assumed for each in heard):
-        confirmed = _guessed(heard) - _guessed([heard[k] for k in setting])
-    given_any = normalised(np.maximum(posterior - none_right, 0.0) + LEAST_PROBABILITY)
-    value = quantile(given_any, 0.5)
-    # a prior only narrows a guess
-    chance = mass_within(posterior, value) - max(0.0, mass_within(confirmed, value))
-    return Answer(value, credible_interval(given_any), min(chance, MOST_SURE), given_any)
+def judge(witnesses: Sequence[Witness]) -> Answer | None:
+    """Compute value, interval and chance of the answer, without its explanation.
 
-
-def _guessed(heard: Sequence[Witness]) -> NDArray[np.float64]:
-    """Compute the part ``[g]`` of the posterior in which no witness that is found or measured is right."""
-    known = [k for k, each in enumerate(heard) if each.sets_scale and not each.assumed]
-    return _posterior(heard, known)[1]
-
-
-def _reason(heard: Sequence[Witness], without: Sequence[Answer | None], chance: float) -> Reason:
-    """Name the doubt, lack or contradiction whose removal raises the chance most."""
-    gains: list[tuple[float, Reason]] = [(_LEAST_GAIN, "imprecise")]
-    for k, each in enumerate(heard):
-        others = [*heard[:k], *heard[k + 1 :]]
-        better = [(lack.reason, judged([*others, lack.without])) for lack in each.lacks]
-        gains += [
-            (found.chance - chance, reason)
-            for reason, found in (*better, ("disagree", without[k]))
-            if found
-        ]
-    return max(gains, key=lambda each: each[0])[1]
-
-
-def _posterior(
-    heard: Sequence[Witness], *floored: Collection[int]
-) -> tuple[NDArray[np.float64], ...]:
-    """Multiply the factors of all witnesses.
+    Args:
+        witnesses: as in ``answer``.
 
     Returns:
-        The posterior ``[g]``, and for each of ``floored`` the part in which these witnesses say
-        nothing.
+        The answer without ``p_right``, ``leading`` and ``reason``; None as in ``answer``.
     """
-    parts = _components(heard)
-    logs = np.array(
-        [
-            np.sum(
-                [np.log(np.maximum(each.density(floor), LEAST_PROBABILITY)) for each in parts],
-                axis=0,
-            )
-            for floor in ((), *floored)
-        ]
+    witnesses = [witness for witness in witnesses if witness.found]
+    setting = [k for k, witness in enumerate(witnesses) if witness.sets_scale]
+    if not setting:
+        return None
+    posterior = _Posterior(witnesses)
+
+    # A scale needs a setting witness that is right. The part of the posterior in which none is
+    # right comes from priors and flat densities: it would draw the median towards the middle of
+    # the grid. It therefore counts in the chance, but not in the value.
+    unsupported = posterior.part_if_wrong(setting)
+    supported = normalised(np.maximum(posterior.density - unsupported, 0.0) + MIN_PROBABILITY)
+    value = quantile(supported, 0.5)
+    chance = mass_within(posterior.density, value)
+    if any(witness.assumed for witness in witnesses):
+        confirmed = _guesses_confirmed_by_priors(witnesses, posterior)
+        chance -= max(0.0, mass_within(confirmed, value))
+    return Answer(
+        value,
+        interval=credible_interval(supported),
+        chance=min(chance, MAX_CHANCE),
+        density=supported,
     )
-    masses = np.exp(logs - logs[0].max())
-    return tuple(masses / masses[0].sum())
 
 
-class _Component(NamedTuple):
-    """Witnesses that are linked by shared errors.
+def _guesses_confirmed_by_priors(witnesses: Sequence[Witness], posterior: _Posterior) -> Density:
+    """Compute the mass ``[g]`` that a guess of the caller gains because a prior agrees with it.
+
+    A prior may narrow a guess, but not confirm it: a guess near the usual scale is no more likely
+    to be right. The mass is the difference, with and without priors, of the part in which no
+    found or measured witness is right.
+    """
+    without_priors = [witness for witness in witnesses if witness.sets_scale]
+    with_priors = posterior.part_if_wrong(_found_or_measured(witnesses))
+    alone = _Posterior(without_priors).part_if_wrong(_found_or_measured(without_priors))
+    return with_priors - alone
+
+
+def _found_or_measured(witnesses: Sequence[Witness]) -> list[int]:
+    """List the indices of the setting witnesses that do not rest on a guess of the caller."""
+    return [k for k, witness in enumerate(witnesses) if witness.sets_scale and not witness.assumed]
+
+
+def _all_but(witnesses: Sequence[Witness], k: int) -> list[Witness]:
+    """Leave out one witness."""
+    return [*witnesses[:k], *witnesses[k + 1 :]]
+
+
+def _leading(
+    witnesses: Sequence[Witness],
+    answers_without: Sequence[Answer | None],
+    p_right: Sequence[float],
+) -> int:
+    """Find the setting witness that narrows the interval most; one that is probably right first."""
+    ranks = {}
+    for k, witness in enumerate(witnesses):
+        if not witness.sets_scale:
+            continue
+        width = math.inf
+        answer_without = answers_without[k]
+        if answer_without is not None:
+            width = answer_without.interval.high / answer_without.interval.low
+        ranks[k] = (p_right[k] >= PROBABLY_RIGHT, width)
+    return max(ranks, key=lambda k: ranks[k])
+
+
+def _weakness(
+    witnesses: Sequence[Witness], answers_without: Sequence[Answer | None], chance: float
+) -> Reason:
+    """Name the weakness whose removal would raise the chance most."""
+    best_reason: Reason = "imprecise"
+    best_gain = _MIN_GAIN
+    for k, witness in enumerate(witnesses):
+        others = _all_but(witnesses, k)
+        remedied: list[tuple[Reason, Answer | None]] = [
+            (lack.reason, judge([*others, lack.without])) for lack in witness.lacks
+        ]
+        # A witness without which the chance rises contradicts the others.
+        remedied.append(("disagree", answers_without[k]))
+        for reason, better in remedied:
+            if better is None:
+                continue
+            gain = better.chance - chance
+            if gain > best_gain:
+                best_reason = reason
+                best_gain = gain
+    return best_reason
+
+
+class _Posterior:
+    """Product of the factors of all witnesses.
 
     Attributes:
-        factors: ``[g]`` of each member by its index, with the errors of that member alone.
+        density: ``[g]`` probabilities, their sum 1.
+    """
+
+    def __init__(self, witnesses: Sequence[Witness]) -> None:
+        self._groups = _group_by_shared_errors(witnesses)
+        log_product = self._log_product(wrong=())
+        # The largest cell becomes 1 before the exponential, so that no product underflows.
+        self._log_peak = log_product.max()
+        masses = np.exp(log_product - self._log_peak)
+        self._total = masses.sum()
+        self.density: Density = masses / self._total
+
+    def part_if_wrong(self, wrong: Collection[int]) -> Density:
+        """Compute the part ``[g]`` of the posterior in which these witnesses say nothing.
+
+        It has the posterior's normalisation: its sum is the probability that all of them are wrong.
+
+        Args:
+            wrong: indices of the witnesses.
+        """
+        masses = np.exp(self._log_product(wrong) - self._log_peak)
+        return np.asarray(masses / self._total)
+
+    def _log_product(self, wrong: Collection[int]) -> Density:
+        logs = []
+        for group in self._groups:
+            density = np.maximum(group.density(wrong), MIN_PROBABILITY)
+            logs.append(np.log(density))
+        return np.asarray(np.sum(logs, axis=0))
+
+
+class _Group(NamedTuple):
+    """Witnesses that are linked by shared errors; a witness without any is a group of its own.
+
+    Attributes:
+        factors: ``[g]`` factor of each member by its index, with the errors of that member alone.
         common: errors of two or more members, by name.
     """
 
-    factors: Mapping[int, NDArray[np.float64]]
+    factors: Mapping[int, Density]
     common: Mapping[str, Shared]
 
-    def density(self, floored: Collection[int]) -> NDArray[np.float64]:
-        """Compute the factor ``[g]``; of the members in ``floored`` only the part that says nothing is kept."""
-        kept = [
-            np.full_like(each, each.min()) if k in floored else each
-            for k, each in self.factors.items()
-        ]
-        if len(kept) == 1:
-            return kept[0]
+    def density(self, wrong: Collection[int]) -> Density:
+        """Compute the group's factor ``[g]`` of the posterior.
+
+        Args:
+            wrong: indices of witnesses of which only the part that says nothing is used: the floor
+                of their factor, which supports all scales alike.
+        """
+        used = []
+        for k, factor in self.factors.items():
+            if k in wrong:
+                factor = np.full_like(factor, factor.min())
+            used.append(factor)
+        if len(used) == 1:
+            return used[0]
+        # The whole product scales the part, so that the part stays below the whole.
         total = float(np.prod(list(self.factors.values()), axis=0).sum())
-        return _mixed(np.prod(kept, axis=0) / total, tuple(self.common.values()))
+        return _with_errors(np.prod(used, axis=0) / total, tuple(self.common.values()))
 
 
-def _components(heard: Sequence[Witness]) -> list[_Component]:
-    """Group witnesses that share an error, directly or by others."""
-    count = Counter(name for witness in heard for name in {each.name for each in witness.shared})
-    groups: list[_Component] = []
-    for k, witness in enumerate(heard):
-        factors = {k: witness.factor([each for each in witness.shared if count[each.name] == 1])}
-        common = {each.name: each for each in witness.shared if count[each.name] > 1}
-        linked = [each for each in groups if each.common.keys() & common.keys()]
-        groups = [each for each in groups if not each.common.keys() & common.keys()]
-        for other in linked:
-            factors = {**other.factors, **factors}
-            for name, one in other.common.items():
-                two = common.get(name, one)
-                common[name] = Shared(
-                    name, max(one.log_sd, two.log_sd), max(one.chance_wrong, two.chance_wrong)
-                )
-        groups.append(_Component(factors, common))
+def _group_by_shared_errors(witnesses: Sequence[Witness]) -> list[_Group]:
+    """Group witnesses that share an error, directly or through others."""
+    n_sharing: Counter[str] = Counter()
+    for witness in witnesses:
+        n_sharing.update({error.name for error in witness.shared})
+
+    groups: list[_Group] = []
+    for k, witness in enumerate(witnesses):
+        own = [error for error in witness.shared if n_sharing[error.name] == 1]
+        common = {error.name: error for error in witness.shared if n_sharing[error.name] > 1}
+        factors = {k: witness.factor(own)}
+        # A witness can link groups that had nothing in common before: they become one.
+        names = set(common)
+        linked = [group for group in groups if not names.isdisjoint(group.common)]
+        groups = [group for group in groups if names.isdisjoint(group.common)]
+        for group in linked:
+            factors = {**group.factors, **factors}
+            common = _larger_errors(common, group.common)
+        groups.append(_Group(factors, common))
     return groups
 
 
-def _mixed(density: NDArray[np.float64], shared: Sequence[Shared]) -> NDArray[np.float64]:
-    """Blur a density ``[g]`` of any sum by errors, and mix it with the case that their causes make it wrong."""
-    chance_right = math.prod(1.0 - each.chance_wrong for each in shared)
-    return chance_right * blurred(density, _log_sd(shared)) + (1.0 - chance_right) * flat()
+def _larger_errors(first: Mapping[str, Shared], second: Mapping[str, Shared]) -> dict[str, Shared]:
+    """Merge errors by name; of two sizes of one error, the larger is used."""
+    merged = dict(first)
+    for name, error in second.items():
+        same = merged.get(name, error)
+        log_sd = max(error.log_sd, same.log_sd)
+        chance_wrong = max(error.chance_wrong, same.chance_wrong)
+        merged[name] = Shared(name, log_sd, chance_wrong)
+    return merged
 
 
-def _log_sd(shared: Sequence[Shared]) -> float:
-    return math.hypot(*(each.log_sd for each in shared))
+def _with_errors(density: Density, errors: Sequence[Shared]) -> Density:
+    """Blur a density ``[g]`` by errors, and mix in the case that one of them makes it wrong.
+
+    Args:
+        density: of any sum.
+        errors: independent of each other.
+    """
+    chance_right = math.prod(1.0 - error.chance_wrong for error in errors)
+    right = blurred(density, _total_log_sd(errors))
+    return chance_right * right + (1.0 - chance_right) * flat()
+
+
+def _total_log_sd(errors: Iterable[Shared]) -> float:
+    """Add independent errors: the root of the sum of their squared standard deviations."""
+    return math.hypot(*(error.log_sd for error in errors))

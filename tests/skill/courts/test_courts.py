@@ -126,8 +126,8 @@ def test_courts_are_a_witness_with_their_measured_sides() -> None:
     assert (witness.kind, witness.n) == ("courts", 2)
     assert witness.interval is not None
     assert 0.295 < witness.interval.low < 0.301 < witness.interval.high < 0.307
-    assert witness.said is not None
-    assert witness.said.startswith("2 tennis courts say 0.301 m/px")
+    assert witness.statement is not None
+    assert witness.statement.startswith("2 tennis courts give 0.301 m/px")
     outline, long_side, short_side = witness.marks[:3]
     assert outline.closed
     assert len(outline.points) == 4
@@ -136,7 +136,7 @@ def test_courts_are_a_witness_with_their_measured_sides() -> None:
 
 
 def test_a_court_says_by_whose_rules_it_is() -> None:
-    said = told(witness_of([_court(0.3, "basketball_nba")])).said
+    said = told(witness_of([_court(0.3, "basketball_nba")])).statement
     assert said is not None
     assert "by the NBA's rules" in said
 

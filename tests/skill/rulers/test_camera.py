@@ -1,3 +1,5 @@
+"""Camera metadata as a ruler: height, lens, tilt, and what is refused."""
+
 from __future__ import annotations
 
 import math
@@ -60,40 +62,60 @@ def _but(**changes: object) -> CameraMetadata:
 UNLISTED = _but(make="Unknown", model="")  # a camera that the table of sensors lacks
 
 
-def test_height_and_the_equivalent_focal_length_make_a_scale_with_an_honest_interval() -> None:
-    witness = _measured(UNLISTED)
-    assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
-    assert witness.interval is not None
-    assert witness.interval.low < TRUE_GSD < witness.interval.high
-    assert witness.interval.high / witness.interval.low == pytest.approx(
-        math.exp(2 * 1.96 * 0.128), rel=0.01
-    )
-    assert (witness.kind, witness.n) == ("camera", 1)
-    assert witness.notices == ()
-    assert witness.said is not None
-    assert "100 m (DJI RelativeAltitude) and 26 mm" in witness.said
+@pytest.fixture(scope="module")
+def by_equivalent() -> Witness:
+    """Measured by the height and the 35 mm equivalent focal length."""
+    return _measured(UNLISTED)
 
 
-def test_the_sensor_tells_better_than_the_equivalent_and_a_calibration_best() -> None:
-    by_sensor = _measured(replace(UNLISTED, pixel_mm=6.17 / 4000))
-    assert by_sensor.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=1e-6)
-    calibrated = _measured(_but(pixel_mm=6.17 / 4000, focal_px=3100.0, centre_x_px=1995.0))
-    assert calibrated.gsd_m_per_px == pytest.approx(100 / 3100)
-    assert log_sd(calibrated) < log_sd(by_sensor) < log_sd(_measured(UNLISTED))
+def test_a_height_with_an_equivalent_focal_length_gives_a_scale(by_equivalent: Witness) -> None:
+    assert by_equivalent.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.04)
+    assert (by_equivalent.kind, by_equivalent.n) == ("camera", 1)
+    assert by_equivalent.notices == ()
+
+
+def test_the_interval_has_the_errors_of_height_with_lens(by_equivalent: Witness) -> None:
+    assert by_equivalent.interval is not None
+    low, high = by_equivalent.interval
+    assert low < TRUE_GSD < high
+    assert high / low == pytest.approx(math.exp(2 * 1.96 * 0.128), rel=0.01)
+
+
+def test_the_statement_names_its_sources(by_equivalent: Witness) -> None:
+    assert by_equivalent.statement is not None
+    assert "100 m (DJI RelativeAltitude) and 26 mm" in by_equivalent.statement
+
+
+BY_SENSOR = replace(UNLISTED, pixel_mm=6.17 / 4000)
+CALIBRATED = _but(pixel_mm=6.17 / 4000, focal_px=3100.0, centre_x_px=1995.0)
+
+
+def test_the_sensor_gives_the_scale() -> None:
+    assert _measured(BY_SENSOR).gsd_m_per_px == pytest.approx(TRUE_GSD, rel=1e-6)
+
+
+def test_a_calibration_of_the_camera_wins_over_the_sensor() -> None:
+    assert _measured(CALIBRATED).gsd_m_per_px == pytest.approx(100 / 3100)
+
+
+def test_the_error_falls_from_equivalent_to_sensor_to_calibration() -> None:
+    calibrated = log_sd(_measured(CALIBRATED))
+    by_sensor = log_sd(_measured(BY_SENSOR))
+    assert calibrated < by_sensor < log_sd(_measured(UNLISTED))
 
 
 @pytest.mark.parametrize(
     "size", [(4000, 3000), (4000, 2250), (2000, 1500), (2000, 1125), (1125, 2000)]
 )
-def test_a_listed_sensor_tells_at_every_size_and_shape_of_the_whole_picture(
+def test_a_listed_sensor_gives_the_scale_of_every_whole_picture(
     size: tuple[int, int],
 ) -> None:
     """A picture of 16:9 has all columns of a sensor of 4:3."""
     taken = _but(taken_width_px=None, taken_height_px=None)
     witness = _measured(taken, *size)
     assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD * 4000 / max(size), rel=1e-3)
-    assert witness.said is not None
-    assert "6.17 mm wide sensor of the FC220" in witness.said
+    assert witness.statement is not None
+    assert "6.17 mm wide sensor of the FC220" in witness.statement
 
 
 def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
@@ -108,12 +130,12 @@ def test_a_picture_of_4_3_has_all_rows_of_a_sensor_of_3_2() -> None:
 def test_a_listed_sensor_is_not_believed_behind_another_lens() -> None:
     """A drone's second camera may write the same model."""
     other = _measured(_but(focal_mm=13.5, focal_35mm=72.0))
-    assert other.said is not None
-    assert "72 mm (35 mm equivalent)" in other.said
+    assert other.statement is not None
+    assert "72 mm (35 mm equivalent)" in other.statement
 
 
 def test_a_calibration_of_another_size_is_not_believed() -> None:
-    """Some programs write the size of a resized copy where the camera's was, and leave the calibration as it was."""
+    """Some programs write the size of a resized copy, and leave the calibration as it was."""
     copy = _but(focal_px=3100.0, centre_x_px=2000.0, taken_width_px=1000, taken_height_px=750)
     assert _measured(copy, 1000, 750).gsd_m_per_px == pytest.approx(4 * TRUE_GSD, rel=0.04)
 
@@ -163,8 +185,8 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
     unknown = _measured(_but(off_nadir_deg=None))
     assert log_sd(unknown) > log_sd(known)
     assert unknown.chance_wrong > known.chance_wrong
-    assert unknown.said is not None
-    assert "at nadir" in unknown.said
+    assert unknown.statement is not None
+    assert "at nadir" in unknown.statement
 
 
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:
@@ -189,7 +211,7 @@ def test_the_nearer_the_ground_the_less_a_height_says() -> None:
         ({"height_m": None, "refused": "its XMP declares entities"}, "entities"),
     ],
 )
-def test_what_cannot_be_is_told_and_not_measured_with(
+def test_impossible_metadata_give_a_notice_instead_of_a_scale(
     changes: dict[str, object], words: str
 ) -> None:
     witness = _measured(_but(**changes))
@@ -201,7 +223,7 @@ def test_what_cannot_be_is_told_and_not_measured_with(
 @pytest.mark.parametrize(
     "camera", [None, replace(UNLISTED, height_m=None, focal_mm=None, focal_35mm=None)]
 )
-def test_a_file_without_height_and_lens_is_passed_over_in_silence(
+def test_a_file_without_a_height_or_a_lens_gives_no_notice(
     camera: CameraMetadata | None,
 ) -> None:
     assert Camera().measure(_view(camera)) is None
@@ -215,10 +237,8 @@ def test_a_height_that_is_given_is_not_missing() -> None:
 
 def test_a_given_focal_length_goes_with_the_height_of_the_file() -> None:
     lacking = replace(UNLISTED, focal_mm=None, focal_35mm=None)
-    assert (
-        measured(Camera(), _view(lacking, focal_35mm=26)).gsd_m_per_px
-        == _measured(UNLISTED).gsd_m_per_px
-    )
+    with_focal = measured(Camera(), _view(lacking, focal_35mm=26))
+    assert with_focal.gsd_m_per_px == _measured(UNLISTED).gsd_m_per_px
     (notice,) = measured(Camera(), _view(None, focal_35mm=26)).notices
     assert "give height_m" in notice.message
 
@@ -241,7 +261,7 @@ def test_the_camera_can_be_left_out(options: dict[str, Any]) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "height_m"), [("minsk_10", 98.9), ("minsk_12", 99.0)])
-def test_nadir_photographs_of_a_known_sensor_come_out_within_a_few_per_cent(
+def test_nadir_photographs_of_a_known_sensor_have_the_true_scale(
     real_data: Path, name: str, height_m: float
 ) -> None:
     with open_raster(real_data / f"tilt/images/{name}.jpg") as raster:

@@ -1,3 +1,5 @@
+"""Tilted cameras: the ground plane, and rulers that measure along it."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -7,6 +9,7 @@ import pytest
 
 from tests.analyses import made_card, measured, with_tilt
 from vehanchor.analysis.pipeline import analyse_view
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
 from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
@@ -18,6 +21,7 @@ from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.scale.posterior import Witness
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
 from vehanchor_flight.pooling import pool
 
@@ -59,55 +63,74 @@ def test_cars_are_of_one_length_on_the_plane() -> None:
     assert rectified(seen, tilt.plane(FACTS)).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
 
 
-def test_boxes_of_the_proportions_of_a_car_seen_from_above_are_of_one_length_on_the_plane() -> None:
-    """The detector draws them so at 30 degrees (research/results/notes.md), whichever way the car points."""
+def test_boxes_with_the_proportions_of_nadir_have_one_length_on_the_plane() -> None:
+    """The detector draws them so at 30 degrees, whichever way the car points.
+
+    See research/results/notes.md.
+    """
     tilt = CameraTilt(30.0, 0.0, focal_length_px=FOCAL, source="metadata")
     middle = np.array([WIDTH, HEIGHT]) / 2
     step = tilt.plane(FACTS, GSD).length([middle, middle], middle + np.eye(2))
     across = [WIDTH / 2, HEIGHT / 2, 0.89 * CAR_M / step[0], 1.25 * CAR_WIDTH_M / step[1], 0.0]
     away = [WIDTH / 2, HEIGHT / 2, 1.05 * CAR_M / step[1], 0.88 * CAR_WIDTH_M / step[0], np.pi / 2]
-    lengths = rectified(Detections(np.array([across, away]), np.ones(2)), tilt.plane(FACTS)).boxes[
-        :, 2
-    ]
+    detections = Detections(np.array([across, away]), np.ones(2))
+    lengths = rectified(detections, tilt.plane(FACTS)).boxes[:, 2]
     assert lengths == pytest.approx([CAR_M / GSD] * 2, rel=0.04)
 
 
-def test_the_record_is_that_of_the_centre_and_tells_the_tilt() -> None:
+@pytest.fixture(scope="module")
+def tilted_view() -> View:
+    """Cars seen by a camera with a tilt of 35 degrees."""
     tilt = CameraTilt(35.0, 0.0, focal_length_px=FOCAL, source="metadata")
-    view = with_tilt(
-        View(
-            FACTS,
-            _cars(tilt),
-            card=made_card(CAR_M),
-            options=ScaleOptions(),
-            measure_detail_share=lambda *_: 1.0,
-        )
+    view = View(
+        FACTS,
+        _cars(tilt),
+        card=made_card(CAR_M),
+        options=ScaleOptions(),
+        measure_detail_share=lambda *_: 1.0,
     )
-    analysis = analyse_view(view)
-    estimate = analysis.estimate
-    assert estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
-    assert estimate.tilt is not None
-    assert estimate.gsd_m_per_px is not None
-    assert estimate.tilt.source == "metadata"
-    assert estimate.tilt.tilt_deg == pytest.approx(35, abs=2)
-    assert estimate.tilt.tilt_ci95_low_deg < 35 < estimate.tilt.tilt_ci95_high_deg
-    assert estimate.tilt.gsd_least_m_per_px is not None
-    assert estimate.tilt.gsd_largest_m_per_px is not None
-    assert (
-        estimate.tilt.gsd_least_m_per_px
-        < estimate.gsd_m_per_px
-        < estimate.tilt.gsd_largest_m_per_px
-    )
-    # for pictures, as they are
-    assert np.array_equal(analysis.detections.boxes, view.detections.boxes)
-    ignored = analyse_view(
-        with_tilt(replace(view, options=ScaleOptions.of({"metadata": False})))
-    ).estimate
-    assert ignored.tilt is None
+    return with_tilt(view)
+
+
+@pytest.fixture(scope="module")
+def tilted(tilted_view: View) -> ScaleAnalysis:
+    """Analysis of the tilted view."""
+    return analyse_view(tilted_view)
+
+
+def test_the_scale_is_that_of_the_centre(tilted: ScaleAnalysis) -> None:
+    assert tilted.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
+
+
+def test_the_record_states_the_tilt(tilted: ScaleAnalysis) -> None:
+    tilt = tilted.estimate.tilt
+    assert tilt is not None
+    assert tilt.source == "metadata"
+    assert tilt.tilt_deg == pytest.approx(35, abs=2)
+    assert tilt.tilt_ci95_low_deg < 35 < tilt.tilt_ci95_high_deg
+
+
+def test_the_record_has_the_range_of_scales(tilted: ScaleAnalysis) -> None:
+    gsd = tilted.estimate.gsd_m_per_px
+    tilt = tilted.estimate.tilt
+    assert gsd is not None
+    assert tilt is not None
+    assert tilt.gsd_least_m_per_px is not None
+    assert tilt.gsd_largest_m_per_px is not None
+    assert tilt.gsd_least_m_per_px < gsd < tilt.gsd_largest_m_per_px
+
+
+def test_pictures_show_the_boxes_of_the_image(tilted: ScaleAnalysis, tilted_view: View) -> None:
+    assert np.array_equal(tilted.detections.boxes, tilted_view.detections.boxes)
+
+
+def test_without_metadata_there_is_no_tilt(tilted_view: View) -> None:
+    view = replace(tilted_view, options=ScaleOptions.of({"metadata": False}))
+    assert analyse_view(with_tilt(view)).estimate.tilt is None
 
 
 def _cars_and_parts() -> tuple[View, GroundPlane]:
-    """A view of cars and of twice as many halves of them, without the camera's height, and its plane."""
+    """Cars and twice as many halves of them, without the camera's height; and the ground plane."""
     tilt = CameraTilt(35.0, 0.0, focal_length_px=FOCAL, source="metadata")
     cars = _cars(tilt, n=20).boxes
     parts = _cars(tilt, n=40).boxes * [1, 1, 0.5, 0.5, 1]
@@ -122,12 +145,12 @@ def _cars_and_parts() -> tuple[View, GroundPlane]:
     ), tilt.plane(FACTS, GSD)
 
 
-def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
+def test_the_height_of_the_camera_separates_cars_from_their_parts() -> None:
     view, plane = _cars_and_parts()
     alone = analyse_view(with_tilt(view))
     assert alone.estimate.gsd_m_per_px == pytest.approx(2 * GSD, rel=0.05)
-    said = replace(view, image=FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m)))
-    with_height = analyse_view(with_tilt(said))
+    image = FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m))
+    with_height = analyse_view(with_tilt(replace(view, image=image)))
     assert with_height.estimate.n_vehicles == pytest.approx(20, abs=4)
     assert with_height.estimate.gsd_m_per_px == pytest.approx(GSD, rel=0.05)
     assert {each.kind for each in with_height.estimate.rulers if each.p_right > 0.5} == {
@@ -136,7 +159,7 @@ def test_the_height_of_the_camera_tells_cars_from_their_parts() -> None:
     }
 
 
-def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:
+def test_the_height_separates_cars_from_parts_in_pooled_photographs() -> None:
     view, plane = _cars_and_parts()
     image = FACTS._replace(camera=replace(CAMERA, height_m=plane.height_m))
     tilt = metadata_tilt(image, view.options)
@@ -160,11 +183,11 @@ def test_so_it_does_in_photographs_of_one_scale_put_together() -> None:
         replace(CAMERA, taken_width_px=4000),
     ],
 )
-def test_without_tilt_or_of_a_crop_there_is_no_plane(camera: CameraMetadata | None) -> None:
+def test_there_is_no_plane_of_a_crop_or_without_a_tilt(camera: CameraMetadata | None) -> None:
     assert metadata_tilt(FACTS._replace(camera=camera), ScaleOptions()) is None
 
 
-def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
+def test_a_crop_of_a_tilted_photograph_gives_a_warning() -> None:
     cars = _cars(CameraTilt(35.0, 0.0, focal_length_px=FOCAL, source="metadata"))
 
     def codes(camera: CameraMetadata) -> list[str]:
@@ -182,17 +205,22 @@ def test_of_a_crop_of_such_a_picture_a_warning_says_so() -> None:
     assert "tilt_suspected" not in codes(replace(crop, off_nadir_deg=5.0))
 
 
-def test_a_focal_length_that_nobody_tells_is_that_of_most_drones_and_the_source_says_so() -> None:
-    tilt = metadata_tilt(FACTS._replace(camera=replace(CAMERA, focal_px=None)), ScaleOptions())
+WITHOUT_LENS = FACTS._replace(camera=replace(CAMERA, focal_px=None))
+
+
+def test_the_source_states_an_unknown_focal_length() -> None:
+    tilt = metadata_tilt(WITHOUT_LENS, ScaleOptions())
     assert tilt is not None
     assert tilt.source == "metadata; focal length unknown"
-    told = metadata_tilt(
-        FACTS._replace(camera=replace(CAMERA, focal_px=None)),
-        ScaleOptions.of({"focal_35mm": 26, "height_m": 90}),
-    )
-    assert told is not None
-    assert told.source == "metadata"
-    assert told.focal_length_px == pytest.approx(tilt.focal_length_px)
+
+
+def test_an_unknown_focal_length_is_that_of_most_drones() -> None:
+    unknown = metadata_tilt(WITHOUT_LENS, ScaleOptions())
+    stated = metadata_tilt(WITHOUT_LENS, ScaleOptions.of({"focal_35mm": 26, "height_m": 90}))
+    assert unknown is not None
+    assert stated is not None
+    assert stated.source == "metadata"
+    assert stated.focal_length_px == pytest.approx(unknown.focal_length_px)
 
 
 def test_a_horizon_in_sight_is_refused() -> None:
@@ -230,32 +258,59 @@ def test_the_height_of_the_camera_is_measured_along_the_tilt() -> None:
     assert nadir.gsd_m_per_px == pytest.approx(60 / FOCAL)
 
 
-def test_lines_and_heights_of_the_caller_are_measured_along_the_tilt() -> None:
+def _stated_facts() -> dict[str, object]:
+    """A line near the camera and a height, both true for a tilt of 35 degrees."""
     plane = GroundPlane(GSD, 35.0, focal_px=FOCAL, width_px=WIDTH, height_px=HEIGHT, roll_deg=5.0)
-    # near the camera: a third of the centre's metres a pixel
-    ends = (100.0, HEIGHT - 60.0), (700.0, HEIGHT - 160.0)
-    metres = float(plane.length([ends[0]], [ends[1]])[0])
-    said = {"known_lengths": [(*ends[0], *ends[1], metres)], "height_m": plane.height_m}
-    view = _view(LOW, **said).at_nadir()
+    # A pixel there has a third of the centre's metres.
+    first = (100.0, HEIGHT - 60.0)
+    second = (700.0, HEIGHT - 160.0)
+    metres = float(plane.length([first], [second])[0])
+    return {"known_lengths": [(*first, *second, metres)], "height_m": plane.height_m}
+
+
+@pytest.fixture(params=[KnownLengths(), GivenHeight()], ids=lambda ruler: ruler.kind)
+def at_nadir_then_tilted(request: pytest.FixtureRequest) -> tuple[Witness, Witness]:
+    """A fact of the caller, measured as if at nadir and along the tilt."""
+    view = _view(LOW, **_stated_facts()).at_nadir()
     tilt = CameraTilt(35.0, 5.0, focal_length_px=FOCAL, source="metadata")
-    for ruler in (KnownLengths(), GivenHeight()):
-        before = measured(ruler, view)
-        moved = measured(ruler, replace(view, tilt=tilt))
-        assert before.gsd_m_per_px is not None
-        assert before.interval is not None
-        assert abs(before.gsd_m_per_px / GSD - 1) > 0.15
-        assert moved.gsd_m_per_px == pytest.approx(GSD, rel=1e-6)
-        assert moved.interval is not None
-        assert moved.interval.high / moved.interval.low > before.interval.high / before.interval.low
-        assert moved.said is not None
-        assert moved.said.endswith("This is the scale of the image's centre.")
-    record = analyse_view(_view(LOW, **said)).estimate
+    return measured(request.param, view), measured(request.param, replace(view, tilt=tilt))
+
+
+def test_a_stated_fact_is_measured_along_the_tilt(
+    at_nadir_then_tilted: tuple[Witness, Witness],
+) -> None:
+    at_nadir, tilted = at_nadir_then_tilted
+    assert at_nadir.gsd_m_per_px is not None
+    assert abs(at_nadir.gsd_m_per_px / GSD - 1) > 0.15
+    assert tilted.gsd_m_per_px == pytest.approx(GSD, rel=1e-6)
+
+
+def test_the_error_of_the_tilt_widens_the_interval_of_a_fact(
+    at_nadir_then_tilted: tuple[Witness, Witness],
+) -> None:
+    at_nadir, tilted = at_nadir_then_tilted
+    assert at_nadir.interval is not None
+    assert tilted.interval is not None
+    at_nadir_width = at_nadir.interval.high / at_nadir.interval.low
+    assert tilted.interval.high / tilted.interval.low > at_nadir_width
+
+
+def test_the_statement_of_a_fact_names_the_centre(
+    at_nadir_then_tilted: tuple[Witness, Witness],
+) -> None:
+    _, tilted = at_nadir_then_tilted
+    assert tilted.statement is not None
+    assert tilted.statement.endswith("This is the scale of the image's centre.")
+
+
+def test_stated_facts_agree_on_a_tilt_of_nearly_the_true_angle() -> None:
+    record = analyse_view(_view(LOW, **_stated_facts())).estimate
     # the metadata have 30 degrees, and no roll
     assert record.gsd_m_per_px == pytest.approx(GSD, rel=0.1)
     assert [ruler.p_right > 0.5 for ruler in record.rulers] == [True, True]
 
 
-def test_a_journal_keeps_the_tilt_and_what_was_measured_along_it() -> None:
+def test_a_journal_keeps_the_witnesses_of_a_tilted_view() -> None:
     view = _view(HIGH)
     analysis = analyse_view(view)
     kept = photograph_codec().load(photograph_codec().dump(StoredPhotograph.of(view, analysis)))

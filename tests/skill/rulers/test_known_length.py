@@ -1,33 +1,25 @@
+"""Known lengths as a ruler: lines that the caller draws."""
+
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import vehanchor
 from tests.analyses import log_sd, made_card, measured
 from tests.models import blank_image, write_detector
-from tests.skill.rulers.test_answers import record_of
-from tests.skill.rulers.test_camera import MAVIC
-from vehanchor.cli.app import app
 from vehanchor.detection.detections import Detections
 from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
-from vehanchor.rulers.active import active_rulers, check_rulers
+from vehanchor.rulers.active import active_rulers
 from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
-from vehanchor.rulers.known_length_table import lines_in
-from vehanchor.rulers.positions import baseline
 from vehanchor.rulers.ruler import View
-from vehanchor.rulers.standards import lengths_of, standards
-from vehanchor.scale.countries import COUNTRY_REGIONS
 
 
 def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
@@ -41,7 +33,7 @@ def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
     )
 
 
-def test_a_line_says_its_metres_over_its_pixels() -> None:
+def test_the_scale_of_a_line_is_its_metres_over_its_pixels() -> None:
     witness = measured(KnownLengths(), _view(known_lengths=[(100, 100, 400, 500, 25, "measured")]))
     assert witness.gsd_m_per_px == pytest.approx(25 / 500, rel=1e-3)
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 500, 0.01), rel=0.02)
@@ -56,222 +48,54 @@ def test_a_line_drawn_in_a_copy_is_read_in_its_pixels() -> None:
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 125, 0.01), rel=0.02)
 
 
-def test_several_lines_are_weighed_by_what_their_pixels_tell() -> None:
+def test_several_lines_are_weighed_by_the_errors_of_their_ends() -> None:
     lines = [(0, 0, 1000, 0, 50.0, "measured"), (0, 0, 20, 0, 1.1, "measured")]
     both = measured(KnownLengths(), _view(known_lengths=lines))
     assert both.gsd_m_per_px == pytest.approx(0.05, rel=0.01)
     assert both.n == 2
     assert both.notices == ()
-    assert both.said is not None
-    assert both.said.startswith("The 2 given lines, measured, give 0.05")
+    assert both.statement is not None
+    assert both.statement.startswith("The 2 given lines, measured, give 0.05")
 
 
-def test_lines_that_contradict_each_other_are_told_and_believed_less() -> None:
-    lines = [(0, 0, 1000, 0, 50.0), (0, 0, 0, 1000, 80.0)]
-    witness = measured(KnownLengths(), _view(known_lengths=lines))
+CONTRADICTORY_LINES = [(0, 0, 1000, 0, 50.0), (0, 0, 0, 1000, 80.0)]
+
+
+def test_lines_that_contradict_each_other_give_a_notice() -> None:
+    witness = measured(KnownLengths(), _view(known_lengths=CONTRADICTORY_LINES))
     assert [notice.code for notice in witness.notices] == ["known_lengths_disagree"]
+
+
+def test_the_interval_of_contradictory_lines_holds_both_scales() -> None:
+    witness = measured(KnownLengths(), _view(known_lengths=CONTRADICTORY_LINES))
     assert witness.interval is not None
     assert witness.interval.low < 0.05 < 0.08 < witness.interval.high
-    three = measured(KnownLengths(), _view(known_lengths=[*lines, (0, 10, 1000, 10, 51.0)]))
-    assert "Without the line 80 m (0.08 m/px) they agree" in three.notices[0].message
+
+
+def test_the_one_line_of_three_that_contradicts_the_others_is_named() -> None:
+    lines = [*CONTRADICTORY_LINES, (0, 10, 1000, 10, 51.0)]
+    witness = measured(KnownLengths(), _view(known_lengths=lines))
+    assert "Without the line 80 m (0.08 m/px) they agree" in witness.notices[0].message
 
 
 @pytest.mark.parametrize(
     "line", [(10, 10, 11, 10, 5), (10, 10, 10, 10, 5), (10, 10, 5000, 10, 5), (-3, 10, 90, 10, 5)]
 )
-def test_a_line_of_one_pixel_or_out_of_the_picture_is_refused_by_its_code(
-    tmp_path: Any, line: Any
-) -> None:
+def test_a_line_of_one_pixel_or_outside_the_image_is_refused(tmp_path: Any, line: Any) -> None:
     detector = write_detector(tmp_path / "detector.onnx")
     with pytest.raises(KnownLengthError) as refused:
         vehanchor.estimate_gsd(blank_image(200, 100), detector=str(detector), known_lengths=[line])
     assert refused.value.code == "invalid_known_length"
 
 
-def test_a_line_that_would_make_an_impossible_scale_is_refused() -> None:
+def test_a_line_that_would_give_an_impossible_scale_is_refused() -> None:
     with pytest.raises(KnownLengthError, match="m/px"):
         measured(KnownLengths(), _view(known_lengths=[(0, 0, 10, 0, 5000)]))
 
 
-def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> None:
-    given = measured(GivenHeight(), _view(height_m=100, height_basis="measured", focal_35mm=26))
-    of_file = measured(
-        GivenHeight(), _view(replace(MAVIC, height_m=60.0), height_m=100, height_basis="measured")
-    )
-    assert given.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
-    # its lens is in the table of cameras
-    assert of_file.gsd_m_per_px == pytest.approx(given.gsd_m_per_px, rel=0.03)
-    assert log_sd(given) == pytest.approx(math.hypot(0.05, 0.04), rel=0.02)
-
-
-@pytest.mark.parametrize("view", [_view(height_m=100), _view(MAVIC, height_m=100, metadata=False)])
-def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
-    witness = measured(GivenHeight(), view)
-    assert witness.gsd_m_per_px is None
-    assert [notice.code for notice in witness.notices] == ["camera_unusable"]
-
-
-def test_a_given_height_is_no_ruler_of_a_crop_whose_metadata_say_that_it_is_one() -> None:
-    crop = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)
-    for options in ({"height_m": 100}, {"height_m": 100, "focal_35mm": 26}):
-        witness = measured(GivenHeight(), _view(crop, **options))
-        assert witness.gsd_m_per_px is None
-        assert [notice.code for notice in witness.notices] == ["camera_unusable"]
-    told = measured(GivenHeight(), _view(crop, height_m=100, focal_35mm=26, metadata=False))
-    assert told.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
-
-
-def test_a_height_that_would_make_an_impossible_scale_is_told() -> None:
-    witness = measured(GivenHeight(), _view(height_m=20_000, focal_35mm=1))
-    assert [notice.code for notice in witness.notices] == ["camera_unusable"]
-
-
-def test_without_a_word_from_the_caller_both_are_silent() -> None:
+def test_without_facts_of_the_caller_their_rulers_are_left_out() -> None:
     kinds = {ruler.kind for ruler in active_rulers(_view().options.rulers)}
     assert kinds.isdisjoint({KnownLengths.kind, GivenHeight.kind})
-
-
-WIDEST_CUSTOM = 0.25
-
-
-def _evidence(what: str, *lengths_px: float, **options: Any) -> Any:
-    lines = [(100, 100 + 10 * k, 100 + px, 100 + 10 * k, what) for k, px in enumerate(lengths_px)]
-    return measured(KnownLengths(), _view(known_lengths=lines, **options))
-
-
-@pytest.mark.parametrize("name", standards())
-def test_a_thing_has_a_source_its_ends_a_spread_and_measures(name: str) -> None:
-    thing = standards()[name]
-    assert name.isidentifier()
-    assert name.islower()
-    assert any(character.isdigit() for character in thing.source) or thing.source.startswith("as ")
-    assert len(thing.between) > 10
-    assert 0.05 <= thing.chance_wrong <= 0.3
-    assert sum(each.weight for each in thing.lengths_in(None)) == pytest.approx(1)
-    for each in thing.variants:
-        assert 1 <= each.metres <= 120
-        assert 0.005 <= each.log_sd <= WIDEST_CUSTOM
-        assert all(
-            (len(code) == 2 and code.isupper()) or code in COUNTRY_REGIONS.values()
-            for code in each.countries
-        )
-        found = _evidence(name, 200.0, region=each.countries[0] if each.countries else None)
-        chosen = thing.lengths_in(each.countries[0] if each.countries else None)
-        if len(chosen) == 1:
-            assert found.gsd_m_per_px == pytest.approx(each.metres / 200, rel=0.01)
-        assert found.assumed
-
-
-def test_the_country_or_the_region_chooses_and_without_one_the_mixture_stays() -> None:
-    assert [each.metres for each in lengths_of("railway_gauge/RU")[1]] == [1.52]
-    assert [each.metres for each in lengths_of("lane_dash_cycle", "north_america")[1]] == [12.19]
-    assert [each.metres for each in lengths_of("lane_dash_cycle", "us")[1]] == [12.19]
-    assert [each.metres for each in lengths_of("city_bus", "SE")[1]] == [12.0]
-    assert [each.metres for each in lengths_of("railway_gauge/RU", "us")[1]] == [1.52]
-    assert {each.metres for each in lengths_of("railway_gauge", "europe")[1]} == {
-        1.435,
-        1.52,
-        1.6,
-        1.668,
-    }
-    everywhere = _evidence("lane_dash_cycle", 200.0)
-    american = _evidence("lane_dash_cycle", 200.0, region="north_america")
-    assert american.gsd_m_per_px == pytest.approx(12.19 / 200, rel=0.01)
-    width = math.log(american.interval.high / american.interval.low)
-    assert math.log(everywhere.interval.high / everywhere.interval.low) > 3 * width
-
-
-def test_things_of_one_kind_share_their_size() -> None:
-    one = _evidence("parking_bay_width/DE", 50.0)
-    many = _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1)
-    assert many.n == 4
-    assert many.interval.high / many.interval.low > 1.12  # the custom's spread stays
-    assert many.interval.high / many.interval.low < one.interval.high / one.interval.low
-    both = measured(
-        KnownLengths(),
-        _view(
-            known_lengths=[
-                (0, 0, 50, 0, "parking_bay_width/DE"),
-                (0, 9, 242, 9, "iso_container_40ft"),
-            ]
-        ),
-    )
-    assert both.n == 2
-    assert log_sd(both) < log_sd(many)
-
-
-def test_one_thing_alone_is_usable_only_if_its_kind_allows() -> None:
-    def status(what: str) -> str:
-        return record_of(0, known_lengths=[(100, 100, 300, 100, what)]).status
-
-    assert status("football_penalty_area_width") == "ok"
-    assert status("railway_gauge/DE") == "ok"
-    assert status("railway_gauge") == "low_confidence"
-    assert status("parking_bay_length") == "low_confidence"
-
-
-def test_two_things_of_one_family_are_one_witness() -> None:
-    def record(*whats: str) -> Any:
-        metres = {what: standards()[what].variants[0].metres for what in whats}
-        lines = [
-            (100, 100 + 9 * k, 100 + metres[what] / 0.05, 100 + 9 * k, what)
-            for k, what in enumerate(whats)
-        ]
-        return record_of(0, known_lengths=lines)
-
-    same = record("iso_container_20ft", "iso_container_width")
-    assert (same.status, same.gsd_m_per_px) == ("ok", pytest.approx(0.05, rel=0.01))
-    assert record("iso_container_20ft", "semi_trailer").confidence == pytest.approx(
-        same.confidence, abs=0.02
-    )
-
-
-@pytest.mark.parametrize(
-    ("what", "words"),
-    [
-        ("parking_width", "parking_bay_width: the centres of two neighbouring lines"),
-        ("Container", "iso_container_20ft: the two ends"),
-        ("railway_gauge/Spain", "use two capital letters, as in railway_gauge/DE"),
-    ],
-)
-def test_a_wrong_name_is_refused_before_the_work_with_the_nearest(what: str, words: str) -> None:
-    with pytest.raises(KnownLengthError, match=words):
-        check_rulers(ScaleOptions.of({"known_lengths": [(0, 0, 50, 0, what)]}).rulers)
-
-
-def test_a_table_takes_names(tmp_path: Any) -> None:
-    table = tmp_path / "lines.csv"
-    table.write_text(
-        "file,x1,y1,x2,y2,metres,what\na.png,0,0,50,0,pool_50m,\na.png,0,9,50,9,,railway_gauge/ES\n"
-    )
-    (lines,) = lines_in(table, [tmp_path / "a.png"]).values()
-    assert [line.what for line in lines] == ["pool_50m", "railway_gauge/ES"]
-    table.write_text("file,x1,y1,x2,y2,metres\na.png,0,0,50,0,pool_51m\n")
-    with pytest.raises(
-        KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"
-    ):
-        lines_in(table, [tmp_path / "a.png"])
-
-
-def test_the_command_lists_every_thing_with_its_lengths_and_source() -> None:
-    shown = CliRunner().invoke(app, ["models", "--sizes"], env={"COLUMNS": "100"}).stdout
-    assert all(name in shown for name in standards())
-    rows = [
-        json.loads(line)
-        for line in CliRunner().invoke(app, ["models", "--sizes", "--json"]).stdout.splitlines()
-    ]
-    assert [row["name"] for row in rows] == list(standards())
-    assert all(row["variants"][0]["metres"] > 0 and row["source"] for row in rows)
-
-
-def test_the_cars_choose_among_the_lengths_of_a_mixture() -> None:
-    spread = np.array([12.19, 18.0])
-    # cars: 0.1 m/px
-    record = record_of(
-        30, known_lengths=[(100, 100, 100 + spread[1] / 0.1, 100, "lane_dash_cycle")]
-    )
-    assert record.status == "ok"
-    assert record.gsd_m_per_px == pytest.approx(0.1, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -285,20 +109,3 @@ def test_the_cars_choose_among_the_lengths_of_a_mixture() -> None:
 def test_a_line_has_metres_or_a_name(line: tuple[Any, ...]) -> None:
     with pytest.raises(KnownLengthError):
         ScaleOptions.of({"known_lengths": [line]})
-
-
-GSD = 0.07
-WIDTH_PX = 4000.0
-
-
-def test_two_or_more_photographs_in_a_line_give_the_scale() -> None:
-    """Their layouts agree exactly; rounding may put the agreement above 1."""
-    rng = np.random.default_rng(1)
-    for n in (2, 3, 3, 5) * 50:
-        turned = np.exp(1j * rng.uniform(0, 2 * np.pi))
-        layout = (rng.uniform(0, 100) + 1e4 * np.arange(n)) * turned
-        metres = GSD * layout * np.exp(1j * rng.uniform(0, 2 * np.pi))
-        found = baseline(layout, np.column_stack([metres.real, -metres.imag]), WIDTH_PX)
-        assert found is not None
-        assert found.n == n
-        assert found.gsd_m_per_px == pytest.approx(GSD)

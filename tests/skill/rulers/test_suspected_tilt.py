@@ -1,3 +1,5 @@
+"""A tilt that the sizes of the cars show."""
+
 from __future__ import annotations
 
 from typing import Any
@@ -13,7 +15,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.camera_tilt import LEAST_CARS, suspected_tilt
+from vehanchor.rulers.camera_tilt import MIN_CARS, suspected_tilt
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
@@ -35,9 +37,8 @@ def _cars(
     places = rng.uniform((60, 60), (WIDTH - 60, HEIGHT - 60), (n, 2))
     sizes = np.exp(rng.normal(0, 0.08, n)) / plane.gsd_at(places)
     sizes[:lorries] *= 2.5
-    boxes = np.column_stack(
-        [places, 4.5 * sizes, 1.8 * sizes * np.exp(rng.normal(0, 0.1, n)), rng.uniform(0, 3, n)]
-    )
+    widths = 1.8 * sizes * np.exp(rng.normal(0, 0.1, n))
+    boxes = np.column_stack([places, 4.5 * sizes, widths, rng.uniform(0, 3, n)])
     return Detections(boxes, np.full(n, 0.9))
 
 
@@ -57,14 +58,16 @@ def test_at_nadir_no_fleet_seems_tilted() -> None:
 
 def test_a_lorry_park_on_one_side_is_no_tilt() -> None:
     detections = _cars(0.0, lorries=9)
-    order = np.argsort(detections.boxes[:, 1])
+    # The nine lorries change places with the nine uppermost vehicles.
+    uppermost = np.argsort(detections.boxes[:, 1])[:9]
     boxes = detections.boxes.copy()
-    boxes[:9, :2], boxes[order[:9], :2] = detections.boxes[order[:9], :2], detections.boxes[:9, :2]
+    boxes[:9, :2] = detections.boxes[uppermost, :2]
+    boxes[uppermost, :2] = detections.boxes[:9, :2]
     assert _suspected(Detections(boxes, detections.scores)) is None
 
 
 @pytest.mark.parametrize(
-    "detections", [_cars(30.0, n=LEAST_CARS - 1), Detections(np.zeros((0, 5)), np.zeros(0))]
+    "detections", [_cars(30.0, n=MIN_CARS - 1), Detections(np.zeros((0, 5)), np.zeros(0))]
 )
 def test_few_cars_tell_nothing(detections: Detections) -> None:
     assert _suspected(detections) is None

@@ -1,3 +1,5 @@
+"""Vehicles as a ruler: doubts about the fleet, weaknesses, and the reference length."""
+
 from __future__ import annotations
 
 import math
@@ -27,9 +29,8 @@ _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
 
 def _view(lengths: list[float], **options: Any) -> View:
-    boxes = np.array([[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]).reshape(
-        -1, 5
-    )
+    rows = [[99.0 * k, 50, length, 18, 0] for k, length in enumerate(lengths)]
+    boxes = np.array(rows).reshape(-1, 5)
     found = Detections(boxes, np.full(len(boxes), 0.8))
     return View(
         ImageFacts(800, 600),
@@ -51,35 +52,61 @@ def _searched(view: View, **changes: Any) -> View:
     return replace(view, detections=found)
 
 
-def test_equal_things_are_probably_no_cars() -> None:
-    equal = _view([40.0] * 30)
-    fleet = _view(list(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 30))))
-    codes, chance_wrong = _doubts(_searched(fleet))
+def _fleet(n: int, mean_px: float = 40.0) -> list[float]:
+    """Lengths that spread as those of cars do."""
+    return list(mean_px * np.exp(0.09 * np.linspace(-1.7, 1.7, n)))
+
+
+EQUAL = [40.0] * 30
+
+
+def test_a_fleet_is_not_doubted() -> None:
+    codes, chance_wrong = _doubts(_searched(_view(_fleet(30))))
     assert codes == []
     assert chance_wrong <= 0.1
-    assert _doubts(_searched(equal))[0] == ["look_alikes"]
-    assert _doubts(_searched(fleet, stretch=1.5))[0] == ["stretched"]
-    assert _doubts(equal)[0] == []  # found at one scale: they were not chosen by their length
+
+
+def test_equal_things_may_be_look_alikes() -> None:
+    assert _doubts(_searched(_view(EQUAL)))[0] == ["look_alikes"]
+
+
+def test_a_stretched_image_is_doubted() -> None:
+    assert _doubts(_searched(_view(_fleet(30)), stretch=1.5))[0] == ["stretched"]
+
+
+def test_equal_things_of_one_resolution_are_not_doubted() -> None:
+    """They were not chosen by their length."""
+    assert _doubts(_view(EQUAL))[0] == []
 
 
 def test_both_doubts_can_be_about_one_fleet() -> None:
-    assert _doubts(_searched(_view([40.0] * 30), stretch=1.5))[0] == ["stretched", "look_alikes"]
+    assert _doubts(_searched(_view(EQUAL), stretch=1.5))[0] == ["stretched", "look_alikes"]
 
 
-def test_of_two_groups_of_lengths_one_is_the_fleet() -> None:
-    lengths = [
-        *(40 * np.exp(0.09 * np.linspace(-1.7, 1.7, 12))),
-        *(100 * np.exp(0.09 * np.linspace(-1.7, 1.7, 6))),
-    ]
-    witness = Vehicles().measure(_searched(_view(lengths)))
-    assert witness.n == 12
-    # odds of one to four: half of the weight, squared
-    assert witness.chance_wrong == pytest.approx(1 / 5, abs=0.02)
+@pytest.fixture(scope="module")
+def two_groups() -> VehicleWitness:
+    """Twelve vehicles of one length, and six that are two and a half times as long."""
+    return Vehicles().measure(_searched(_view([*_fleet(12), *_fleet(6, mean_px=100.0)])))
+
+
+def test_the_larger_of_two_groups_of_lengths_is_the_fleet(two_groups: VehicleWitness) -> None:
+    assert two_groups.n == 12
+
+
+def test_a_rival_group_raises_the_chance_of_error(two_groups: VehicleWitness) -> None:
+    # Half of the weight, squared: odds of one to four.
+    assert two_groups.chance_wrong == pytest.approx(1 / 5, abs=0.02)
 
 
 @pytest.mark.parametrize("lengths", [_LENGTHS, [40.0]])
-def test_a_lack_filled_is_never_worse_than_the_vehicles_as_they_are(lengths: list[float]) -> None:
-    witness: VehicleWitness = Vehicles().measure(_view(lengths))
+def test_a_remedy_never_raises_the_chance_of_error(lengths: list[float]) -> None:
+    witness = Vehicles().measure(_view(lengths))
+    assert all(lack.without.chance_wrong <= witness.chance_wrong for lack in witness.lacks)
+
+
+@pytest.mark.parametrize("lengths", [_LENGTHS, [40.0]])
+def test_vehicles_have_five_weaknesses(lengths: list[float]) -> None:
+    witness = Vehicles().measure(_view(lengths))
     assert [lack.reason for lack in witness.lacks] == [
         "too_coarse",
         "not_cars",
@@ -87,7 +114,6 @@ def test_a_lack_filled_is_never_worse_than_the_vehicles_as_they_are(lengths: lis
         "too_few",
         "imprecise",
     ]
-    assert all(lack.without.chance_wrong <= witness.chance_wrong for lack in witness.lacks)
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +137,12 @@ def test_a_region_without_lengths_of_boxes_has_those_of_bodies(card: DetectorCar
     assert chosen.length_m == card.bodies.region_lengths_m["europe"]
 
 
-def test_every_country_has_one_of_the_regions_and_a_code_of_two_letters() -> None:
+def test_every_country_has_one_of_the_regions() -> None:
     assert set(COUNTRY_REGIONS.values()) == set(REGIONS)
     assert set(COUNTRY_LENGTHS_M) < set(COUNTRY_REGIONS)
+
+
+def test_the_code_of_a_country_has_two_letters() -> None:
     assert all(re.fullmatch("[A-Z]{2}", code) for code in COUNTRY_REGIONS)
 
 
@@ -128,54 +157,55 @@ def test_a_published_length_is_converted_to_the_boxes_of_a_detector() -> None:
     assert country_length("DE", {}) is None
 
 
+def test_a_region_is_found_in_any_case(card: DetectorCard) -> None:
+    reference = reference_length(card, Reference(region="Europe"), None)
+    assert reference.length_m == card.region_lengths_m["europe"]
+
+
 @pytest.mark.parametrize(
     ("region", "expected"),
     [
-        ("Europe", None),
         ("eurpe", "nearest: europe"),
         ("south asai", "nearest: south_asia"),
         ("TV", "leave region out"),
     ],
 )
-def test_an_unknown_place_names_the_nearest(
-    card: DetectorCard, region: str, expected: str | None
-) -> None:
-    if expected is None:
-        assert (
-            reference_length(card, Reference(region=region), None).length_m
-            == card.region_lengths_m["europe"]
-        )
-        return
+def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, expected: str) -> None:
     with pytest.raises(InvalidParameterError, match=expected):
         reference_length(card, Reference(region=region), None)
 
 
-def test_a_named_region_narrows_a_fleet_that_is_read_by_its_looks(card: DetectorCard) -> None:
-    seen = Appearance(np.full(30, math.log(4.4)), np.full(30, 0.07), np.full(30, 4.0))
-    read, named = (
-        reference_length(card, Reference(region=region), seen) for region in (None, "NP")
-    )
-    assert (read.source, read.log_sd, named.source) == ("appearance", APPEARANCE_LOG_SD, "region")
-    assert read.length_m == pytest.approx(4.4)
+CARS_OF_4_4_M = Appearance(np.full(30, math.log(4.4)), np.full(30, 0.07), np.full(30, 4.0))
+
+
+def test_without_a_region_the_appearance_gives_the_length(card: DetectorCard) -> None:
+    reference = reference_length(card, Reference(), CARS_OF_4_4_M)
+    assert (reference.source, reference.log_sd) == ("appearance", APPEARANCE_LOG_SD)
+    assert reference.length_m == pytest.approx(4.4)
+
+
+def test_a_region_moves_the_length_by_appearance(card: DetectorCard) -> None:
+    reference = reference_length(card, Reference(region="NP"), CARS_OF_4_4_M)
+    assert reference.source == "region"
     assert card.bodies is not None
-    assert card.bodies.region_lengths_m["south_asia"] < named.length_m < 4.4
-    assert named.log_sd < 0.9 * read.log_sd
+    assert card.bodies.region_lengths_m["south_asia"] < reference.length_m < 4.4
 
 
-def test_of_two_cars_the_surer_one_tells_more(card: DetectorCard) -> None:
-    seen = Appearance(np.log([4.3, 4.7]), np.full(2, 0.07), np.full(2, 4.0))
-    view = replace(_view([45.0, 45.0]), card=card)
-    answers = [
-        answer(
-            [
-                Vehicles().measure(
-                    replace(
-                        view, detections=replace(view.detections, scores=scores, appearance=seen)
-                    )
-                )
-            ]
-        )
-        for scores in (np.array([0.99, 0.9]), np.array([0.9, 0.99]))
-    ]
-    shorter, longer = (each.gsd_m_per_px for each in answers if each)
+def test_a_region_narrows_the_length_by_appearance(card: DetectorCard) -> None:
+    without = reference_length(card, Reference(), CARS_OF_4_4_M)
+    with_region = reference_length(card, Reference(region="NP"), CARS_OF_4_4_M)
+    assert with_region.log_sd < 0.9 * without.log_sd
+
+
+def test_of_two_cars_the_more_certain_one_counts_more(card: DetectorCard) -> None:
+    def gsd(*scores: float) -> float:
+        appearance = Appearance(np.log([4.3, 4.7]), np.full(2, 0.07), np.full(2, 4.0))
+        view = _view([45.0, 45.0])
+        detections = replace(view.detections, scores=np.array(scores), appearance=appearance)
+        decided = answer([Vehicles().measure(replace(view, card=card, detections=detections))])
+        assert decided is not None
+        return decided.gsd_m_per_px
+
+    shorter = gsd(0.99, 0.9)
+    longer = gsd(0.9, 0.99)
     assert 1.02 * shorter < longer < 1.08 * shorter

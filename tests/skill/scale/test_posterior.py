@@ -18,7 +18,7 @@ from vehanchor.scale.density import (
     on_grid,
     vehicle_likelihood,
 )
-from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judged
+from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judge
 from vehanchor.scale.reliability import APPEARANCE_LOG_MEAN, APPEARANCE_LOG_SD, CALLER, Shared
 
 VOTES = Votes(-13.76, 17.4)
@@ -33,7 +33,10 @@ def _point(
 
 
 def _cars(n: int, gsd: float = 0.12, *, spread: float = 0.1, score: float = 0.95) -> Witness:
-    lengths = 4.5 / gsd * np.exp(spread * np.linspace(-1, 1, n) if n > 1 else np.zeros(1))
+    log_offsets = np.zeros(1)
+    if n > 1:
+        log_offsets = spread * np.linspace(-1, 1, n)
+    lengths = 4.5 / gsd * np.exp(log_offsets)
     votes = vehicle_likelihood(lengths, np.full(n, score), lengths_m=4.5, votes=VOTES)
     return Witness(
         "vehicles",
@@ -47,12 +50,13 @@ def _prior(gsd: float, log_sd: float = 0.22) -> Witness:
     return Witness("scene", gsd, right=lognormal(gsd, log_sd), chance_wrong=0.1, sets_scale=False)
 
 
-def _said(found: Answer | None) -> tuple[float, float, float, float]:
-    assert found is not None
-    return found.gsd_m_per_px, *found.interval, found.chance
+def _numbers(decided: Answer | None) -> tuple[float, float, float, float]:
+    """Value, ends of the interval, and chance."""
+    assert decided is not None
+    return decided.gsd_m_per_px, *decided.interval, decided.chance
 
 
-# chance; where two modes have equal weight, the median lies in the flat part between them, or jumps
+# Chance below which two modes may have equal weight: the median then lies between them, or jumps.
 _DECIDED = 0.55
 _scales = st.floats(0.02, 0.8)
 _points = st.builds(_point, _scales, st.floats(0.005, 0.3), st.floats(0.005, 0.3))
@@ -68,26 +72,26 @@ _witnesses = st.builds(
 
 @given(_witnesses, st.floats(0.0, 1.0))
 def test_a_flat_witness_changes_nothing(witnesses: list[Witness], chance_wrong: float) -> None:
-    mute = Witness("mute", 0.1, right=flat(), chance_wrong=chance_wrong)
-    before = _said(judged(witnesses))
+    uninformed = Witness("uninformed", 0.1, right=flat(), chance_wrong=chance_wrong)
+    before = _numbers(judge(witnesses))
     assume(before[3] > _DECIDED)
-    assert _said(judged([*witnesses, mute])) == pytest.approx(before, rel=1e-6)
+    assert _numbers(judge([*witnesses, uninformed])) == pytest.approx(before, rel=1e-6)
 
 
 @given(_witnesses, st.randoms(use_true_random=False))
 def test_the_order_does_not_matter(witnesses: list[Witness], random: object) -> None:
     mixed = list(witnesses)
     random.shuffle(mixed)  # type: ignore[attr-defined]
-    assert _said(judged(mixed)) == pytest.approx(_said(judged(witnesses)), rel=1e-6)
+    assert _numbers(judge(mixed)) == pytest.approx(_numbers(judge(witnesses)), rel=1e-6)
 
 
 @given(_witnesses, st.floats(0.005, 0.15), st.floats(0.0, 0.3))
 def test_a_setting_witness_at_the_value_never_lowers_the_chance(
     witnesses: list[Witness], log_sd: float, chance_wrong: float
 ) -> None:
-    before = judged(witnesses)
+    before = judge(witnesses)
     assert before is not None
-    after = judged(
+    after = judge(
         [
             *witnesses,
             _point(before.gsd_m_per_px, log_sd, chance_wrong=chance_wrong, kind="supporter"),
@@ -106,24 +110,26 @@ def test_a_setting_witness_at_the_value_never_lowers_the_chance(
 def test_a_witness_that_contradicts_all_others_never_makes_sure(
     witnesses: list[Witness], factor: float, log_sd: float, chance_wrong: float
 ) -> None:
-    before = judged(witnesses)
+    before = judge(witnesses)
     assert before is not None
-    lie = before.gsd_m_per_px * factor
-    assume(on_grid(lie))
-    liar = _point(lie, log_sd, chance_wrong=chance_wrong, kind="liar")
-    assume(all(_contradicts(liar, each) for each in witnesses))
-    alone = judged([liar, *(each for each in witnesses if not each.sets_scale)])
-    after = judged([*witnesses, liar])
+    other_gsd = before.gsd_m_per_px * factor
+    assume(on_grid(other_gsd))
+    contradictory = _point(other_gsd, log_sd, chance_wrong=chance_wrong, kind="contradictory")
+    assume(all(_contradicts(contradictory, witness) for witness in witnesses))
+    priors = [witness for witness in witnesses if not witness.sets_scale]
+    alone = judge([contradictory, *priors])
+    after = judge([*witnesses, contradictory])
     assert alone is not None
     assert after is not None
     assert after.chance <= max(before.chance, alone.chance, _DECIDED) + 0.03
 
 
 def _contradicts(one: Witness, other: Witness) -> bool:
-    """Whether the other witness is ten times likelier to be wrong than to be right where this one is."""
+    """Whether, where this witness is, the other is ten times likelier to be wrong than right."""
     assert one.right is not None
     assert other.right is not None
-    right, wrong = (float((one.right * each).sum()) for each in (other.right, flat()))
+    right = float((one.right * other.right).sum())
+    wrong = float((one.right * flat()).sum())
     return right * (1 - other.chance_wrong) < 0.1 * wrong * other.chance_wrong
 
 
@@ -131,9 +137,8 @@ def _contradicts(one: Witness, other: Witness) -> bool:
 def test_the_value_is_continuous(
     witnesses: list[Witness], gsd: float, log_sd: float, chance_wrong: float
 ) -> None:
-    near, here = (
-        judged([*witnesses, _point(gsd * k, log_sd, chance_wrong)]) for k in (1.0001, 1.0)
-    )
+    near = judge([*witnesses, _point(gsd * 1.0001, log_sd, chance_wrong)])
+    here = judge([*witnesses, _point(gsd, log_sd, chance_wrong)])
     assert near is not None
     assert here is not None
     assume(max(near.chance, here.chance) > _DECIDED)
@@ -142,7 +147,7 @@ def test_the_value_is_continuous(
     assert near.gsd_m_per_px == pytest.approx(here.gsd_m_per_px, rel=0.01)
 
 
-def test_witnesses_of_one_lens_and_one_height_do_not_confirm_each_other() -> None:
+def test_witnesses_of_one_lens_do_not_confirm_each_other() -> None:
     camera = replace(_point(0.0417, 0.005, kind="camera"), shared=(LENS, HEIGHT))
     given_height = replace(_point(0.0417, 0.05, kind="height"), shared=(LENS,))
     cars = _cars(40)
@@ -158,7 +163,7 @@ def test_witnesses_of_one_lens_and_one_height_do_not_confirm_each_other() -> Non
 def test_an_error_in_common_widens_the_product_of_its_members() -> None:
     one = replace(_point(0.1, 0.02), shared=(HEIGHT,))
     two = replace(_point(0.1, 0.02, kind="other"), shared=(HEIGHT,))
-    low, high = _said(answer([one, two]))[1:3]
+    _, low, high, _ = _numbers(answer([one, two]))
     # not 0.12 over the root of two
     assert np.log(high / low) / 3.92 == pytest.approx(0.12, rel=0.1)
 
