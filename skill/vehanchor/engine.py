@@ -371,7 +371,7 @@ class Engine:
         scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
         options: ScaleOptions,
     ) -> ScaleInput:
-        """Return the caller's scale, or the analysis that estimates one if the caller gives none."""
+        """Return the caller's scale, or the analysis that estimates one if there is none."""
         caller_scale = given_scale(gsd_m_per_px, scale, options)
         if caller_scale is not None:
             return caller_scale

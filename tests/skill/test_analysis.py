@@ -295,7 +295,7 @@ def test_a_scene_or_a_ruler_that_contradicts_the_cars_is_named(estimate: GsdEsti
     details = estimate.details.model_copy(update={"scene_scale": scene})
     by_scene = advice_for(estimate.model_copy(update={"reason": "disagree", "details": details}))
     assert by_scene is not None
-    assert by_scene.why.startswith("by the scene the scale is about 0.39 m/px")
+    assert by_scene.why.startswith("the scene suggests a scale of about 0.39 m/px")
     (cars,) = estimate.rulers
     line = cars.model_copy(update={"label": "known length"})
     by_line = advice_for(estimate.model_copy(update={"reason": "disagree", "rulers": (cars, line)}))

@@ -133,11 +133,10 @@ def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path: Path) -> No
 def test_a_run_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
     add = (
-        "import sys; from pathlib import Path; from vehanchor.storage.journal import Journal\n"
-        "journal = Journal(Path(sys.argv[1]), {'model': 'm'}, dump=dict, load=dict, sole=True)\n"
-        "for number in range(len(journal), 10**6):\n"
-        "    journal.add(('f', number), {'n': number, 'long': 'x' * 5000}); print(number, "
-        "flush=True)\n"
+        "import sys; from pathlib import Path; from vehanchor.storage.journal import "
+        "Journal\njournal = Journal(Path(sys.argv[1]), {'model': 'm'}, dump=dict, load=dict, "
+        "sole=True)\nfor number in range(len(journal), 10**6):\n    journal.add(('f', number), "
+        "{'n': number, 'long': 'x' * 5000}); print(number, flush=True)\n"
     )
     for seconds in (0.0, 0.01, 0.1):
         process = subprocess.Popen(

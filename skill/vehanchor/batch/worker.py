@@ -88,9 +88,8 @@ class Worker:
         if here != job.networks_sha256:
             raise ModelContractError(
                 f"{job.detector} and its auxiliary models on this machine (sha256 {here[:12]}) "
-                "differ from those where "
-                f"the run was started ({job.networks_sha256[:12]}): install one version of "
-                "vehanchor everywhere"
+                f"differ from those where the run was started ({job.networks_sha256[:12]}): "
+                "install one version of vehanchor everywhere"
             )
 
     @classmethod

@@ -84,8 +84,8 @@ app = typer.Typer(
     name="vehanchor",
     cls=_Commands,
     help="Metric scale for aerial images without metadata: cars as the ruler. Exit status: 0 "
-    "(done), 2 (bad "
-    "input), 3 (with --strict: an unusable result), 1 (a defect), 130 (interrupted).",
+    "(done), 2 (bad input), 3 (with --strict: an unusable result), 1 (a defect), 130 "
+    "(interrupted).",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

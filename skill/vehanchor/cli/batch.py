@@ -31,9 +31,8 @@ TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.csv",
-        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; "
-        "files relative to the "
-        "table). The output may also be .geojson.",
+        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files "
+        "relative to the table). The output may also be .geojson.",
     ),
 ]
 

@@ -46,8 +46,7 @@ OverlayFile: TypeAlias = Annotated[
     typer.Option(
         metavar="OUT.png",
         help="Write the image with vehicles and scale bar. '{stem}' in the name stands for the "
-        "image's name without "
-        "suffix; it is required for several images.",
+        "image's name without suffix; it is required for several images.",
     ),
 ]
 PlotFile: TypeAlias = Annotated[
@@ -70,9 +69,8 @@ ScaleBarFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.png",
-        help="Write the photograph with a scale bar alone; without a single usable scale "
-        "nothing, and exit status "
-        f"{NOT_OK}.",
+        help="Write the photograph with a scale bar alone; without a single usable scale nothing, "
+        f"and exit status {NOT_OK}.",
     ),
 ]
 GeotiffFile: TypeAlias = Annotated[
@@ -179,8 +177,7 @@ def _names(images: Sequence[str], option: str, pattern: str) -> list[Path]:
     if len(images) > 1 and _STEM not in pattern:
         raise InvalidParameterError(
             f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the "
-            "name, as in "
-            f"{option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
+            f"name, as in {option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
         )
     return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
 

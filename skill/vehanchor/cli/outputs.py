@@ -108,8 +108,8 @@ def refusal(record: GsdEstimate) -> str | None:
         return "the scale is not usable"
     if record.scale.plane is not None:
         return (
-            f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the "
-            "scale varies"
+            f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the scale "
+            "varies"
         )
     return None
 

@@ -40,8 +40,7 @@ ScaleFile: TypeAlias = Annotated[
         "--scale",
         metavar="FILE",
         help="Output of 'vehanchor estimate --json' for this image, or of 'vehanchor flight "
-        "--out': use its scale, "
-        "without a search for cars.",
+        "--out': use its scale, without a search for cars.",
     ),
 ]
 
@@ -68,8 +67,8 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
     # InvalidParameterError is a ValueError
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InvalidParameterError(
-            f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor "
-            "estimate IMAGE --json'"
+            f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate "
+            "IMAGE --json'"
         ) from None
 
 

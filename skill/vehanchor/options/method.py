@@ -97,8 +97,8 @@ class Search:
     max_seconds: Annotated[
         _Seconds | None,
         Option(
-            "Maximum search time in seconds; the result then depends on the machine. Default: "
-            "no limit.",
+            "Maximum search time in seconds; the result then depends on the machine. Default: no "
+            "limit.",
             metavar="S",
             tools="estimate",
             listed=False,
@@ -131,8 +131,8 @@ class Lengths:
     aggregation: Annotated[
         Aggregation | None,
         Option(
-            "Statistic of the lengths; below 5 vehicles a KDE is replaced by the median. "
-            "Default: the model's, or kde."
+            "Statistic of the lengths; below 5 vehicles a KDE is replaced by the median. Default: "
+            "the model's, or kde."
         ),
     ] = None
     alpha: Annotated[

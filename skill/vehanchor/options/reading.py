@@ -111,9 +111,9 @@ class Frame:
         tolerance = 1.0 + height_px / width_px
         if abs(height - expected_height) > tolerance:
             raise FrameError(
-                f"the frame is {width} x {height} px, the image {width_px} x {height_px} px: "
-                f"a copy of that width would be {round(expected_height)} px high. Give the size "
-                "of an uncropped copy"
+                f"the frame is {width} x {height} px, the image {width_px} x {height_px} px: a "
+                f"copy of that width would be {round(expected_height)} px high. Give the size of "
+                "an uncropped copy"
             )
 
 
@@ -212,8 +212,8 @@ class CoordinateFrame:
             return ""
         width, height = copy
         suggestion = (
-            f"; in a copy of {width} x {height} px it would be valid: for a copy, give its size "
-            "as the frame"
+            f"; in a copy of {width} x {height} px it would be valid: for a copy, give its size as "
+            "the frame"
         )
         if max(x_max, y_max) <= _MAX_PER_MILLE:
             suggestion += ', or set coordinates to "per_mille" if they go to 1000'

@@ -19,8 +19,8 @@ GSD = Option(
     "Known metres per pixel of the full image; skips the search.", metavar="M/PX", flag="gsd"
 )
 OBJECT_HEIGHT = Option(
-    "Height of the object above ground, metres, such as a roof; needs the camera height or "
-    "focal length.",
+    "Height of the object above ground, metres, such as a roof; needs the camera height or focal "
+    "length.",
     metavar="M",
     flag="object-height",
 )
@@ -269,8 +269,8 @@ def _split_line(value: Any) -> Any:
         basis = parts.pop()
     if len(parts) != 5:
         raise KnownLengthError(
-            f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, "
-            "or X1 Y1 X2 Y2 and a name of 'vehanchor models --sizes'"
+            f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or "
+            "X1 Y1 X2 Y2 and a name of 'vehanchor models --sizes'"
         )
     *ends, length = parts
     metres, _, tolerance = length.partition("+-")
@@ -335,8 +335,8 @@ class Rulers:
             examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]
         ),
         Option(
-            "Lines with metres or a name such as iso_container_20ft; "
-            "basis measured: tape, plan or survey.",
+            "Lines with metres or a name such as iso_container_20ft; basis measured: tape, plan or "
+            "survey.",
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
             repeated=True,
@@ -429,8 +429,8 @@ class Rulers:
                 )
         elif scale.tolerance >= scale.gsd_m_per_px:
             raise InvalidParameterError(
-                f"gsd_tolerance is {scale.tolerance:g}, as large as the scale: give half of its "
-                "95 % interval"
+                f"gsd_tolerance is {scale.tolerance:g}, as large as the scale: give half of its 95 "
+                "% interval"
             )
 
     @property

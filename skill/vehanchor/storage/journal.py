@@ -32,8 +32,8 @@ _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticErr
 # marks our files; another for another table. Other programs' databases are left alone
 _APPLICATION_ID = 0x56416A6C
 _TABLE = (
-    "CREATE TABLE IF NOT EXISTS results "
-    "(settings TEXT, key TEXT, value TEXT NOT NULL, PRIMARY KEY (settings, key)) WITHOUT ROWID"
+    "CREATE TABLE IF NOT EXISTS results (settings TEXT, key TEXT, value TEXT NOT NULL, PRIMARY KEY "
+    "(settings, key)) WITHOUT ROWID"
 )
 _WAIT_S = 30.0  # for another process that writes to a shared file
 _FACTS = ""  # the key of the settings
@@ -162,16 +162,15 @@ class Journal(Generic[Value]):
         if anew:
             file.execute("DELETE FROM results")
         others = file.execute(
-            "SELECT value FROM results WHERE key = ? AND settings IN "
-            "(SELECT settings FROM results WHERE key <> ? AND settings <> ?)",
+            "SELECT value FROM results WHERE key = ? AND settings IN (SELECT settings FROM results "
+            "WHERE key <> ? AND settings <> ?)",
             (_FACTS, _FACTS, self._settings),
         ).fetchone()
         if sole and others is not None:
             other = _difference(json.loads(others[0]), self._facts)
             raise InvalidParameterError(
                 f"{str(self.path)!r} has results of an unfinished run with {other}: finish that "
-                "run with its options, "
-                f"or {self._remedy}"
+                f"run with its options, or {self._remedy}"
             )
         row = (self._settings, _FACTS, json.dumps(self._facts))
         file.execute("INSERT OR IGNORE INTO results VALUES (?, ?, ?)", row)

@@ -401,8 +401,8 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
     for n in range(60):
         (tmp_path / f"{n:02}.png").symlink_to(folder / "cars.png")
     slow = (
-        "import time; from vehanchor.batch import worker; row = worker.Worker.row\n"
-        "worker.Worker.row = lambda *a: (time.sleep(0.2), row(*a))[1]\n"
+        "import time; from vehanchor.batch import worker; row = "
+        "worker.Worker.row\nworker.Worker.row = lambda *a: (time.sleep(0.2), row(*a))[1]\n"
     )
     arguments = [".", "--output", "t.csv", "--detector", str(detector), "--workers", str(workers)]
     script = tmp_path / "run.py"  # a file, as spawned processes read it again
@@ -522,13 +522,11 @@ def test_the_command_tells_what_it_did(
     *lines, last = result.stderr.splitlines()
     assert lines == [
         *(f"{n} of 5 images" for n in range(6)),
-        "2 x disagree, as in cars.png: by the scene the scale is about 1.1 m/px; check what was "
-        "taken for cars, or "
-        "draw a line over something of known size",
+        "2 x disagree, as in cars.png: the scene suggests a scale of about 1.1 m/px; check what was "
+        "taken for cars, or draw a line over something of known size",
         f"1 x image_undecodable, as in broken.jpg: {_rows(table)[0]['error']}",
-        "1 x too_few, as in empty.png: no car was found; draw a line over something of known "
-        "size, or take a picture "
-        "with cars",
+        "1 x too_few, as in empty.png: no car was found; draw a line over something of known size, "
+        "or take a picture with cars",
         f"1 x image_not_found, as in no such.png: {_rows(table)[-1]['error']}",
     ]
     assert last.startswith(f"{table}: 5 rows (2 low_confidence, 1 no_scale, 2 error); 5 images in ")

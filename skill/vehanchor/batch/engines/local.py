@@ -61,8 +61,7 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[B
     except BrokenProcessPool:
         raise WorkerDiedError(
             f"a worker process died, usually for lack of memory: each of {workers} held a model "
-            "and an image. Finished "
-            "rows are kept; run the same command again with fewer --workers"
+            "and an image. Finished rows are kept; run the same command again with fewer --workers"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)

@@ -98,8 +98,8 @@ def ray_rows(
                 str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
             )
             raise WorkerDiedError(
-                f"Ray ended the run ({reason}). Finished rows are kept; run the same command "
-                "again to resume"
+                f"Ray ended the run ({reason}). Finished rows are kept; run the same command again "
+                "to resume"
             ) from None
 
 
