@@ -48,14 +48,14 @@ def batch(
         str,
         typer.Option(
             metavar="local|ray",
-            help="Processes of this machine, or Ray Data (extra 'ray'). Same rows.",
+            help="Processes of this machine, or Ray Data (extra 'ray'); the rows are the same.",
         ),
     ] = "local",
     address: Annotated[
         str | None,
         typer.Option(
             metavar="HOST:PORT",
-            help="Ray cluster: 'auto', host:6379, ray://host:10001. Default: a local one.",
+            help="Ray cluster: auto, host:6379 or ray://host:10001. Default: start a local one.",
         ),
     ] = None,
     workers: Annotated[
@@ -67,14 +67,16 @@ def batch(
     ] = False,
     details: Annotated[
         bool,
-        typer.Option("--details", help="Write all columns, also of the search and of each ruler."),
+        typer.Option(
+            "--details", help="Write all columns, including those of the search and of each ruler."
+        ),
     ] = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Estimate the scales of many images, and write a table with one row per image, errors included.
+    """Estimate the scales of many images, and write a table with a row per image, errors included.
 
     After an interruption, the same command resumes the run. With --measure, the table has one row
     per target.
@@ -97,6 +99,7 @@ def batch(
                 overwrite=overwrite,
             )
             return
+
         from vehanchor.batch import run_batch
 
         with resumable(output, "rows"):
@@ -114,23 +117,22 @@ def batch(
                 overwrite=overwrite,
                 runtime=chosen.runtime(progress),
             )
-    _summarise(summary, time.monotonic() - started)
+    _print_summary(summary, time.monotonic() - started)
+    if summary.statuses.get("error", 0) == summary.n_rows:
+        print("no image could be used: the columns error_code and error say why", file=sys.stderr)
+        raise typer.Exit(FAILED)
 
 
-def _summarise(summary: BatchSummary, seconds: float) -> None:
-    """Print what would help images without a usable scale, and the summary; fail if every image did."""
+def _print_summary(summary: BatchSummary, seconds: float) -> None:
+    """Print advice for images without a usable scale, and the numbers of the run."""
     for n_rows, first in summary.causes:
         advice = "; ".join(filter(None, first.advice or ()))
         print(
             f"{n_rows} x {first.reason}, as in {printable(first.file)}: {advice}", file=sys.stderr
         )
-    resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
-    print(
-        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} "
-        f"({counts_text(summary.statuses)}){resumed}; "
-        f"{count(summary.n_rows - summary.n_resumed, 'image')} in {seconds:.1f} s",
-        file=sys.stderr,
-    )
-    if summary.statuses.get("error", 0) == summary.n_rows:
-        print("no image could be used: the columns error_code and error say why", file=sys.stderr)
-        raise typer.Exit(FAILED)
+    table = printable(str(summary.table))
+    rows = f"{count(summary.n_rows, 'row')} ({counts_text(summary.statuses)})"
+    if summary.n_resumed:
+        rows += f", {summary.n_resumed} of them from an earlier run"
+    images = count(summary.n_rows - summary.n_resumed, "image")
+    print(f"{table}: {rows}; {images} in {seconds:.1f} s", file=sys.stderr)
