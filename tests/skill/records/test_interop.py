@@ -35,7 +35,6 @@ from vehanchor.records.flat import flat_columns, flat_row
 from vehanchor.records.text import significant, with_interval
 from vehanchor.segmentation.prompt import read_prompt
 
-
 # --- Tables
 
 
