@@ -57,6 +57,11 @@ class BatchRow(BaseModel):
         return cls(file=file, error_code=error.code, error=str(error))
 
     @property
+    def outcome(self) -> str:
+        """Status of the estimate, or ``error``."""
+        return "error" if self.estimate is None else self.estimate.status
+
+    @property
     def reason(self) -> str | None:
         """Why the scale is not usable, or the code of the error; None for a usable scale."""
         return self.error_code if self.estimate is None else self.estimate.reason
@@ -70,7 +75,10 @@ class BatchRow(BaseModel):
 
     def flat(self) -> dict[str, Any]:
         """Flatten the row to values by column; an image with an error has no estimate."""
-        values = dict.fromkeys(ALL_COLUMNS)
+        values: dict[str, Any] = dict.fromkeys(ALL_COLUMNS)
         if self.estimate is not None:
             values |= flat_row(self.estimate, without=_NOT_IN_TABLES)
-        return {**values, "file": self.file, "error_code": self.error_code, "error": self.error}
+        values["file"] = self.file
+        values["error_code"] = self.error_code
+        values["error"] = self.error
+        return values

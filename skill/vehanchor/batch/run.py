@@ -137,6 +137,7 @@ def run_batch(
     job = replace(job, known_lengths=lines_by_image)
 
     with open_journal(table, job, anew=overwrite) as journal:
+        # A key contains the state of its image, so the row of a replaced image is missing.
         keys = {task.file: task.key() for task in tasks}
         missing = [task for task in tasks if keys[task.file] not in journal]
         n_resumed = len(tasks) - len(missing)
@@ -146,8 +147,8 @@ def run_batch(
             for n_finished, row in enumerate(new_rows, start=n_resumed + 1):
                 journal.add(keys[row.file], row)
                 runtime.tell(n_finished, len(tasks))
-        ordered_keys = [keys[task.file] for task in tasks]
-        statuses, causes = _write_rows(table, journal, ordered_keys, details=details)
+        keys_in_order = [keys[task.file] for task in tasks]
+        statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
         journal.remove()
     return BatchSummary(table, len(tasks), n_resumed, statuses=statuses, causes=causes)
 
@@ -189,18 +190,19 @@ def _make_job(
     """Make the settings of the workers; load the model once to find its errors before the work."""
     # One thread per model: many single-threaded workers are faster than one with all threads.
     worker_runtime = replace(runtime.idle, threads=1)
-    class_names = tuple(classes) if classes else None
-    path = resolve_model(None if detector is None else str(detector))
-    loaded = Detector(path, classes=class_names, runtime=worker_runtime)
+    vehicle_classes = tuple(classes) if classes else None
+    name = None if detector is None else str(detector)
+    path = resolve_model(name)
+    loaded = Detector(path, classes=vehicle_classes, runtime=worker_runtime)
     model = checked_detector(loaded, options)
 
-    # Other machines of a cluster may have vehanchor elsewhere, so a bundled model goes by its name.
+    # Workers load the model again. On other machines of a cluster, bundled models may have other
+    # paths, so workers find them by name.
     is_bundled = model.path in bundled_models().values()
-    name = model.path.stem if is_bundled else str(model.path.resolve())
     return BatchJob(
-        detector=name,
+        detector=model.path.stem if is_bundled else str(model.path.resolve()),
         networks_sha256=networks_sha256(model.card),
-        classes=class_names,
+        classes=vehicle_classes,
         options=options,
         runtime=worker_runtime,
     )
@@ -281,13 +283,13 @@ def _write_rows(
     causes: dict[tuple[str | None, str], Cause] = {}
 
     def count(row: BatchRow) -> None:
-        statuses["error" if row.estimate is None else row.estimate.status] += 1
+        statuses[row.outcome] += 1
         advice = row.advice
         if advice is None:
             return
-        key = (row.reason, advice.helps)
-        n_before, first = causes.get(key, (0, row))
-        causes[key] = Cause(n_before + 1, first)
+        reason_and_remedy = (row.reason, advice.helps)
+        n_before, first = causes.get(reason_and_remedy, (0, row))
+        causes[reason_and_remedy] = Cause(n_before + 1, first)
 
     def counted_rows() -> Iterator[Mapping[str, Any]]:
         # Millions of rows may not fit in memory: read, count and write them one by one.
@@ -297,6 +299,7 @@ def _write_rows(
             count(row)
             yield row.flat()
 
-    write_table(table, counted_rows(), ALL_COLUMNS if details else COLUMNS)
+    columns = ALL_COLUMNS if details else COLUMNS
+    write_table(table, counted_rows(), columns)
     most_frequent_first = sorted(causes.values(), key=lambda cause: -cause.n_rows)
     return dict(statuses), tuple(most_frequent_first)

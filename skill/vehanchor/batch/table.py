@@ -79,8 +79,14 @@ def _write_parquet(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
-    types = {float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_(), str: arrow.string()}
-    schema = arrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    arrow_types = {
+        float: arrow.float64(),
+        int: arrow.int64(),
+        bool: arrow.bool_(),
+        str: arrow.string(),
+    }
+    fields = [(name, arrow_types[kind]) for name, kind in columns.items()]
+    schema = arrow.schema(fields)
     remaining = iter(rows)
     with parquet.ParquetWriter(path, schema) as writer:
         while chunk := list(islice(remaining, _CHUNK_ROWS)):

@@ -106,7 +106,11 @@ def _print_summary(output: Path, rows: Sequence[TargetRow]) -> None:
     """Print the first errors, and the numbers of targets by status."""
     errors = [(row.target, row.error) for row in rows if row.error is not None]
     for target, error in errors[:_SHOWN_ERRORS]:
-        report(error, f"{target.file} {target.name}".strip())
-    statuses = Counter("error" if row.record is None else row.record.status for row in rows)
+        name = f"{target.file} {target.name}".strip()
+        report(error, name)
+    statuses: Counter[str] = Counter()
+    for row in rows:
+        statuses["error" if row.record is None else row.record.status] += 1
+    file = printable(str(output))
     targets = count(len(rows), "target")
-    print(f"{printable(str(output))}: {targets} ({counts_text(statuses)})", file=sys.stderr)
+    print(f"{file}: {targets} ({counts_text(statuses)})", file=sys.stderr)

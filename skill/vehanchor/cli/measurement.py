@@ -53,7 +53,8 @@ def show_measurement(
     if as_json:
         print_json({"source": image, **record.model_dump(mode="json")})
     else:
-        print_facts(image, [*facts(record), *_scale_facts(record), ("status", record.status)])
+        all_facts = [*facts(record), *_scale_facts(record), ("status", record.status)]
+        print_facts(image, all_facts)
         print_warnings(record.warnings)
     write_outputs(analysis, outputs)
     exit_strictly(strict, [record.status])

@@ -78,8 +78,14 @@ class Limits(NamedTuple):
         noun = "a whole number" if self.whole else "a finite number"
         if self.least is not None and self.most is not None:
             return f"{noun} from {self.least:.10g} to {self.most:.10g}"
-        limits = ((" > ", self.above), (" >= ", self.least), (", at most ", self.most))
-        return noun + "".join(f"{sign}{limit:.10g}" for sign, limit in limits if limit is not None)
+        text = noun
+        if self.above is not None:
+            text += f" > {self.above:.10g}"
+        if self.least is not None:
+            text += f" >= {self.least:.10g}"
+        if self.most is not None:
+            text += f", at most {self.most:.10g}"
+        return text
 
     def check(self, name: str, value: Any) -> float:
         """Check a number or a text with a number, and convert it to a number of Python.

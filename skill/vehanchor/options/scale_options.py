@@ -26,8 +26,8 @@ _FREE = ("tile_px", "stride_px")
 def _method_defaults() -> dict[str, Any]:
     """Collect the defaults of all options of the method that a preset sets."""
     defaults: dict[str, Any] = {}
-    for group in (Search(), Lengths(), Reference(), Rulers(), ByHand()):
-        defaults |= vars(group)
+    for kind in (Search, Lengths, Reference, Rulers, ByHand):
+        defaults |= vars(kind())
     return {name: default for name, default in defaults.items() if name not in _FREE}
 
 

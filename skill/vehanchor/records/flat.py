@@ -55,10 +55,12 @@ def flat_row(record: BaseModel, *, without: Collection[str] = ()) -> dict[str, A
         without: fields to leave out.
     """
     # Fields that are null in this record keep their columns.
-    row: dict[str, Any] = dict.fromkeys(flat_columns(type(record), without=without))
-    for name in type(record).model_fields:
+    kind = type(record)
+    row: dict[str, Any] = dict.fromkeys(flat_columns(kind, without=without))
+    for name in kind.model_fields:
         if name not in without:
-            row |= _field_values(name, getattr(record, name))
+            value = getattr(record, name)
+            row |= _field_values(name, value)
     return row
 
 

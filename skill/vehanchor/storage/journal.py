@@ -224,8 +224,9 @@ class Journal(Generic[Value]):
         Raises:
             OutputError: the file cannot be written.
         """
+        key_text = json.dumps(key)
         value_text = json.dumps(self._dump(value), allow_nan=False)
-        row = (self._settings_sha256, json.dumps(key), value_text)
+        row = (self._settings_sha256, key_text, value_text)
         with self._lock, self._errors_converted():
             self._database.execute("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", row)
 

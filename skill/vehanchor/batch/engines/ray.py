@@ -47,13 +47,14 @@ class _Actor:
     def __init__(self) -> None:
         self._worker: Worker | None = None
 
-    def __call__(self, batch: dict[str, Any], job: BatchJob) -> dict[str, Any]:
+    def __call__(self, block: dict[str, Any], job: BatchJob) -> dict[str, Any]:
         # The constructor does not load the model, because Ray warns of its arguments.
         if self._worker is None:
             self._worker = Worker.for_this_process(job)
         rows = []
-        for file, path in zip(batch["file"], batch["path"], strict=True):
-            row = self._worker.row(Task(str(file), str(path)))
+        for file, path in zip(block["file"], block["path"], strict=True):
+            task = Task(str(file), str(path))
+            row = self._worker.row(task)
             rows.append(row.model_dump_json())
         return {"row": rows}
 
@@ -84,8 +85,9 @@ def ray_rows(
         ray.data.DataContext.get_current().enable_progress_bars = False
         n_workers = min(workers or _cluster_cpus(ray), len(tasks))
         n_blocks = max(n_workers, math.ceil(len(tasks) / _IMAGES_PER_BLOCK))
-        items = ray.data.from_items([asdict(task) for task in tasks], override_num_blocks=n_blocks)
-        rows = items.map_batches(
+        items = [asdict(task) for task in tasks]
+        blocks = ray.data.from_items(items, override_num_blocks=n_blocks)
+        rows = blocks.map_batches(
             _Actor,
             batch_size=None,  # Each call gets a whole block.
             batch_format="numpy",
