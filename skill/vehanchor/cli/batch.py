@@ -27,6 +27,37 @@ Inputs: TypeAlias = Annotated[
         show_default=False,
     ),
 ]
+Table: TypeAlias = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
+]
+EngineName: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        metavar="local|ray",
+        help="Processes of this machine, or Ray Data (extra 'ray'); the rows are the same.",
+    ),
+]
+ClusterAddress: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT",
+        help="Ray cluster: auto, host:6379 or ray://host:10001. Default: start a local one.",
+    ),
+]
+Workers: TypeAlias = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU."),
+]
+Overwrite: TypeAlias = Annotated[
+    bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
+]
+Details: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--details", help="Write all columns, including those of the search and of each ruler."
+    ),
+]
 TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
@@ -40,37 +71,12 @@ TargetsFile: TypeAlias = Annotated[
 @scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
-    ],
-    engine: Annotated[
-        str,
-        typer.Option(
-            metavar="local|ray",
-            help="Processes of this machine, or Ray Data (extra 'ray'); the rows are the same.",
-        ),
-    ] = "local",
-    address: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help="Ray cluster: auto, host:6379 or ray://host:10001. Default: start a local one.",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
-    ] = False,
-    details: Annotated[
-        bool,
-        typer.Option(
-            "--details", help="Write all columns, including those of the search and of each ruler."
-        ),
-    ] = False,
+    output: Table,
+    engine: EngineName = "local",
+    address: ClusterAddress = None,
+    workers: Workers = None,
+    overwrite: Overwrite = False,
+    details: Details = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
@@ -126,10 +132,10 @@ def batch(
 def _print_summary(summary: BatchSummary, seconds: float) -> None:
     """Print advice for images without a usable scale, and the numbers of the run."""
     for n_rows, first in summary.causes:
+        # An error has its remedy in the first part, and no second one.
         advice = "; ".join(filter(None, first.advice or ()))
-        print(
-            f"{n_rows} x {first.reason}, as in {printable(first.file)}: {advice}", file=sys.stderr
-        )
+        file = printable(first.file)
+        print(f"{n_rows} x {first.reason}, as in {file}: {advice}", file=sys.stderr)
     table = printable(str(summary.table))
     rows = f"{count(summary.n_rows, 'row')} ({counts_text(summary.statuses)})"
     if summary.n_resumed:
