@@ -26,14 +26,20 @@ if TYPE_CHECKING:
 __all__ = ["Flag", "Limits", "Number", "Option", "group", "in_order", "refusal", "set_frozen"]
 
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
-# Factors from the units that a text may name, by the unit of the option.
-_UNITS = {
-    "m": {"mm": 1e-3, "cm": 0.01, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
-    | dict.fromkeys(("metre", "metres", "meter", "meters"), 1.0)
-    | dict.fromkeys(("foot", "feet"), 0.3048)
-    | {"inches": 0.0254, "yards": 0.9144},
-    "mm": {"mm": 1.0},
+_INCH_M = 0.0254
+_FOOT_M = 0.3048
+_YARD_M = 0.9144
+_METRES = {
+    "mm": 1e-3,
+    "cm": 0.01,
+    "km": 1e3,
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("in", "inches"), _INCH_M),
+    **dict.fromkeys(("ft", "foot", "feet"), _FOOT_M),
+    **dict.fromkeys(("yd", "yards"), _YARD_M),
 }
+# Factors of the units that a text may name, by the unit of the option.
+_FACTORS = {"m": _METRES, "mm": {"mm": 1.0}}
 # What to give instead, by pydantic's type of the error.
 _EXPECTED = {
     "bool_type": "use True or False",
@@ -129,7 +135,7 @@ class Limits(NamedTuple):
         digits, unit = match.groups()
         factor: float | None = 1.0
         if unit:
-            factors = _UNITS.get(self.unit, {})
+            factors = _FACTORS.get(self.unit, {})
             factor = factors.get(unit.lower())
         if factor is None:
             return math.nan

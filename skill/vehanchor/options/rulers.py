@@ -28,7 +28,7 @@ OBJECT_HEIGHT = Option(
 ObjectHeight: TypeAlias = Annotated[Annotated[float, OBJECT_HEIGHT_M] | None, OBJECT_HEIGHT]
 """Argument of tools."""
 
-MOST_BY_HAND = 1000
+MAX_BY_HAND = 1000
 """Maximum number of vehicles in either list."""
 
 _MAX_DROP_CHARS = 4000  # 1000 numbers of three digits with commas
@@ -109,10 +109,8 @@ def vehicle_numbers(value: Any) -> Any:
         raise InvalidParameterError(
             f"drop is {value!r}: give a list of numbers of vehicles, such as 1-20,23"
         )
-    if len(numbers) > MOST_BY_HAND:
-        raise InvalidParameterError(
-            f"drop has {len(numbers)} vehicles: give at most {MOST_BY_HAND}"
-        )
+    if len(numbers) > MAX_BY_HAND:
+        raise InvalidParameterError(f"drop has {len(numbers)} vehicles: give at most {MAX_BY_HAND}")
     checked = [int(_VEHICLE_NUMBER.check("drop", number)) for number in numbers]
     # A number that is repeated counts once; the order stays.
     return tuple(dict.fromkeys(checked))
@@ -131,9 +129,9 @@ def _numbers_in_text(text: str) -> list[int]:
             )
         low = int(first)
         high = int(last)
-        if high < low or high - low >= MOST_BY_HAND:
+        if high < low or high - low >= MAX_BY_HAND:
             raise InvalidParameterError(
-                f"drop has the range {part}: use rising ranges of at most {MOST_BY_HAND}"
+                f"drop has the range {part}: use rising ranges of at most {MAX_BY_HAND}"
             )
         numbers += range(low, high + 1)
     return numbers
@@ -162,7 +160,7 @@ class ByHand:
     ] = ()
     add: Annotated[
         tuple[Annotated[AddedVehicle, in_order("x1", "y1", "x2", "y2")], ...],
-        Field(max_length=MOST_BY_HAND),
+        Field(max_length=MAX_BY_HAND),
         Option(
             "Missed cars: both ends of the long axis.",
             metavar="X1 Y1 X2 Y2",
@@ -185,7 +183,7 @@ class ByHand:
         Raises:
             InvalidParameterError: vehicles are dropped or added.
         """
-        if self.given:
+        if self.given is not None:
             raise InvalidParameterError(
                 f"{self.given} belongs to one image: estimate that image by itself"
             )

@@ -20,7 +20,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ByHand, Reference, ScaleOptions, Search
-from vehanchor.options.rulers import MOST_BY_HAND, AddedVehicle, vehicle_numbers
+from vehanchor.options.rulers import MAX_BY_HAND, AddedVehicle, vehicle_numbers
 from vehanchor.records import GsdEstimate
 
 _IMAGE = np.zeros((64, 64, 3), np.uint8)
@@ -214,7 +214,7 @@ def test_an_unknown_preset_is_refused() -> None:
         ({"add": [(1, 2, 3)]}, "add.0.y2 is .*missing"),
         ({"add": [(1, 2, 3, float("nan"))]}, "add.0.y2 is nan"),
         ({"add": 7}, "add is 7: give a list"),
-        ({"drop": range(1, MOST_BY_HAND + 2)}, "give at most 1000"),
+        ({"drop": range(1, MAX_BY_HAND + 2)}, "give at most 1000"),
     ],
 )
 def test_invalid_vehicles_are_refused_with_a_remedy(keywords: dict[str, Any], message: str) -> None:
