@@ -1,7 +1,7 @@
-"""Records of the bundled models on the scenes of ``examples/``, kept to see what a change of the code does to them.
+"""Stored records of the bundled models on the scenes of ``examples/``, to see changes of results.
 
-``python -m tests.records`` writes them anew: after new weights, or after a change that is meant to
-move them.
+``python -m tests.records`` writes them anew, after new weights or after a change that is meant to
+change them.
 """
 
 from __future__ import annotations
@@ -17,15 +17,18 @@ from vehanchor import estimate_gsd, measure_area
 _ROOT = Path(__file__).parent.parent
 KEPT = Path(__file__).with_suffix(".json")
 SCENES = sorted((_ROOT / "examples").glob("**/*.jpg"))
+QUICK_SCENE = "safe.jpg"
 CASES = [
-    pytest.param(each, marks=[] if each.name == "safe.jpg" else pytest.mark.slow, id=each.name)
-    for each in SCENES
+    pytest.param(scene, id=scene.name)
+    if scene.name == QUICK_SCENE
+    else pytest.param(scene, id=scene.name, marks=pytest.mark.slow)
+    for scene in SCENES
 ]
-"""The scenes as a test takes them: one of them quick."""
+"""The scenes as parameters of a test; all but one are slow."""
 
 
 def records_of(scene: Path) -> dict[str, Any]:
-    """The scene's records: its scale, its scale by the paper's rules alone, the area around its middle."""
+    """Compute the records of a scene: its scale, its scale by the paper's rules, and an area."""
     estimate = estimate_gsd(scene, threads=2)
     width = estimate.image_width_px
     height = estimate.image_height_px
@@ -37,20 +40,22 @@ def records_of(scene: Path) -> dict[str, Any]:
         ),
         "area": measure_area(scene, box=box, threads=2),
     }
-    return {name: _kept(record.model_dump(mode="json")) for name, record in records.items()}
+    return {name: _stable(record.model_dump(mode="json")) for name, record in records.items()}
 
 
-def _kept(value: Any) -> Any:
-    """All but checksums, and the outline, whose corners may change with one pixel."""
+def _stable(value: Any) -> Any:
+    """Leave out checksums, and the outline, whose corners may change with one pixel."""
     if isinstance(value, dict):
         return {
-            key: _kept(each)
-            for key, each in value.items()
+            key: _stable(item)
+            for key, item in value.items()
             if not key.endswith(("sha256", "_id")) and key != "outline"
         }
-    return [_kept(each) for each in value] if isinstance(value, list) else value
+    if isinstance(value, list):
+        return [_stable(item) for item in value]
+    return value
 
 
 if __name__ == "__main__":
-    kept = {scene.relative_to(_ROOT).as_posix(): records_of(scene) for scene in SCENES}
-    KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    stored = {scene.relative_to(_ROOT).as_posix(): records_of(scene) for scene in SCENES}
+    KEPT.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")

@@ -1,7 +1,7 @@
 """VehAnchor: metric scale for aerial images without metadata.
 
-Cars are everywhere and about 5 m long: found as oriented boxes, the mode of their pixel lengths
-gives metres per pixel, with a confidence that a planner can act on.
+Cars are everywhere and about 5 m long. VehAnchor finds them as oriented boxes; the mode of their
+pixel lengths gives metres per pixel, with a confidence on which a planner can act.
 
     >>> import vehanchor
     >>> estimate = vehanchor.estimate_gsd("photo.jpg")  # doctest: +SKIP
@@ -51,27 +51,32 @@ __all__ = [
     "measure_area",
     "measure_distance",
 ]
-_HOMES = {  # resolved on first use, so that importing vehanchor costs nothing until it is used
+# Modules are imported on first use, so that ``import vehanchor`` is fast.
+_NAMES_BY_MODULE = {
     "engine": ("Cancellation", "Engine", "Runtime"),
     "imagery.sources.files": ("find_images",),
     "options": ("ImageLimits", "ScaleOptions"),
     "records": ("AreaMeasurement", "DistanceMeasurement", "GsdEstimate"),
     "scale.calibration": ("load_calibration",),
 }
-_METHODS = {"estimate_gsd": "estimate"}  # the other functions have their method's name
+# The other functions of the package have the name of their method.
+_METHODS = {"estimate_gsd": "estimate"}
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        # alone costs more than all the rest
-        return importlib.import_module("importlib.metadata").version("vehanchor")
+        # importlib.metadata takes longer to import than everything else here.
+        metadata = importlib.import_module("importlib.metadata")
+        return metadata.version("vehanchor")
     if name not in __all__:
         raise AttributeError(f"module 'vehanchor' has no attribute {name!r}")
-    for home, names in _HOMES.items():
+    for module_name, names in _NAMES_BY_MODULE.items():
         if name in names:
-            return getattr(importlib.import_module(f"vehanchor.{home}"), name)
-    # a method of an engine with the bundled models
-    return getattr(__getattr__("Engine")(), _METHODS.get(name, name))
+            module = importlib.import_module(f"vehanchor.{module_name}")
+            return getattr(module, name)
+    # All other names are methods of an engine with the bundled models.
+    engine = __getattr__("Engine")()
+    return getattr(engine, _METHODS.get(name, name))
 
 
 def __dir__() -> list[str]:

@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Cancellation", "Detector", "Engine", "ImageSource", "Runtime", "Segmenter"]
 
-_OWN_KEYWORDS = frozenset({"detector", "segmenter", *(each.name for each in fields(Runtime))})
+_MODEL_KEYWORDS = frozenset({"detector", "segmenter"})
+_RUNTIME_KEYWORDS = frozenset(field.name for field in fields(Runtime))
 T = TypeVar("T")
 DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
 """A bundled model's name, the path of an ONNX oriented-box model, or a loaded detector."""
@@ -60,10 +61,10 @@ SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.
 class Engine:
     """Loaded models with default options and a runtime; safe for several threads.
 
-    Each model is loaded when it is first needed, and kept. All methods take the same keywords for
-    one call: the fields of the option groups in ``vehanchor.options``, those of ``Runtime``, and
-    ``detector`` and ``segmenter``. An unknown keyword is an ``InvalidParameterError`` that lists
-    the options. Records do not depend on the runtime.
+    The engine loads each model on its first use, and keeps it. All methods take the same keywords
+    for one call: the fields of the option groups in ``vehanchor.options``, the fields of
+    ``Runtime``, ``detector`` and ``segmenter``. An unknown keyword raises an
+    ``InvalidParameterError`` that lists the options. Records do not depend on the runtime.
 
     Args:
         detector: a bundled model's name, the path of an ONNX oriented-box model, or a loaded
@@ -72,11 +73,11 @@ class Engine:
             one.
         classes: the detector's classes, by name or index, that count as vehicles; None for the
             model's own.
-        options: defaults of the method; keywords of a call change single fields.
+        options: default options of the method; keywords of a call replace single fields.
         runtime: threads and providers of the models; None for the CPU and all cores.
 
     Attributes:
-        options: defaults of the method.
+        options: default options of the method.
         runtime: threads and providers of the models.
     """
 
@@ -91,9 +92,13 @@ class Engine:
     ) -> None:
         self.options = options or ScaleOptions()
         self.runtime = runtime or Runtime()
-        self._sources = detector, segmenter, classes
-        self._detector = _once(partial(open_detector, detector, classes, self.runtime.idle))
-        self._segmenter = _once(partial(open_segmenter, segmenter, self.runtime.idle))
+        self._detector_source = detector
+        self._segmenter_source = segmenter
+        self._classes = classes
+        # Progress and cancellation belong to a call, so the models are opened without them.
+        idle = self.runtime.idle
+        self._detector = _load_once(partial(open_detector, detector, classes, idle))
+        self._segmenter = _load_once(partial(open_segmenter, segmenter, idle))
 
     @property
     def detector(self) -> Detector:
@@ -132,28 +137,28 @@ class Engine:
         options: ScaleOptions | None = None,
         runtime: Runtime | None = None,
     ) -> Engine:
-        """Copy the engine with other settings; None keeps this engine's, and unchanged models are shared.
+        """Copy the engine with other settings; the copy shares the models that do not change.
 
         Args:
-            detector: another detector.
-            segmenter: another segmenter.
-            options: other defaults.
-            runtime: another runtime. If only progress and cancellation differ, the models are
-                shared.
+            detector: another detector; None keeps this engine's.
+            segmenter: another segmenter; None keeps this engine's.
+            options: other default options; None keeps this engine's.
+            runtime: another runtime; None keeps this engine's. If only progress and cancellation
+                differ, the models are shared.
         """
-        ours, our_segmenter, classes = self._sources
-        chosen = options or self.options
-        under = runtime or self.runtime
         other = Engine(
-            detector or ours,
-            segmenter or our_segmenter,
-            classes=classes,
-            options=chosen,
-            runtime=under,
+            detector or self._detector_source,
+            segmenter or self._segmenter_source,
+            classes=self._classes,
+            options=options or self.options,
+            runtime=runtime or self.runtime,
         )
-        if under == self.runtime:
-            other._detector = other._detector if detector else self._detector
-            other._segmenter = other._segmenter if segmenter else self._segmenter
+        # Runtimes compare equal if only progress and cancellation differ.
+        if other.runtime == self.runtime:
+            if not detector:
+                other._detector = self._detector
+            if not segmenter:
+                other._segmenter = self._segmenter
         return other
 
     @overload
@@ -172,12 +177,12 @@ class Engine:
     def estimate(
         self, image: Any, options: ScaleOptions | None = None, **keywords: Any
     ) -> GsdEstimate | list[GsdEstimate]:
-        """Estimate the ground sampling distance of an aerial image from the cars and the other rulers in it.
+        """Estimate the ground sampling distance of aerial images from cars and other rulers.
 
         Args:
             image: path, encoded bytes, binary file object, Pillow image, rasterio dataset, or array
-                (H x W x 3 RGB or H x W; uint8, uint16 or float). A list of them gives a list;
-                ``vehanchor.find_images`` makes one of folders and patterns.
+                (H x W x 3 RGB or H x W; uint8, uint16 or float). A list of them gives a list of
+                records; ``vehanchor.find_images`` lists the images of folders and patterns.
             options: options of the method in groups; None for the engine's.
             **keywords: single options, fields of the runtime, another detector; see ``Engine``.
 
@@ -194,23 +199,24 @@ class Engine:
             CalibrationError: the calibration cannot be read, or belongs to another detector.
             CancelledError: the call was cancelled (``concurrent.futures``).
         """
-        engine, chosen = self.for_call(options, keywords)
-        detector = checked_detector(engine.detector, chosen)
+        engine, call_options = self.for_call(options, keywords)
+        detector = checked_detector(engine.detector, call_options)
         if isinstance(image, list | tuple):
-            return estimate_each(image, detector, chosen)
-        return analyse_image(image, detector, chosen).estimate
+            return estimate_each(image, detector, call_options)
+        return analyse_image(image, detector, call_options).estimate
 
     def analyse_scale(
         self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any
     ) -> ScaleAnalysis:
         """Estimate the scale of one image; return the record with its detections and evidence."""
-        engine, chosen = self.for_call(options, keywords)
-        return analyse_image(image, checked_detector(engine.detector, chosen), chosen)
+        engine, call_options = self.for_call(options, keywords)
+        detector = checked_detector(engine.detector, call_options)
+        return analyse_image(image, detector, call_options)
 
     def measure_area(
         self, image: ImageSource, options: ScaleOptions | None = None, **keywords: Any
     ) -> AreaMeasurement:
-        """Measure an area as ``analyse_area``, with its keywords; return the record alone."""
+        """Measure an area like ``analyse_area``, but return the record alone."""
         return self.analyse_area(image, options, **keywords).measurement
 
     def analyse_area(
@@ -225,11 +231,12 @@ class Engine:
         object_height_m: float | None = None,
         **keywords: Any,
     ) -> AreaAnalysis:
-        """Measure the area of the object in a box or at a point, ``A = N_px * GSD^2`` (paper, section III-G).
+        """Measure the area of the object in a box or at points.
 
-        Boxes and points are in pixels of the image, or of the copy that a frame names; the first
-        pixel spans 0 to 1. The option ``coordinates`` chooses other units. Exactly one of ``box``
-        and ``points`` is needed.
+        The area is ``A = N_px * GSD^2`` (paper, section III-G). Boxes and points are in pixels of
+        the image, or of the resized copy that the option ``frame`` describes; the first pixel
+        spans 0 to 1. The option ``coordinates`` selects other units. Give either ``box`` or
+        ``points``.
 
         Args:
             image: as in ``estimate``.
@@ -241,8 +248,8 @@ class Engine:
             gsd_m_per_px: known scale, metres per pixel of the full image; the detector does not
                 run.
             scale: an earlier estimate of this image, or its ``scale``; the detector does not run,
-                and the estimate's interval and confidence hold.
-            object_height_m: height of the object above the ground, as of a roof; None for 0.
+                and the interval and the confidence of that estimate hold.
+            object_height_m: height of the object above the ground, such as a roof; None for 0.
             **keywords: see ``Engine``.
 
         Returns:
@@ -254,20 +261,20 @@ class Engine:
             ScaleMismatchError: the scale was estimated from another image.
             VehAnchorError: as ``estimate``.
         """
-        engine, chosen = self.for_call(options, keywords)
+        engine, call_options = self.for_call(options, keywords)
         prompt = read_prompt(box, points)
         segmenter = engine.segmenter
-        known = engine._scale_input(gsd_m_per_px, scale, chosen)
-        with open_raster(image, chosen.reading) as raster:
-            (found,) = analyse_objects(
+        scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
+        with open_raster(image, call_options.reading) as raster:
+            (analysis,) = analyse_objects(
                 raster,
                 [prompt],
                 segmenter=segmenter,
-                scale=known,
-                options=chosen,
+                scale=scale_input,
+                options=call_options,
                 object_height_m=object_height_m,
             )
-        return found.drawn_over(image, raster, chosen.reading)
+        return analysis.drawn_over(image, raster, call_options.reading)
 
     def measure_distance(
         self,
@@ -276,7 +283,7 @@ class Engine:
         options: ScaleOptions | None = None,
         **keywords: Any,
     ) -> DistanceMeasurement:
-        """Measure a distance as ``analyse_distance``, with its keywords; return the record alone."""
+        """Measure a distance like ``analyse_distance``, but return the record alone."""
         return self.analyse_distance(image, path, options, **keywords).measurement
 
     def analyse_distance(
@@ -306,40 +313,57 @@ class Engine:
             The record with the analysis of the scale; ``distance_m`` is None if there is no scale.
 
         Raises:
-            PromptError: fewer than two points, one outside the image, or all in one place.
+            PromptError: there are fewer than two points, one is outside the image, or all are the
+                same.
             ScaleMismatchError: the scale was estimated from another image.
             VehAnchorError: as ``estimate``.
         """
-        engine, chosen = self.for_call(options, keywords)
-        places = read_path(path)
-        known = engine._scale_input(gsd_m_per_px, scale, chosen)
-        with open_raster(image, chosen.reading) as raster:
-            (found,) = analyse_paths(
-                raster, [places], scale=known, options=chosen, object_height_m=object_height_m
+        engine, call_options = self.for_call(options, keywords)
+        points = read_path(path)
+        scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
+        with open_raster(image, call_options.reading) as raster:
+            (analysis,) = analyse_paths(
+                raster,
+                [points],
+                scale=scale_input,
+                options=call_options,
+                object_height_m=object_height_m,
             )
-        return found.drawn_over(image, raster, chosen.reading)
+        return analysis.drawn_over(image, raster, call_options.reading)
 
     def for_call(
         self, options: ScaleOptions | None, keywords: Mapping[str, object]
     ) -> tuple[Engine, ScaleOptions]:
         """Apply the keywords of a call to the engine and its options.
 
+        Args:
+            options: options of the call; None for the engine's.
+            keywords: single options, fields of the runtime, other models.
+
+        Returns:
+            The engine, with other models and another runtime if the call names them; the options.
+
         Raises:
             InvalidParameterError: a keyword is unknown or invalid.
         """
-        own: dict[str, Any] = {name: keywords[name] for name in keywords if name in _OWN_KEYWORDS}
-        models: dict[str, Any] = {
-            name: own.pop(name) for name in ("detector", "segmenter") if name in own
-        }
-        engine = (
-            self.replace(**models, runtime=self.runtime.with_keywords(own))
-            if own or models
-            else self
-        )
-        rest = {name: value for name, value in keywords.items() if name not in _OWN_KEYWORDS}
-        chosen = (options or self.options).with_keywords(rest)
-        check_rulers(chosen.rulers)
-        return engine, chosen
+        models: dict[str, Any] = {}
+        runtime_fields: dict[str, Any] = {}
+        option_values: dict[str, Any] = {}
+        for name, value in keywords.items():
+            if name in _MODEL_KEYWORDS:
+                models[name] = value
+            elif name in _RUNTIME_KEYWORDS:
+                runtime_fields[name] = value
+            else:
+                option_values[name] = value
+
+        engine = self
+        if models or runtime_fields:
+            runtime = self.runtime.with_keywords(runtime_fields)
+            engine = self.replace(**models, runtime=runtime)
+        call_options = (options or self.options).with_keywords(option_values)
+        check_rulers(call_options.rulers)
+        return engine, call_options
 
     def _scale_input(
         self,
@@ -347,23 +371,23 @@ class Engine:
         scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
         options: ScaleOptions,
     ) -> ScaleInput:
-        """Take the caller's known scale, else the analysis that finds it."""
-        given = given_scale(gsd_m_per_px, scale, options)
-        return (
-            partial(analyse_raster, checked_detector(self.detector, options))
-            if given is None
-            else given
-        )
+        """Return the caller's scale, or the analysis that estimates one if there is none."""
+        caller_scale = given_scale(gsd_m_per_px, scale, options)
+        if caller_scale is not None:
+            return caller_scale
+        detector = checked_detector(self.detector, options)
+        return partial(analyse_raster, detector)
 
 
-def _once(load: Callable[[], T]) -> Callable[[], T]:
-    """Give a function that loads a model on its first call, in one thread, and returns it on each."""
+def _load_once(load: Callable[[], T]) -> Callable[[], T]:
+    """Make a function that loads a model on its first call, and returns it on every call."""
+    # The lock keeps two threads from loading the same model twice.
     lock = threading.Lock()
-    loaded = cache(load)
+    cached_load = cache(load)
 
     def get() -> T:
         with lock:
-            return loaded()
+            return cached_load()
 
     return get
 
@@ -378,12 +402,11 @@ def open_detector(
     """
     if isinstance(source, Detector):
         return source
-    path = resolve_model(None if source is None else str(source))
-    return (
-        Detector(path, classes=classes, runtime=runtime)
-        if classes
-        else load_detector(path, runtime)
-    )
+    name = None if source is None else str(source)
+    path = resolve_model(name)
+    if classes:
+        return Detector(path, classes=classes, runtime=runtime)
+    return load_detector(path, runtime)
 
 
 def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
@@ -401,5 +424,7 @@ def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmente
             raise InvalidParameterError(
                 f"segmenter is {source!r}: give two paths, of its encoder and its decoder"
             )
-        files = Path(source[0]), Path(source[1])
-    return load_segmenter(*resolve_segmenter(files), runtime)
+        encoder, decoder = source
+        files = (Path(encoder), Path(decoder))
+    encoder_path, decoder_path = resolve_segmenter(files)
+    return load_segmenter(encoder_path, decoder_path, runtime)

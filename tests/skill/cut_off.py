@@ -1,6 +1,7 @@
-"""Every kind of file cut off at many bytes, in a process of its own: ``python -m tests.skill.cut_off FOLDER``.
+"""Cut off every kind of file at many bytes: ``python -m tests.skill.cut_off FOLDER``.
 
-Prints a line of JSON: how many ends there were of each sort, and what was found wrong.
+The disk is full there, or the process is killed. The program prints one line of JSON: the number of
+ends of each kind, and what was wrong. It runs in a process of its own, because it forks.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from vehanchor.storage.atomic import write_record
 from vehanchor.storage.journal import Journal
 from vehanchor_evaluation.report import write_results
 
-_LATE_IMPORTS = (cv2, pyarrow.parquet)  # here, not in each of hundreds of children
+# Imported here once, instead of in each of hundreds of children.
+_LATE_IMPORTS = (cv2, pyarrow.parquet)
 
 CALIBRATION = Calibration(
     reference_length_m=4.6,
@@ -41,7 +43,7 @@ CALIBRATION = Calibration(
     detector=None,
     detector_sha256=None,
 )
-"""Any."""
+"""Any calibration."""
 
 _ROWS = [
     BatchRow(file=f"{n}.png", error_code="image_not_found", error="there is no such file")
@@ -63,8 +65,8 @@ _WRITERS: dict[str, Callable[[Path], object]] = {
 _RESULTS = 3
 
 
-def _whole_or_old(name: str, folder: Path, ends: Counter[str]) -> Iterable[str]:
-    """Cut a file off that replaces another."""
+def _file_faults(name: str, folder: Path, ends: Counter[str]) -> Iterable[str]:
+    """Cut off a file that replaces another; yield what is wrong, and count the ends."""
     write = _WRITERS[name]
     path = folder / name
     assert limited(lambda: write(path), None, killed=False) == WRITTEN
@@ -73,12 +75,12 @@ def _whole_or_old(name: str, folder: Path, ends: Counter[str]) -> Iterable[str]:
         for n_bytes in sorted({0, 1, 2, *np.linspace(0, len(new) - 1, 5, dtype=int).tolist()}):
             path.write_bytes(b"old")
             end = limited(lambda: write(path), n_bytes, killed=killed)
-            ends[_named(end)] += 1
-            if end != (-signal.SIGXFSZ if killed else REFUSED) or path.read_bytes() != b"old":
-                yield (
-                    f"{name} at byte {n_bytes}, killed {killed}: {_named(end)}, "
-                    f"{path.read_bytes()[:20]!r}"
-                )
+            ends[_end_name(end)] += 1
+            expected = KILLED if killed else REFUSED
+            content = path.read_bytes()
+            if end != expected or content != b"old":
+                where = f"{name} at byte {n_bytes}, killed {killed}"
+                yield f"{where}: {_end_name(end)}, {content[:20]!r}"
     if limited(lambda: write(path), len(new), killed=True) != WRITTEN or path.read_bytes() != new:
         yield f"{name} is not written again afterwards"
 
@@ -87,8 +89,8 @@ def _journal(path: Path) -> Journal[Any]:
     return Journal(path, {"model": "m"}, dump=lambda value: value, load=lambda value: value)
 
 
-def _kept(folder: Path, ends: Counter[str]) -> Iterable[str]:
-    """Fill the disk, or kill the process, at many sizes of a journal while a long result is added."""
+def _journal_faults(folder: Path, ends: Counter[str]) -> Iterable[str]:
+    """Cut off a journal during an addition; yield what is wrong, and count the ends."""
     path = folder / "run.journal"
     for number in range(_RESULTS):
         _journal(path).add(("f", number), "x")
@@ -103,33 +105,35 @@ def _kept(folder: Path, ends: Counter[str]) -> Iterable[str]:
         for n_bytes in range(0, after, 1000):
             path.write_bytes(before)
             end = limited(add, n_bytes, killed=killed)
-            ends[_named(end)] += 1
+            ends[_end_name(end)] += 1
             with _journal(path) as journal:
-                found = len(journal)
+                n_results = len(journal)
                 added = journal.get(("new",))
                 journal.add(("next",), "z")
-            if end == WRITTEN or found != _RESULTS or added is not None:
-                yield (
-                    f"journal, full at byte {n_bytes}, killed {killed}: {_named(end)}, "
-                    f"{found} results"
-                )
-
-
-def _named(end: int) -> str:
-    return {WRITTEN: "written", REFUSED: "refused", -signal.SIGXFSZ: "killed"}.get(end, str(end))
+            if end == WRITTEN or n_results != _RESULTS or added is not None:
+                where = f"journal, full at byte {n_bytes}, killed {killed}"
+                yield f"{where}: {_end_name(end)}, {n_results} results"
 
 
 WRITTEN = 0
 REFUSED = 1
+KILLED = -getattr(signal, "SIGXFSZ", 0)  # Windows has no such signal.
+
+
+def _end_name(end: int) -> str:
+    return {WRITTEN: "written", REFUSED: "refused", KILLED: "killed"}.get(end, str(end))
 
 
 def limited(work: Callable[[], object], n_bytes: int | None, *, killed: bool) -> int:
-    """How work ends in a copy of this process, which should have one thread: 0, 1 for any exception, or minus a signal.
+    """Run work in a copy of this process, which should have one thread, with limited files.
 
     Args:
         work: writes files.
-        n_bytes: to which each may grow; None does not limit them.
-        killed: end the process there, instead of refusing to write.
+        n_bytes: size to which each file may grow; None does not limit them.
+        killed: kill the process at the limit, instead of refusing to write.
+
+    Returns:
+        How the work ends: ``WRITTEN``, ``REFUSED`` for any exception, or minus a signal.
     """
     import resource
 
@@ -147,12 +151,13 @@ def limited(work: Callable[[], object], n_bytes: int | None, *, killed: bool) ->
             status = REFUSED
         sys.stderr.flush()
         os._exit(status)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    _, wait_status = os.waitpid(child, 0)
+    return os.waitstatus_to_exitcode(wait_status)
 
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     ends: Counter[str] = Counter()
-    wrong = [words for name in _WRITERS for words in _whole_or_old(name, folder, ends)]
-    wrong += _kept(folder, ends)
+    wrong = [fault for name in _WRITERS for fault in _file_faults(name, folder, ends)]
+    wrong += _journal_faults(folder, ends)
     print(json.dumps({"ends": ends, "wrong": wrong}))

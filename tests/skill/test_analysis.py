@@ -386,7 +386,7 @@ def test_a_scene_that_contradicts_the_cars_is_named(estimate: GsdEstimate) -> No
     details = estimate.details.model_copy(update={"scene_scale": scene})
     by_scene = advice_for(estimate.model_copy(update={"reason": "disagree", "details": details}))
     assert by_scene is not None
-    assert by_scene.why.startswith("by the scene the scale is about 0.39 m/px")
+    assert by_scene.why.startswith("the scene suggests a scale of about 0.39 m/px")
 
 
 def test_a_ruler_that_contradicts_the_cars_is_named(estimate: GsdEstimate) -> None:

@@ -1,11 +1,11 @@
-"""One engine holds what is loaded; the package's verbs are its methods."""
+"""An engine holds loaded models; the functions of the package are its methods."""
 
 from __future__ import annotations
 
 import threading
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import onnxruntime
@@ -28,12 +28,13 @@ from vehanchor.segmentation.segmenter import Segmenter
 
 BOX = (300.0, 150.0, 371.0, 190.0)
 PATH = [(10.0, 20.0), (310.0, 420.0)]
-ALONE: dict[str, Any] = {"rulers": ("vehicles",)}  # quicker: no other network looks at the image
+# Without other rulers, no other network runs, which is quicker.
+ALONE: dict[str, Any] = {"rulers": ("vehicles",)}
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a detector, m.onnx, and a segmenter."""
+    """A folder with a detector, m.onnx, and a segmenter."""
     folder = tmp_path_factory.mktemp("models")
     write_detector(folder / "m.onnx")
     write_sam(folder)
@@ -51,49 +52,69 @@ def engine(files: Path, segmenter: tuple[Path, Path]) -> Engine:
     return Engine(files / "m.onnx", segmenter, options=ScaleOptions.of(ALONE))
 
 
-def _place() -> np.ndarray:
+@pytest.fixture(scope="module")
+def image() -> np.ndarray:
     return car_park(30 + 0.1 * np.arange(30), 800, 600)
 
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[type]:
     """The classes of models that are opened, in order."""
-    found: list[type] = []
+    classes: list[type] = []
     for kind in (Detector, Segmenter):
         original = kind.__init__
 
         def noted(
             self: Any, *args: Any, _original: Any = original, _kind: type = kind, **keywords: Any
         ) -> None:
-            found.append(_kind)
+            classes.append(_kind)
             _original(self, *args, **keywords)
 
         monkeypatch.setattr(kind, "__init__", noted)
-    return found
+    return classes
 
 
-def test_each_model_is_loaded_once_and_not_before_it_is_needed(
-    tmp_path: Path, segmenter: tuple[Path, Path], opened: list[type]
+@pytest.fixture
+def fresh(tmp_path: Path) -> Engine:
+    """An engine whose models no other test has opened."""
+    detector = write_detector(tmp_path / "fresh.onnx")
+    encoder, decoder = write_sam(tmp_path)
+    options = ScaleOptions.of(ALONE)
+    runtime = Runtime(threads=3)
+    return Engine(detector, (encoder, decoder), options=options, runtime=runtime)
+
+
+def test_a_model_is_loaded_when_it_is_needed(
+    fresh: Engine, image: np.ndarray, opened: list[type]
 ) -> None:
-    engine = Engine(
-        write_detector(tmp_path / "once.onnx"),
-        segmenter,
-        runtime=Runtime(threads=3),
-        options=ScaleOptions.of(ALONE),
-    )
     assert opened == []
-    image = _place()
-    estimate = engine.estimate(image)
+    fresh.estimate(image)
     assert opened == [Detector]
-    engine.measure_distance(image, PATH)
-    engine.measure_area(image, box=BOX, scale=estimate)
-    engine.replace(runtime=Runtime(threads=3, progress=lambda _done, _total: None)).measure_area(
-        image, box=BOX
-    )
+    fresh.measure_area(image, box=BOX)
     assert opened == [Detector, Segmenter]
 
 
-def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> None:
+def test_a_model_is_loaded_once_for_all_calls(
+    fresh: Engine, image: np.ndarray, opened: list[type]
+) -> None:
+    estimate = fresh.estimate(image)
+    fresh.measure_distance(image, PATH)
+    fresh.measure_area(image, box=BOX, scale=estimate)
+    assert opened == [Detector, Segmenter]
+
+
+def test_an_engine_with_other_progress_shares_the_models(
+    fresh: Engine, image: np.ndarray, opened: list[type]
+) -> None:
+    fresh.measure_area(image, box=BOX)
+    runtime = Runtime(threads=3, progress=lambda _done, _total: None)
+    fresh.replace(runtime=runtime).measure_area(image, box=BOX)
+    assert opened.count(Detector) == opened.count(Segmenter) == 1
+
+
+def test_many_threads_share_one_engine(
+    tmp_path: Path, image: np.ndarray, opened: list[type]
+) -> None:
     engine = Engine(
         write_detector(tmp_path / "shared.onnx"),
         options=ScaleOptions.of(ALONE),
@@ -103,7 +124,7 @@ def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> No
 
     def estimate(_: int) -> str:
         together.wait()
-        return engine.estimate(_place()).model_dump_json()
+        return engine.estimate(image).model_dump_json()
 
     with ThreadPoolExecutor(4) as pool:
         records = set(pool.map(estimate, range(4)))
@@ -111,94 +132,161 @@ def test_many_threads_share_one_engine(tmp_path: Path, opened: list[type]) -> No
     assert len(records) == 1
 
 
-def test_a_cancellation_ends_the_call_that_it_belongs_to_and_no_other(engine: Engine) -> None:
+def test_a_cancellation_ends_a_search_between_tiles(engine: Engine, image: np.ndarray) -> None:
     cancellation = Cancellation()
-    image = _place()
 
     def cancel(done: int, _total: int) -> None:
         if done == 2:
             cancellation.cancel()
 
+    options: dict[str, Any] = {"tile_px": 128, "stride_px": 96}
     with watched_tiles() as tiles, pytest.raises(CancelledError):
-        engine.estimate(
-            image, tile_px=128, stride_px=96, progress=cancel, cancellation=cancellation
-        )
+        engine.estimate(image, progress=cancel, cancellation=cancellation, **options)
     assert tiles.n_begun <= 3
+
+
+def test_a_cancellation_ends_only_its_own_calls(engine: Engine, image: np.ndarray) -> None:
+    cancellation = Cancellation()
+    cancellation.cancel()
     with pytest.raises(CancelledError):
         engine.measure_area(image, box=BOX, gsd_m_per_px=0.1, cancellation=cancellation)
     assert engine.estimate(image, rulers=("vehicles",)).status == "ok"
 
 
-def test_a_verb_gives_what_its_method_gives(
-    engine: Engine, files: Path, segmenter: tuple[Path, Path]
+# --- The functions of the package
+
+
+@pytest.fixture
+def keywords(files: Path) -> dict[str, Any]:
+    """Keywords that give a function the detector and the options of the engine."""
+    return {"detector": files / "m.onnx", **ALONE}
+
+
+def test_a_function_gives_the_record_of_its_method(
+    engine: Engine, image: np.ndarray, keywords: dict[str, Any]
 ) -> None:
-    image = _place()
-    detector = files / "m.onnx"
+    assert engine.estimate(image) == vehanchor.estimate_gsd(image, threads=1, **keywords)
+
+
+def test_a_list_of_images_has_a_list_of_records(
+    engine: Engine, image: np.ndarray, keywords: dict[str, Any]
+) -> None:
     estimate = engine.estimate(image)
-    assert estimate == vehanchor.estimate_gsd(image, detector=detector, threads=1, **ALONE)
-    assert [estimate, estimate] == vehanchor.estimate_gsd(
-        [image, image], detector=detector, **ALONE
-    )
-    area = vehanchor.measure_area(image, box=BOX, detector=detector, segmenter=segmenter, **ALONE)
-    assert (
-        engine.measure_area(image, box=BOX)
-        == area
-        == engine.analyse_area(image, box=BOX).measurement
-    )
-    distance = vehanchor.measure_distance(image, PATH, detector=detector, **ALONE)
-    assert (
-        engine.measure_distance(image, PATH)
-        == distance
-        == engine.analyse_distance(image, PATH).measurement
-    )
+    assert vehanchor.estimate_gsd([image, image], **keywords) == [estimate, estimate]
 
 
-def test_a_bad_image_of_a_list_is_named_and_the_others_are_kept(
-    engine: Engine, tmp_path: Path
+def test_the_record_of_an_area_is_that_of_its_analysis(
+    engine: Engine,
+    image: np.ndarray,
+    keywords: dict[str, Any],
+    segmenter: tuple[Path, Path],
 ) -> None:
-    image = _place()
-    bad = tmp_path / "bad.jpg"
-    bad.write_bytes(b"no image")
+    area = vehanchor.measure_area(image, box=BOX, segmenter=segmenter, **keywords)
+    assert engine.measure_area(image, box=BOX) == area
+    assert engine.analyse_area(image, box=BOX).measurement == area
+
+
+def test_the_record_of_a_distance_is_that_of_its_analysis(
+    engine: Engine, image: np.ndarray, keywords: dict[str, Any]
+) -> None:
+    distance = vehanchor.measure_distance(image, PATH, **keywords)
+    assert engine.measure_distance(image, PATH) == distance
+    assert engine.analyse_distance(image, PATH).measurement == distance
+
+
+# --- Errors in a list of images
+
+
+class FailedList(NamedTuple):
+    """Error of a list of images, with the path of an unreadable one."""
+
+    error: ImageListError
+    unreadable: Path
+
+
+@pytest.fixture(scope="module")
+def failed_list(
+    files: Path, image: np.ndarray, tmp_path_factory: pytest.TempPathFactory
+) -> FailedList:
+    """The second image of four is unreadable, the fourth is too small."""
+    unreadable = tmp_path_factory.mktemp("list") / "bad.jpg"
+    unreadable.write_bytes(b"no image")
     with pytest.raises(ImageListError) as caught:
-        engine.estimate([image, bad, image, image[:8]])
-    message = str(caught.value)
+        vehanchor.estimate_gsd(
+            [image, unreadable, image, image[:8]], detector=files / "m.onnx", **ALONE
+        )
+    return FailedList(caught.value, unreadable)
+
+
+def test_bad_images_of_a_list_are_named(failed_list: FailedList) -> None:
+    message = str(failed_list.error)
     assert message.startswith("2 of 4 images cannot be used: image 2 (")
-    assert str(bad) in message
+    assert str(failed_list.unreadable) in message
     assert "image 4 (ndarray): the image is 800 x 8 px" in message
-    first, second, third, fourth = caught.value.results
+
+
+def test_the_error_of_a_list_has_the_records_of_good_images(
+    failed_list: FailedList, engine: Engine, image: np.ndarray
+) -> None:
+    first, _, third, _ = failed_list.error.results
     assert first == third == engine.estimate(image)
+
+
+def test_the_error_of_a_list_has_the_errors_of_bad_images(failed_list: FailedList) -> None:
+    _, second, _, fourth = failed_list.error.results
     assert isinstance(second, ImageDecodeError)
     assert isinstance(fourth, ImageFormatError)
 
 
-def test_keywords_change_single_fields_of_the_engines_options(files: Path) -> None:
-    image = _place()
-    chosen = Engine(
-        files / "m.onnx",
-        options=ScaleOptions.of({"reference_length_m": 4.0, "alpha": None, **ALONE}),
-    )
-    assert chosen.estimate(image).details.reference_length_m == 4.0
-    assert chosen.estimate(image, frame=(400, 300)).details.reference_length_m == 4.0
-    assert chosen.estimate(image, reference_length_m=5.0).details.reference_length_m == 5.0
-    alone = ScaleOptions.of(ALONE)
-    assert chosen.estimate(image, alone) == Engine(files / "m.onnx").estimate(image, alone)
-    with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
-        chosen.estimate(image, regoin="europe")
+# --- Options of a call
 
 
-def test_a_segmenter_is_two_paths_or_one_that_is_loaded(
-    files: Path, segmenter: tuple[Path, Path]
+@pytest.fixture(scope="module")
+def four_metres(files: Path) -> Engine:
+    """An engine with a reference length of 4 m."""
+    options = ScaleOptions.of({"reference_length_m": 4.0, "alpha": None, **ALONE})
+    return Engine(files / "m.onnx", options=options)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "length_m"),
+    [({}, 4.0), ({"frame": (400, 300)}, 4.0), ({"reference_length_m": 5.0}, 5.0)],
+)
+def test_keywords_replace_single_options_of_the_engine(
+    four_metres: Engine, image: np.ndarray, keywords: dict[str, Any], length_m: float
 ) -> None:
-    assert (
-        Engine(segmenter=Segmenter(*segmenter)).segmenter.card
-        == Engine(segmenter=segmenter).segmenter.card
-    )
+    assert four_metres.estimate(image, **keywords).details.reference_length_m == length_m
+
+
+def test_options_of_a_call_replace_all_options_of_the_engine(
+    four_metres: Engine, files: Path, image: np.ndarray
+) -> None:
+    alone = ScaleOptions.of(ALONE)
+    default_engine = Engine(files / "m.onnx")
+    assert four_metres.estimate(image, alone) == default_engine.estimate(image, alone)
+
+
+def test_an_unknown_keyword_is_refused(four_metres: Engine, image: np.ndarray) -> None:
+    with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
+        four_metres.estimate(image, regoin="europe")
+
+
+# --- Models
+
+
+def test_a_segmenter_may_be_loaded_or_two_paths(segmenter: tuple[Path, Path]) -> None:
+    loaded = Engine(segmenter=Segmenter(*segmenter))
+    by_paths = Engine(segmenter=segmenter)
+    assert loaded.segmenter.card == by_paths.segmenter.card
+
+
+def test_one_path_is_not_a_segmenter() -> None:
     with pytest.raises(InvalidParameterError, match="give two paths"):
         _ = Engine(segmenter="encoder.onnx").segmenter  # type: ignore[arg-type]
 
 
-def test_load_leaves_no_model_for_the_first_estimate_to_open(
-    monkeypatch: pytest.MonkeyPatch,
+def test_load_opens_all_models_of_an_estimate(
+    image: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = onnxruntime.InferenceSession
     opened = []
@@ -208,23 +296,22 @@ def test_load_leaves_no_model_for_the_first_estimate_to_open(
         return real(*args, **keywords)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", noted)
-    # of no other test: the process has none of these models yet
+    # No other test uses five threads, so this process has not opened these models yet.
     engine = Engine(runtime=Runtime(threads=5))
     engine.load()
     n_opened = len(opened)
-    assert n_opened >= 4, (
-        "detector, chip network, verifier, scene-scale prior; courts, unless a test had them"
-    )
-    assert engine.estimate(_place()).model == engine.detector.card.name
+    # Detector, chip network, verifier and scene-scale prior; another test may have opened courts.
+    assert n_opened >= 4
+    assert engine.estimate(image).model == engine.detector.card.name
     assert len(opened) == n_opened
 
 
-def test_load_fails_before_the_work(tmp_path: Path) -> None:
+def test_load_fails_for_a_missing_model(tmp_path: Path) -> None:
     with pytest.raises(VehAnchorError):
         Engine(tmp_path / "nowhere.onnx").load()
 
 
 @pytest.mark.parametrize("threads", [0, -1, 257, 1.5, True, "two", float("nan"), float("inf")])
-def test_a_runtime_without_meaning_is_refused_before_any_model_is_opened(threads: Any) -> None:
+def test_an_invalid_number_of_threads_is_refused(image: np.ndarray, threads: Any) -> None:
     with pytest.raises(InvalidParameterError, match="whole number from 1 to 256"):
-        vehanchor.estimate_gsd(_place(), threads=threads)
+        vehanchor.estimate_gsd(image, threads=threads)

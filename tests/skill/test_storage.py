@@ -1,3 +1,5 @@
+"""Journals, their sources and codecs, and files that are written as a whole."""
+
 from __future__ import annotations
 
 import errno
@@ -34,20 +36,62 @@ from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal, Source
 from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
+# --- Files
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """A file that is to be replaced, alone in its folder."""
+    path = tmp_path / "t.csv"
+    path.write_text("old")
+    return path
+
+
+def test_a_file_is_replaced_once_the_new_one_is_whole(old: Path) -> None:
+    with whole_file(old) as partial:
+        partial.write_text("new")
+        assert old.read_text() == "old"
+    assert old.read_text() == "new"
+    assert [file.name for file in old.parent.iterdir()] == ["t.csv"]
+
+
+def test_an_interruption_leaves_the_old_file(old: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        _write_half(old)
+    assert old.read_text() == "old"
+    assert [file.name for file in old.parent.iterdir()] == ["t.csv"]
+
+
+def _write_half(path: Path) -> None:
+    with whole_file(path) as partial:
+        partial.write_text("half")
+        raise KeyboardInterrupt
+
+
+def test_a_missing_folder_is_an_output_error(tmp_path: Path) -> None:
+    with (
+        pytest.raises(OutputError, match="cannot write"),
+        whole_file(tmp_path / "no" / "t.csv") as partial,
+    ):
+        partial.write_text("nowhere")
+
+
+# --- Journals
+
 
 def _journal(
-    path: Path | None, settings: dict[str, Any] | None = None, **choices: Any
+    path: Path | None, settings: dict[str, Any] | None = None, **options: Any
 ) -> Journal[Any]:
     return Journal(
         path,
         settings or {"model": "m"},
         dump=lambda value: value,
         load=lambda value: value,
-        **choices,
+        **options,
     )
 
 
-def test_several_settings_share_a_file_and_do_not_see_each_other(tmp_path: Path) -> None:
+def test_several_settings_have_their_own_results_in_one_file(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
     first = _journal(path, {"alpha": 1.5})
     second = _journal(path, {"alpha": None})
@@ -58,20 +102,20 @@ def test_several_settings_share_a_file_and_do_not_see_each_other(tmp_path: Path)
     assert [_journal(path, {"alpha": None}).get((name,)) for name in "ab"] == ["second", None]
 
 
-def test_a_sole_journal_says_in_what_other_settings_differ(tmp_path: Path) -> None:
+def test_a_sole_journal_names_the_settings_that_differ(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
     _journal(path, {"search": {"tile_px": 512, "min_score": None}}).add(("a",), 1)
-    with pytest.raises(
-        InvalidParameterError, match=r"with search.tile_px 512 \(now 640\): finish .* or burn it"
-    ):
-        _journal(path, {"search": {"tile_px": 640, "min_score": None}}, sole=True, remedy="burn it")
+    message = r"with search.tile_px 512 \(now 640\): finish .* or burn it"
+    other = {"search": {"tile_px": 640, "min_score": None}}
+    with pytest.raises(InvalidParameterError, match=message):
+        _journal(path, other, sole=True, remedy="burn it")
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["file/j.journal", "."])
+def test_an_unwritable_path_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("")
-    for path in (tmp_path / "file" / "j.journal", tmp_path):
-        with pytest.raises(OutputError, match="cannot keep results in"):
-            _journal(path)
+    with pytest.raises(OutputError, match="cannot keep results in"):
+        _journal(tmp_path / name)
 
 
 def test_threads_may_add_at_once(tmp_path: Path) -> None:
@@ -90,7 +134,7 @@ def test_threads_may_add_at_once(tmp_path: Path) -> None:
     assert all(again.get((k, n)) == f"{k} {n}" for k in range(8) for n in range(20))
 
 
-def test_a_file_is_another_source_once_its_size_or_time_is(tmp_path: Path) -> None:
+def test_a_source_changes_with_the_size_or_time_of_its_file(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     missing = Source.of(path)
     path.write_bytes(b"abc")
@@ -100,111 +144,110 @@ def test_a_file_is_another_source_once_its_size_or_time_is(tmp_path: Path) -> No
     touched = Source.of(path)
     path.write_bytes(b"abcd")
     os.utime(path, ns=(1, 1))
-    assert len({missing, first, touched, Source.of(path)}) == 4
+    longer = Source.of(path)
+    assert len({missing, first, touched, longer}) == 4
+
+
+def test_a_link_has_the_source_of_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(b"abc")
     (tmp_path / "link.png").symlink_to(path)
     assert Source.of(tmp_path / "link.png") == Source.of(path)
 
 
-def _interrupted(path: Path) -> None:
-    with whole_file(path) as partial:
-        partial.write_text("half")
-        raise KeyboardInterrupt
+# Adds long results, and prints the number of each.
+ADD_RESULTS = """
+import sys
+from pathlib import Path
+from vehanchor.storage.journal import Journal
 
-
-def test_a_file_is_replaced_only_once_the_new_one_is_whole(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("old")
-    with pytest.raises(KeyboardInterrupt):
-        _interrupted(path)
-    assert path.read_text() == "old"
-    with whole_file(path) as partial:
-        partial.write_text("new")
-        assert path.read_text() == "old"
-    assert path.read_text() == "new"
-    assert [file.name for file in tmp_path.iterdir()] == ["t.csv"]
-    with (
-        pytest.raises(OutputError, match="cannot write"),
-        whole_file(tmp_path / "no" / "t.csv") as partial,
-    ):
-        partial.write_text("nowhere")
+journal = Journal(Path(sys.argv[1]), {"model": "m"}, dump=dict, load=dict, sole=True)
+for number in range(len(journal), 10**6):
+    journal.add(("f", number), {"n": number, "long": "x" * 5000})
+    print(number, flush=True)
+"""
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no kill -9")
-def test_a_run_that_is_killed_loses_nothing(tmp_path: Path) -> None:
+def test_a_killed_run_loses_no_result(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
-    add = (
-        "import sys; from pathlib import Path; from vehanchor.storage.journal import Journal\n"
-        "journal = Journal(Path(sys.argv[1]), {'model': 'm'}, dump=dict, load=dict, sole=True)\n"
-        "for number in range(len(journal), 10**6):\n"
-        "    journal.add(('f', number), {'n': number, 'long': 'x' * 5000}); print(number, "
-        "flush=True)\n"
-    )
     for seconds in (0.0, 0.01, 0.1):
         process = subprocess.Popen(
-            [sys.executable, "-c", add, str(path)], stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", ADD_RESULTS, str(path)], stdout=subprocess.PIPE, text=True
         )
         assert process.stdout is not None
-        told = [int(process.stdout.readline())]
+        printed = [int(process.stdout.readline())]
         time.sleep(seconds)
         process.kill()
-        told += map(int, process.communicate()[0].splitlines())
+        rest, _ = process.communicate()
+        printed += map(int, rest.splitlines())
         with _journal(path, sole=True) as journal:
-            assert len(journal) - 1 - told[-1] in (0, 1), (
-                "the next result may be there before it is told"
-            )
-            found = [journal.get(("f", n)) for n in range(len(journal))]
-            assert [each and each["n"] for each in found] == list(range(len(journal)))
+            n_results = len(journal)
+            # The process may have added a result without having printed its number.
+            assert n_results - 1 - printed[-1] in (0, 1)
+            results = [journal.get(("f", n)) for n in range(n_results)]
+            assert [result and result["n"] for result in results] == list(range(n_results))
 
 
 @pytest.mark.parametrize("content", [b"not json\n", b"no end", b"x" * 5000])
-def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_journal_is_replaced_only_on_request(
+    tmp_path: Path, content: bytes
+) -> None:
     path = tmp_path / "x.journal"
     path.write_bytes(content)
-    with pytest.raises(
-        InvalidParameterError, match=r"is not a journal, or is damaged .*: move the file away"
-    ):
+    message = r"is not a journal, or is damaged .*: move the file away"
+    with pytest.raises(InvalidParameterError, match=message):
         _journal(path)
     assert path.read_bytes() == content
     assert len(_journal(path, anew=True)) == 0
 
 
-def test_a_database_of_another_program_is_left_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_database_of_another_program_is_never_changed(tmp_path: Path, anew: bool) -> None:
     path = tmp_path / "x.journal"
     with closing(sqlite3.connect(path)) as other:
         other.execute("CREATE TABLE results (name TEXT)")
     content = path.read_bytes()
-    for anew in (False, True):
-        with pytest.raises(InvalidParameterError, match="it belongs to another program"):
-            _journal(path, anew=anew)
+    with pytest.raises(InvalidParameterError, match="it belongs to another program"):
+        _journal(path, anew=anew)
     assert path.read_bytes() == content
 
 
-def test_a_damaged_value_is_told_with_the_remedy(tmp_path: Path) -> None:
+def test_a_damaged_value_is_refused_with_the_remedy(tmp_path: Path) -> None:
     path = tmp_path / "j.journal"
     with _journal(path) as journal:
         journal.add(("a",), {"n": 1.25, "names": ["x"]})
     path.write_bytes(path.read_bytes().replace(b'"names"', b'"names('))
-    with pytest.raises(
-        InvalidParameterError, match=r"unreadable result of \('a',\).*: move the file away"
-    ):
+    message = r"unreadable result of \('a',\).*: move the file away"
+    with pytest.raises(InvalidParameterError, match=message):
         _journal(path).get(("a",))
 
 
-def test_a_journal_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_sole_journal_is_locked_until_it_is_closed(tmp_path: Path, anew: bool) -> None:
     path = tmp_path / "j.journal"
     with _journal(path, sole=True) as first:
         first.add(("a",), 1)
-        for anew in (False, True):
-            with pytest.raises(
-                OutputError, match=r"another run is using .*: wait until it has ended"
-            ):
-                _journal(path, sole=True, anew=anew)
+        message = r"another run is using .*: wait until it has ended"
+        with pytest.raises(OutputError, match=message):
+            _journal(path, sole=True, anew=anew)
         assert first.get(("a",)) == 1
     with _journal(path, sole=True) as second:
         assert second.get(("a",)) == 1
-    with _journal(path, sole=True, anew=True) as third:
-        assert len(third) == 0
-        third.remove()
+
+
+def test_a_journal_may_be_started_anew(tmp_path: Path) -> None:
+    path = tmp_path / "j.journal"
+    with _journal(path, sole=True) as first:
+        first.add(("a",), 1)
+    with _journal(path, sole=True, anew=True) as second:
+        assert len(second) == 0
+
+
+def test_a_removed_journal_leaves_no_file(tmp_path: Path) -> None:
+    with _journal(tmp_path / "j.journal", sole=True) as journal:
+        journal.add(("a",), 1)
+        journal.remove()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -221,9 +264,15 @@ def test_a_link_is_not_followed(tmp_path: Path, sole: bool, exists: bool) -> Non
     assert victim.exists() == exists
 
 
-def _stored() -> StoredPhotograph:
+# --- Codecs
+
+
+@pytest.fixture
+def photograph() -> StoredPhotograph:
+    """Intermediate results of a photograph, with values of every kind."""
     scene = SceneScalePrior(np.linspace(0.1, 0.3, 7), 9)
-    found = Detections(np.random.default_rng(1).normal(size=(4, 5)), np.linspace(0.1, 0.9, 4))
+    boxes = np.random.default_rng(1).normal(size=(4, 5))
+    detections = Detections(boxes, np.linspace(0.1, 0.9, 4))
     facts = ImageFacts(
         10,
         20,
@@ -231,46 +280,60 @@ def _stored() -> StoredPhotograph:
         notices=(RasterNote("a", "b"),),
         camera=CameraMetadata(make="x", height_m=3.0),
     )
-    return StoredPhotograph(facts, found, 0.7, prior=scene)
+    return StoredPhotograph(facts, detections, 0.7, prior=scene)
 
 
-def test_intermediate_results_come_back_exactly() -> None:
-    before = _stored()
-    after = photograph_codec().load(json.loads(json.dumps(photograph_codec().dump(before))))
-    assert isinstance(after, StoredPhotograph)
-    assert after.image == before.image
-    assert after.detail_share == 0.7
-    assert np.array_equal(after.detections.boxes, before.detections.boxes)
-    assert after.detections.boxes.dtype == before.detections.boxes.dtype
-    assert after.prior is not None
-    assert before.prior is not None
-    assert np.array_equal(after.prior.density, before.prior.density)
-    after.detections.boxes[0] = 1  # and may be changed
+@pytest.fixture
+def stored(photograph: StoredPhotograph) -> str:
+    return json.dumps(photograph_codec().dump(photograph))
 
 
-def test_a_journal_with_former_names_is_read() -> None:
-    stored = json.dumps(photograph_codec().dump(_stored()))
-    for former, today in {
-        "resolved": "detail_share",
-        "scales": "reductions",
-        "looks": "appearance",
-    }.items():
+@pytest.fixture
+def loaded(stored: str) -> StoredPhotograph:
+    loaded = photograph_codec().load(json.loads(stored))
+    assert isinstance(loaded, StoredPhotograph)
+    return loaded
+
+
+def test_values_of_json_come_back_exactly(
+    photograph: StoredPhotograph, loaded: StoredPhotograph
+) -> None:
+    assert loaded.image == photograph.image
+    assert loaded.detail_share == 0.7
+
+
+def test_arrays_come_back_exactly(photograph: StoredPhotograph, loaded: StoredPhotograph) -> None:
+    assert np.array_equal(loaded.detections.boxes, photograph.detections.boxes)
+    assert loaded.detections.boxes.dtype == photograph.detections.boxes.dtype
+    assert loaded.prior is not None
+    assert photograph.prior is not None
+    assert np.array_equal(loaded.prior.density, photograph.prior.density)
+
+
+def test_arrays_that_come_back_can_be_changed(loaded: StoredPhotograph) -> None:
+    loaded.detections.boxes[0] = 1
+    assert (loaded.detections.boxes[0] == 1).all()
+
+
+def test_a_journal_with_former_names_is_read(stored: str) -> None:
+    names = {"resolved": "detail_share", "scales": "reductions", "looks": "appearance"}
+    for former, today in names.items():
         assert f'"{today}"' in stored
         stored = stored.replace(f'"{today}"', f'"{former}"')
     assert photograph_codec().load(json.loads(stored)).detail_share == 0.7
 
 
 @pytest.mark.parametrize(
-    "found",
+    "foreign",
     [
         {"=": "subprocess:Popen", "fields": {"args": "true"}},
         {"=": "vehanchor_flight.photograph:StoredPhotograph", "fields": {}},
         {"=": "array", "dtype": "O", "shape": [1], "data": ""},
     ],
 )
-def test_a_journal_can_start_nothing(found: object) -> None:
+def test_a_foreign_journal_can_run_nothing(foreign: object) -> None:
     with pytest.raises(ValueError, match="stored"):
-        photograph_codec().load(found)
+        photograph_codec().load(foreign)
 
 
 @pytest.mark.parametrize(
@@ -293,16 +356,17 @@ def test_a_journal_can_start_nothing(found: object) -> None:
 )
 def test_all_witnesses_of_the_rulers_can_be_stored(witness: Witness) -> None:
     codec = Codec(STORED_CLASSES)
-    found = codec.load(json.loads(json.dumps(codec.dump(witness))))
-    assert type(found) is Witness
-    assert found.interval == witness.interval
-    assert (found.shared, found.marks, found.assumed) == (
-        witness.shared,
-        witness.marks,
-        witness.assumed,
-    )
-    assert [lack.reason for lack in found.lacks] == [lack.reason for lack in witness.lacks]
-    assert np.array_equal(found.density, witness.density)
+    loaded = codec.load(json.loads(json.dumps(codec.dump(witness))))
+    assert type(loaded) is Witness
+    assert loaded.interval == witness.interval
+    assert loaded.shared == witness.shared
+    assert loaded.marks == witness.marks
+    assert loaded.assumed == witness.assumed
+    assert [lack.reason for lack in loaded.lacks] == [lack.reason for lack in witness.lacks]
+    assert np.array_equal(loaded.density, witness.density)
+
+
+# --- A full disk
 
 
 def test_a_refused_flush_leaves_the_old_file(
@@ -323,13 +387,11 @@ def test_a_refused_flush_leaves_the_old_file(
 @pytest.mark.promise("files")
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="Windows has no limit of a file's size")
-def test_no_file_is_half_written_wherever_the_disk_is_full_or_the_process_killed(
-    tmp_path: Path,
-) -> None:
+def test_no_file_is_half_written_at_any_byte(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tests.skill.cut_off", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["wrong"] == []
-    assert found["ends"]["refused"] > 100
-    assert found["ends"]["killed"] > 40
+    report = json.loads(done.stdout)
+    assert report["wrong"] == []
+    assert report["ends"]["refused"] > 100
+    assert report["ends"]["killed"] > 40

@@ -1,9 +1,9 @@
-"""Scales of many images in a table: files -> engine -> journal -> table.
+"""Scales of many images in a table: images -> engine -> journal -> table.
 
-``files`` lists the images. An engine (``engines.local``: processes of this machine;
-``engines.ray``: a Ray cluster) makes a ``BatchRow`` of each, with one model per worker. A journal
-keeps finished rows, so that an interrupted run resumes. ``table`` writes the rows in the order of
-the files. ``run`` combines these modules.
+An engine (``engines.local``: processes of this machine; ``engines.ray``: a Ray cluster) makes a
+``BatchRow`` of each image, with one model per ``worker``. A journal keeps finished rows, so that
+an interrupted run can resume. ``table`` writes the rows in the order of the images. ``run``
+combines these modules.
 """
 
 from vehanchor.batch.row import BatchRow

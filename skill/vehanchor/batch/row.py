@@ -1,4 +1,4 @@
-"""Rows of a batch table: estimate or error of one image."""
+"""Rows of a batch table: the estimate or the error of one image."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from vehanchor.records.text import Advice, advice_for
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
 
-_NOT_IN_TABLES = ("frame",)  # belongs to one image
-_NESTED = ("rulers", "tilt", "scale", "details")
-_ERROR = {"error_code": str, "error": str}
+# A frame belongs to one image, so a batch has none.
+_NOT_IN_TABLES = ("frame",)
+_ONLY_WITH_DETAILS = ("rulers", "tilt", "scale", "details")
+_ERROR_COLUMNS = {"error_code": str, "error": str}
 
 COLUMNS: dict[str, type] = {
     "file": str,
-    **flat_columns(GsdEstimate, without=(*_NOT_IN_TABLES, *_NESTED)),
+    **flat_columns(GsdEstimate, without=(*_NOT_IN_TABLES, *_ONLY_WITH_DETAILS)),
     "tilt_deg": float,
-    **_ERROR,
+    **_ERROR_COLUMNS,
 }
 """Columns of a table and the types of their values, in order; see ``vehanchor.records.flat``."""
 
 ALL_COLUMNS: dict[str, type] = {
     "file": str,
     **flat_columns(GsdEstimate, without=_NOT_IN_TABLES),
-    **_ERROR,
+    **_ERROR_COLUMNS,
 }
 """Columns of a table with details."""
 
@@ -56,18 +57,28 @@ class BatchRow(BaseModel):
         return cls(file=file, error_code=error.code, error=str(error))
 
     @property
+    def outcome(self) -> str:
+        """Status of the estimate, or ``error``."""
+        return "error" if self.estimate is None else self.estimate.status
+
+    @property
     def reason(self) -> str | None:
-        """Why the scale is not usable, or the error's code."""
+        """Why the scale is not usable, or the code of the error; None for a usable scale."""
         return self.error_code if self.estimate is None else self.estimate.reason
 
     @property
     def advice(self) -> Advice | None:
-        """Problem and remedy; None for a usable scale. Errors say both at once."""
-        return advice_for(self.estimate) if self.error is None else Advice(self.error, "")
+        """Problem and remedy; None for a usable scale."""
+        if self.error is None:
+            return advice_for(self.estimate)
+        return Advice(self.error, "")  # The text of an error contains its remedy.
 
     def flat(self) -> dict[str, Any]:
-        """Give the row's values by column; those of the estimate are null for an image with an error."""
-        values = dict.fromkeys(ALL_COLUMNS)
+        """Flatten the row to values by column; an image with an error has no estimate."""
+        values: dict[str, Any] = dict.fromkeys(ALL_COLUMNS)
         if self.estimate is not None:
             values |= flat_row(self.estimate, without=_NOT_IN_TABLES)
-        return {**values, "file": self.file, "error_code": self.error_code, "error": self.error}
+        values["file"] = self.file
+        values["error_code"] = self.error_code
+        values["error"] = self.error
+        return values

@@ -1,4 +1,14 @@
-"""Resumable runs over many images that end with a table."""
+"""Run of a batch: the scales of many images, in a table with one row per image.
+
+A run may take days and may be interrupted. It therefore has five steps:
+
+1. Check all arguments, list the images, and load the model once, so that errors come at once.
+2. Open the journal beside the table. It holds the finished rows of an interrupted run.
+3. Compute the missing rows, on this machine or on a Ray cluster. Each row goes to the journal at
+   once.
+4. Write the table, with the rows in the order of the images.
+5. Delete the journal. A table without a journal is therefore complete.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +39,18 @@ from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterator, Mapping, Sequence
+
+    from vehanchor.storage.journal import Key
 
 
 class Cause(NamedTuple):
-    """Rows without a usable scale that have the same reason and remedy: their number, and the first of them."""
+    """Rows without a usable scale that have the same reason and the same remedy.
+
+    Attributes:
+        n_rows: number of these rows.
+        first: the first of them.
+    """
 
     n_rows: int
     first: BatchRow
@@ -48,7 +65,7 @@ class BatchSummary:
         n_rows: its number of rows, one per image.
         n_resumed: number of rows from an interrupted run.
         statuses: number of rows by status; ``error`` counts rows with an error.
-        causes: why scales are not usable, the most frequent first.
+        causes: why scales are not usable, the most frequent cause first.
     """
 
     table: Path
@@ -73,119 +90,83 @@ def run_batch(
     overwrite: bool = False,
     runtime: Runtime | None = None,
 ) -> BatchSummary:
-    """Estimate the scales of many images, and write a table with a row for each.
+    """Estimate the scales of many images, and write a table with one row per image.
 
     Rows do not depend on the engine or the number of workers; their order is that of
-    ``find_images``. Until the table is complete, rows are kept in ``<output>.journal``, from which
-    an interrupted call goes on. An unreadable image has a row with ``error_code`` and ``error``.
+    ``find_images``. Until the table is complete, ``<output>.journal`` keeps the finished rows, and
+    the same call resumes an interrupted run. An unreadable image has a row with ``error_code`` and
+    ``error``.
 
     Args:
         inputs: directories, patterns and files; see ``find_images``.
         output: the table; its suffix selects the format (``write_table``).
-        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with a
-            model per actor.
-        address: of a Ray cluster; None starts one on this machine.
-        workers: number of models; default one per CPU of the machine or cluster.
-        detector: name of a bundled model or path of an ONNX file; default the bundled one.
-        classes: classes of the model that count as vehicles; default the model's own.
-        options: of the method, without a frame.
+        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with
+            one model per actor.
+        address: address of a Ray cluster; None starts one on this machine.
+        workers: number of models that work in parallel; None for one per CPU of the machine or
+            cluster.
+        detector: name of a bundled model or path of an ONNX file; None for the bundled default.
+        classes: classes of the model that count as vehicles; None for the model's own.
+        options: options of the method, without a frame; None for the defaults.
         known_lengths: CSV with lines of known length by image; see ``lines_in``.
         details: write all columns.
-        overwrite: start again; a table stays until the new one is complete.
-        runtime: providers of the models, each on one thread; its progress gets (images done, images
-            in all).
+        overwrite: start again, although a table or rows of another run exist; an existing table
+            stays until the new one is complete.
+        runtime: providers of the models, each on one thread. Its progress is called with the
+            numbers of finished and of all images.
 
     Raises:
-        ImageNotFoundError: a directory does not exist, or it or a pattern has no image.
+        ImageNotFoundError: a directory does not exist, or a directory or pattern has no image.
         InvalidParameterError: an option is invalid, or an unfinished run at ``output`` had other
             options.
-        KnownLengthError: the CSV cannot be used, or names another image.
-        OutputError, ModelError: the table exists or cannot be written, or the detector cannot be
-        used. MissingExtraError: Ray or pyarrow is not installed.
+        KnownLengthError: the CSV cannot be used, or names an image that is not in the run.
+        OutputError: the table exists and is complete, or cannot be written.
+        ModelError: the detector cannot be used.
+        MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker was killed.
     """
-    table = _unfinished(Path(output), overwrite)
-    chosen = options or ScaleOptions()
-    told = runtime or Runtime()
-    _check(engine, address, workers, chosen)
-    tasks = list(map(Task.of, find_images(inputs)))
-    job = _job(detector, classes, options=chosen, runtime=replace(told.idle, threads=1))
-    job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
-    # the table itself stays until the new one is complete
+    table = Path(output)
+    options = options or ScaleOptions()
+    runtime = runtime or Runtime()
+    _check_output(table, overwrite=overwrite)
+    _check_arguments(engine, address, workers=workers, options=options)
+
+    tasks = [Task.of(path) for path in find_images(inputs)]
+    job = _make_job(detector, classes, options=options, runtime=runtime)
+    lines_by_image = lines_in(known_lengths, [task.path for task in tasks])
+    job = replace(job, known_lengths=lines_by_image)
+
     with open_journal(table, job, anew=overwrite) as journal:
+        # A key contains the state of its image, so the row of a replaced image is missing.
         keys = {task.file: task.key() for task in tasks}
         missing = [task for task in tasks if keys[task.file] not in journal]
-        with closing(_rows(engine, job, missing, workers, address)) as rows:
-            told.tell(n_resumed := len(tasks) - len(missing), len(tasks))
-            for number, row in enumerate(rows, start=n_resumed + 1):
+        n_resumed = len(tasks) - len(missing)
+        runtime.tell(n_resumed, len(tasks))
+        # Closing the generator stops the workers if this process is interrupted.
+        with closing(_compute_rows(engine, address, job, missing, workers=workers)) as new_rows:
+            for n_finished, row in enumerate(new_rows, start=n_resumed + 1):
                 journal.add(keys[row.file], row)
-                told.tell(number, len(tasks))
-        counts = _write_counted(
-            table, (journal.get(keys[task.file]) for task in tasks), details=details
-        )
+                runtime.tell(n_finished, len(tasks))
+        keys_in_order = [keys[task.file] for task in tasks]
+        statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
         journal.remove()
-    return BatchSummary(table, len(tasks), n_resumed, *counts)
+    return BatchSummary(table, len(tasks), n_resumed, statuses=statuses, causes=causes)
 
 
-def journal_path(table: Path) -> Path:
-    """Give the path of the journal of a table."""
-    return table.with_name(table.name + ".journal")
+def _check_output(table: Path, *, overwrite: bool) -> None:
+    """Check that the table can be written, and is not yet complete."""
+    check_table_path(table)
+    is_complete = table.exists() and not journal_path(table).exists()
+    if is_complete and not overwrite:
+        raise OutputError(
+            f"{str(table)!r} exists and is complete: name another file, or pass --overwrite"
+        )
 
 
-def open_journal(table: Path, job: BatchJob, *, anew: bool = False) -> Journal[BatchRow]:
-    """Open the journal of a table; ``anew`` discards its rows.
-
-    Raises:
-        InvalidParameterError: the rows belong to another job, or the file is not a journal.
-        OutputError: it cannot be written.
-    """
-    return Journal(
-        journal_path(table),
-        _settings(job),
-        dump=lambda row: row.model_dump(mode="json"),
-        load=lambda value: BatchRow.model_validate_json(json.dumps(value)),
-        sole=True,
-        anew=anew,
-        remedy="move the file away, or start again with --overwrite",
-    )
-
-
-def _settings(job: BatchJob) -> dict[str, Any]:
-    """Collect the settings that rows depend on, without engine, workers and threads."""
-    options = asdict(job.options)
-    del options["frame"]
-    if job.known_lengths:
-        options["lines_of"] = {
-            name: [asdict(line) for line in lines] for name, lines in job.known_lengths.items()
-        }
-    return {
-        "vehanchor": version("vehanchor"),
-        "schema_version": SCHEMA_VERSION,
-        "networks_sha256": job.networks_sha256,
-        "classes": job.classes,
-        **options,
-    }
-
-
-def _job(
-    detector: str | os.PathLike[str] | None,
-    classes: Sequence[str | int] | None,
-    options: ScaleOptions,
-    runtime: Runtime,
-) -> BatchJob:
-    """Make the job; load the model once to find its errors before the work."""
-    named = tuple(classes) if classes else None
-    path = resolve_model(None if detector is None else str(detector))
-    model = checked_detector(Detector(path, classes=named, runtime=runtime), options)
-    # its path may differ on other machines of a cluster
-    bundled = model.path in bundled_models().values()
-    name = model.path.stem if bundled else str(model.path.resolve())
-    return BatchJob(
-        name, networks_sha256(model.card), classes=named, options=options, runtime=runtime
-    )
-
-
-def _check(engine: str, address: str | None, workers: int | None, options: ScaleOptions) -> None:
+def _check_arguments(
+    engine: str, address: str | None, *, workers: int | None, options: ScaleOptions
+) -> None:
+    """Check the engine and its settings, and refuse options that belong to one image."""
     if engine not in ("local", "ray"):
         raise InvalidParameterError(f"engine is {engine!r}: use local or ray")
     if engine == "ray":
@@ -199,42 +180,126 @@ def _check(engine: str, address: str | None, workers: int | None, options: Scale
     options.by_hand.check_single()
 
 
-def _unfinished(output: Path, overwrite: bool) -> Path:
-    """Check the path of a table: of a known format, and not yet complete."""
-    table = check_table_path(output)
-    if table.exists() and not journal_path(table).exists() and not overwrite:
-        raise OutputError(
-            f"{str(table)!r} exists and is complete: name another file, or pass --overwrite"
-        )
-    return table
+def _make_job(
+    detector: str | os.PathLike[str] | None,
+    classes: Sequence[str | int] | None,
+    *,
+    options: ScaleOptions,
+    runtime: Runtime,
+) -> BatchJob:
+    """Make the settings of the workers; load the model once to find its errors before the work."""
+    # One thread per model: many single-threaded workers are faster than one with all threads.
+    worker_runtime = replace(runtime.idle, threads=1)
+    vehicle_classes = tuple(classes) if classes else None
+    name = None if detector is None else str(detector)
+    path = resolve_model(name)
+    loaded = Detector(path, classes=vehicle_classes, runtime=worker_runtime)
+    model = checked_detector(loaded, options)
+
+    # Workers load the model again. On other machines of a cluster, bundled models may have other
+    # paths, so workers find them by name.
+    is_bundled = model.path in bundled_models().values()
+    return BatchJob(
+        detector=model.path.stem if is_bundled else str(model.path.resolve()),
+        networks_sha256=networks_sha256(model.card),
+        classes=vehicle_classes,
+        options=options,
+        runtime=worker_runtime,
+    )
 
 
-def _rows(
-    engine: str, job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
+def _compute_rows(
+    engine: str,
+    address: str | None,
+    job: BatchJob,
+    tasks: Sequence[Task],
+    *,
+    workers: int | None,
 ) -> Generator[BatchRow]:
+    """Compute the rows of all tasks, in order of completion."""
     if not tasks:
         return
     if engine == "ray":
         yield from ray_rows(job, tasks, workers=workers, address=address)
     else:
-        yield from local_rows(job, tasks, min(workers or local_workers(len(tasks)), len(tasks)))
+        n_workers = min(workers or local_workers(len(tasks)), len(tasks))
+        yield from local_rows(job, tasks, n_workers)
 
 
-def _write_counted(
-    table: Path, rows: Iterable[BatchRow | None], *, details: bool
-) -> tuple[dict[str, int], tuple[Cause, ...]]:
-    """Write the table; return the number of rows by status, and the causes of those without a usable scale."""
+def journal_path(table: Path) -> Path:
+    """Return the path of the journal of a table."""
+    return table.with_name(table.name + ".journal")
+
+
+def open_journal(table: Path, job: BatchJob, *, anew: bool = False) -> Journal[BatchRow]:
+    """Open the journal of a table, and lock it against other runs.
+
+    Args:
+        table: the table; the journal lies beside it.
+        job: settings of the run; rows of other settings are refused.
+        anew: discard the rows of earlier runs.
+
+    Raises:
+        InvalidParameterError: the rows belong to another job, or the file is not a journal.
+        OutputError: the journal cannot be written, or another run is using it.
+    """
+    return Journal(
+        journal_path(table),
+        _row_settings(job),
+        dump=lambda row: row.model_dump(mode="json"),
+        load=lambda value: BatchRow.model_validate_json(json.dumps(value)),
+        sole=True,
+        anew=anew,
+        remedy="move the file away, or start again with --overwrite",
+    )
+
+
+def _row_settings(job: BatchJob) -> dict[str, Any]:
+    """Collect all settings that rows depend on; engine, workers and threads do not change a row."""
+    options = asdict(job.options)
+    del options["frame"]
+    if job.known_lengths:
+        options["lines_of"] = {
+            image: [asdict(line) for line in lines] for image, lines in job.known_lengths.items()
+        }
+    return {
+        "vehanchor": version("vehanchor"),
+        "schema_version": SCHEMA_VERSION,
+        "networks_sha256": job.networks_sha256,
+        "classes": job.classes,
+        **options,
+    }
+
+
+def _write_rows(
+    table: Path, journal: Journal[BatchRow], keys: Sequence[Key], *, details: bool
+) -> tuple[Mapping[str, int], Sequence[Cause]]:
+    """Write the rows of a complete journal to the table, and count them.
+
+    Returns:
+        Number of rows by status; causes of scales that are not usable, the most frequent first.
+    """
     statuses: Counter[str] = Counter()
     causes: dict[tuple[str | None, str], Cause] = {}
 
-    def counted() -> Iterator[Mapping[str, Any]]:
-        for row in rows:
-            assert row is not None  # the run is complete
-            statuses["error" if row.estimate is None else row.estimate.status] += 1
-            if (advice := row.advice) is not None:
-                n_before, first = causes.get(same := (row.reason, advice.helps), (0, row))
-                causes[same] = Cause(n_before + 1, first)
+    def count(row: BatchRow) -> None:
+        statuses[row.outcome] += 1
+        advice = row.advice
+        if advice is None:
+            return
+        reason_and_remedy = (row.reason, advice.helps)
+        n_before, first = causes.get(reason_and_remedy, (0, row))
+        causes[reason_and_remedy] = Cause(n_before + 1, first)
+
+    def counted_rows() -> Iterator[Mapping[str, Any]]:
+        # Millions of rows may not fit in memory: read, count and write them one by one.
+        for key in keys:
+            row = journal.get(key)
+            assert row is not None  # The journal is complete.
+            count(row)
             yield row.flat()
 
-    write_table(table, counted(), ALL_COLUMNS if details else COLUMNS)
-    return dict(statuses), tuple(sorted(causes.values(), key=lambda cause: -cause.n_rows))
+    columns = ALL_COLUMNS if details else COLUMNS
+    write_table(table, counted_rows(), columns)
+    most_frequent_first = sorted(causes.values(), key=lambda cause: -cause.n_rows)
+    return dict(statuses), tuple(most_frequent_first)

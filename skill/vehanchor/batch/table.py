@@ -1,4 +1,4 @@
-"""Table files: Parquet, CSV or JSON lines, by suffix; written completely or not at all."""
+"""Table files: Parquet, CSV or JSON lines by suffix, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-_CHUNK_ROWS = 4096  # held in memory by the Parquet writer
+_CHUNK_ROWS = 4096  # rows that the Parquet writer holds in memory
 
 Rows: TypeAlias = "Iterable[Mapping[str, Any]]"
 """Values by column."""
@@ -42,24 +42,28 @@ def check_table_path(path: Path) -> Path:
 
 
 def write_table(path: Path, rows: Rows, columns: Mapping[str, type] = COLUMNS) -> None:
-    """Write rows; an existing file is replaced when all are written.
+    """Write rows; they replace an existing file when all are written.
 
     Args:
         path: ``.parquet``, ``.csv`` or ``.jsonl``, checked by ``check_table_path``.
-        rows: values by column, in order; not all are held in memory.
-        columns: names and types of their values, in order; other values of a row are left out.
+        rows: values by column, in order; they need not fit in memory.
+        columns: names of the columns and types of their values, in order; other values of a row
+            are left out.
 
     Raises:
         OutputError: the file cannot be written.
     """
+    write = _WRITERS[path.suffix.lower()]
     with whole_file(path) as partial:
-        _WRITERS[path.suffix.lower()](partial, rows, columns)
+        write(partial, rows, columns)
 
 
 def _write_jsonl(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
     with path.open("w", encoding="ascii", newline="\n") as file:
         for row in rows:
-            file.write(json.dumps({name: row[name] for name in columns}, allow_nan=False) + "\n")
+            values = {name: row[name] for name in columns}
+            line = json.dumps(values, allow_nan=False)
+            file.write(f"{line}\n")
 
 
 def _write_csv(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
@@ -67,19 +71,27 @@ def _write_csv(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
         writer = csv.DictWriter(file, list(columns), lineterminator="\n")
         writer.writeheader()
         for row in rows:
-            writer.writerow({name: in_cell(row[name]) for name in columns})
+            cells = {name: in_cell(row[name]) for name in columns}
+            writer.writerow(cells)
 
 
 def _write_parquet(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
-    types = {float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_(), str: arrow.string()}
-    schema = arrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    arrow_types = {
+        float: arrow.float64(),
+        int: arrow.int64(),
+        bool: arrow.bool_(),
+        str: arrow.string(),
+    }
+    fields = [(name, arrow_types[kind]) for name, kind in columns.items()]
+    schema = arrow.schema(fields)
     remaining = iter(rows)
     with parquet.ParquetWriter(path, schema) as writer:
         while chunk := list(islice(remaining, _CHUNK_ROWS)):
-            writer.write_table(arrow.Table.from_pylist(chunk, schema=schema))
+            chunk_table = arrow.Table.from_pylist(chunk, schema=schema)
+            writer.write_table(chunk_table)
 
 
 _WRITERS: dict[str, Callable[[Path, Rows, Mapping[str, type]], None]] = {

@@ -1,4 +1,4 @@
-"""Worker of a batch run: one model that makes rows from files."""
+"""Worker of a batch run: a loaded model that makes rows from image files."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class BatchJob:
 
     Attributes:
         detector: name of a bundled model, or the absolute path of a file.
-        networks_sha256: expected checksum of the detector and its auxiliary models; other machines
-            may have others.
+        networks_sha256: expected checksum of all networks; another machine of a cluster may have
+            other files.
         classes: classes of the model that count as vehicles; None for the model's own.
-        options: all options of the method, without a frame.
+        options: options of the method, without a frame.
         runtime: runtime of each worker's models; rows do not depend on the number of threads.
-        known_lengths: lines by image, in pixels of the image; lines in the options apply to every
-            image.
+        known_lengths: lines by image, in pixels of the image; they replace the lines in the
+            options.
     """
 
     detector: str
@@ -48,7 +48,7 @@ class BatchJob:
 
 @dataclass(frozen=True)
 class Task:
-    """Image to measure.
+    """One image of a run.
 
     Attributes:
         file: its name in the table.
@@ -60,17 +60,23 @@ class Task:
 
     @classmethod
     def of(cls, path: str) -> Task:
-        """Make the task of an image; undecodable bytes of its name are replaced in the table."""
-        name = path.encode("utf-8", "backslashreplace").decode()
-        return cls(file=name, path=str(Path(path).absolute()))
+        """Make the task of an image; the table shows undecodable bytes of its name escaped."""
+        printable_name = path.encode("utf-8", "backslashreplace").decode()
+        return cls(file=printable_name, path=str(Path(path).absolute()))
 
     def key(self) -> Key:
-        """Make the journal key of the row: name and present state of the image."""
+        """Make the journal key of the row: name, path, size and time of the image.
+
+        The row of a file that has been replaced is not found under its new key.
+        """
         return (self.file, *Source.of(self.path))
 
 
 class Worker:
     """Loaded model that makes rows.
+
+    Args:
+        job: settings of the run.
 
     Raises:
         ModelError: the model cannot be loaded, or is not the one that the job names.
@@ -81,21 +87,20 @@ class Worker:
         self._options = job.options
         self._known_lengths = job.known_lengths
         path = resolve_model(job.detector)
-        self._detector = checked_detector(
-            Detector(path, classes=job.classes, runtime=job.runtime), job.options
-        )
-        here = networks_sha256(self._detector.card)
-        if here != job.networks_sha256:
+        detector = Detector(path, classes=job.classes, runtime=job.runtime)
+        self._detector = checked_detector(detector, job.options)
+        # Rows of different networks must not get into one table.
+        sha256 = networks_sha256(self._detector.card)
+        if sha256 != job.networks_sha256:
             raise ModelContractError(
-                f"{job.detector} and its auxiliary models on this machine (sha256 {here[:12]}) "
-                "differ from those where "
-                f"the run was started ({job.networks_sha256[:12]}): install one version of "
-                "vehanchor everywhere"
+                f"{job.detector} and its auxiliary models on this machine (sha256 {sha256[:12]}) "
+                f"differ from those where the run was started ({job.networks_sha256[:12]}): "
+                "install one version of vehanchor everywhere"
             )
 
     @classmethod
-    def of_own_process(cls, job: BatchJob) -> Worker:
-        """Make the only worker of this process; OpenCV also gets the job's number of threads."""
+    def for_this_process(cls, job: BatchJob) -> Worker:
+        """Make the only worker of this process; it also limits the threads of OpenCV."""
         cv2.setNumThreads(job.runtime.threads or -1)
         return cls(job)
 
@@ -104,15 +109,13 @@ class Worker:
         try:
             options = with_lines_of(self._options, self._known_lengths, task.path)
             with open_raster(task.path, options.reading) as raster:
-                estimate = analyse_raster(self._detector, raster, options).estimate
+                analysis = analyse_raster(self._detector, raster, options)
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
         except MemoryError:
             return BatchRow.failed(task.file, OutOfMemoryError("too little memory was left"))
-        except Exception as error:  # a defect in one image must not end a run over a million
-            return BatchRow(
-                file=task.file,
-                error_code="internal_error",
-                error=f"{type(error).__name__}: {error}",
-            )
-        return BatchRow(file=task.file, estimate=estimate)
+        except Exception as error:
+            # A defect that one image triggers must not end a run over a million images.
+            message = f"{type(error).__name__}: {error}"
+            return BatchRow(file=task.file, error_code="internal_error", error=message)
+        return BatchRow(file=task.file, estimate=analysis.estimate)

@@ -1,13 +1,14 @@
-"""The command line: each command is an entry point of the group ``vehanchor.commands`` and is loaded when called.
+"""Command line: its commands are entry points of the group ``vehanchor.commands``.
 
-Results go to stdout; progress, errors and warnings go to stderr. Exit status: 0 for a result, also
-without a scale; with ``--strict`` 3 for no scale or low confidence; 2 for bad input, bad options or
-an output that cannot be written; 130 after Ctrl-C; 1 for an unforeseen error or a failed self-test.
+Results go to stdout; progress, errors and warnings go to stderr. The exit status is 0 for a result,
+even without a scale; 3 with ``--strict`` for no scale or low confidence; 2 for bad input, bad
+options or an output that cannot be written; 130 after Ctrl-C; 1 for an unforeseen error or a failed
+self-test.
 
-A command is a Typer function, or a ``typer.Typer`` with several. ``pyproject.toml`` lists the
-commands of the library, the evaluation and the server. A package is imported only when one of its
-commands is called. Each command imports slow modules (OpenCV, ONNX Runtime, tables) itself, so that
-help is fast.
+An entry point is a Typer function, or a ``typer.Typer`` with several commands. ``pyproject.toml``
+lists those of the library, the evaluation and the server. A package is imported only when one of
+its commands is called. Each command imports slow modules (OpenCV, ONNX Runtime, tables) itself, so
+that help is fast.
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from vehanchor.cli.multi_value import SpacedCommand
 from vehanchor.cli.terminal import BAD_INPUT, INTERRUPTED, UNFORESEEN
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from importlib.metadata import EntryPoint
 
 _GROUP = "vehanchor.commands"
-_PANELS = {  # in the order of --help; commands of other packages follow
+# Panels of --help by command, in the order of --help; other commands follow in _OTHER_PANEL.
+_PANELS = {
     **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "view"), "Measure"),
     "models": "This installation",
     "serve": "For agents",
@@ -42,50 +45,61 @@ class _Commands(TyperGroup):
     """Commands by the names of their entry points."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Name all commands that can be loaded."""
-        first = list(_PANELS)
-        names = sorted(
-            _declared(), key=lambda name: (first.index(name) if name in first else len(first), name)
-        )
+        """List all commands that can be loaded, in the order of ``--help``."""
+        names = sorted(_entry_points(), key=_help_position)
         return [name for name in names if self.get_command(ctx, name) is not None]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Load a command; None if it does not exist or its package is not installed."""
-        declared = _declared().get(cmd_name)
-        if declared is None:
+        entry_point = _entry_points().get(cmd_name)
+        if entry_point is None:
             return None
         try:
-            loaded = declared.load()
+            loaded = entry_point.load()
         except ModuleNotFoundError as error:
-            if ctx.invoked_subcommand == cmd_name or cmd_name in sys.argv[1:2]:
-                print(
-                    f"error[command_missing]: '{cmd_name}' needs {error.name}: reinstall vehanchor",
-                    file=sys.stderr,
-                )
-                raise typer.Exit(BAD_INPUT) from None
-            return None
-        if not isinstance(loaded, typer.Typer):
-            single = typer.Typer(
-                add_completion=False, pretty_exceptions_enable=False, context_settings=_SETTINGS
+            # --help omits a command that cannot be loaded; a call of it deserves the reason.
+            is_called = ctx.invoked_subcommand == cmd_name or cmd_name in sys.argv[1:2]
+            if not is_called:
+                return None
+            print(
+                f"error[command_missing]: '{cmd_name}' needs {error.name}: reinstall vehanchor",
+                file=sys.stderr,
             )
-            single.command(cmd_name, cls=SpacedCommand, context_settings=_SETTINGS)(loaded)
-            loaded = single
-        command = typer.main.get_command(loaded)
+            raise typer.Exit(BAD_INPUT) from None
+        typer_app = loaded if isinstance(loaded, typer.Typer) else _app_of(cmd_name, loaded)
+        command = typer.main.get_command(typer_app)
         command.name = cmd_name
-        command.rich_help_panel = _PANELS.get(cmd_name, _OTHER_PANEL)  # type: ignore[attr-defined] # typer reads it
+        # Typer's help reads this attribute.
+        command.rich_help_panel = _PANELS.get(cmd_name, _OTHER_PANEL)  # type: ignore[attr-defined]
         return command
 
 
-def _declared() -> dict[str, EntryPoint]:
-    return {each.name: each for each in entry_points(group=_GROUP)}
+def _app_of(name: str, function: Callable[..., None]) -> typer.Typer:
+    """Make a Typer application of one command from its function."""
+    typer_app = typer.Typer(
+        add_completion=False, pretty_exceptions_enable=False, context_settings=_SETTINGS
+    )
+    typer_app.command(name, cls=SpacedCommand, context_settings=_SETTINGS)(function)
+    return typer_app
+
+
+def _entry_points() -> dict[str, EntryPoint]:
+    return {entry_point.name: entry_point for entry_point in entry_points(group=_GROUP)}
+
+
+def _help_position(name: str) -> tuple[int, str]:
+    """Return the sort key of a command in ``--help``: our order, then the alphabet."""
+    ordered = list(_PANELS)
+    position = ordered.index(name) if name in ordered else len(ordered)
+    return position, name
 
 
 app = typer.Typer(
     name="vehanchor",
     cls=_Commands,
-    help="Metric scale for aerial images without metadata: cars as the ruler. Exit status: 0 "
-    "(done), 2 (bad "
-    "input), 3 (with --strict: an unusable result), 1 (a defect), 130 (interrupted).",
+    help="Metric scale for aerial images without metadata, with cars as the ruler. Exit status: 0 "
+    "(done), 2 (bad input), 3 (with --strict: an unusable result), 1 (a defect), 130 "
+    "(interrupted).",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -95,26 +109,29 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; the entry point of ``vehanchor`` and of ``python -m vehanchor``."""
-    # imports create 170,000 lasting objects; to visit them again takes a tenth of the time
+    # Imports create 170,000 lasting objects. The garbage collector would visit them again and
+    # again, for a tenth of the time, and three more times at exit, for 0.1 s.
     gc.set_threshold(200_000)
-    atexit.register(gc.freeze)  # else Python visits them thrice when it exits, for 0.1 s
-    # before its import; our errors report the problem
+    atexit.register(gc.freeze)
+    # OpenCV reads this when it is imported; our errors report its problems.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:
         try:
             app(prog_name="vehanchor")
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # the reader has closed the pipe, as `| head` does
-        # avoids an error when Python exits
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        # The reader has closed the pipe, as `| head` does. Python would report an error at exit,
+        # when it flushes stdout, so stdout now leads nowhere.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
         sys.exit(UNFORESEEN)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(show: bool) -> None:
+    if show:
         from importlib.metadata import version
 
         print(f"vehanchor {version('vehanchor')}")
@@ -130,4 +147,4 @@ def _root(
         ),
     ] = False,
 ) -> None:
-    del version  # its callback has printed it
+    del version  # The callback of the option has printed it.

@@ -27,13 +27,43 @@ Inputs: TypeAlias = Annotated[
         show_default=False,
     ),
 ]
+Table: TypeAlias = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
+]
+EngineName: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        metavar="local|ray",
+        help="Processes of this machine, or Ray Data (extra 'ray'); the rows are the same.",
+    ),
+]
+ClusterAddress: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT",
+        help="Ray cluster: auto, host:6379 or ray://host:10001. Default: start a local one.",
+    ),
+]
+Workers: TypeAlias = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU."),
+]
+Overwrite: TypeAlias = Annotated[
+    bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
+]
+Details: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--details", help="Write all columns, including those of the search and of each ruler."
+    ),
+]
 TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.csv",
-        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; "
-        "files relative to the "
-        "table). The output may also be .geojson.",
+        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files "
+        "relative to the table). The output may also be .geojson.",
     ),
 ]
 
@@ -41,41 +71,18 @@ TargetsFile: TypeAlias = Annotated[
 @scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
-    ],
-    engine: Annotated[
-        str,
-        typer.Option(
-            metavar="local|ray",
-            help="Processes of this machine, or Ray Data (extra 'ray'). Same rows.",
-        ),
-    ] = "local",
-    address: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help="Ray cluster: 'auto', host:6379, ray://host:10001. Default: a local one.",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
-    ] = False,
-    details: Annotated[
-        bool,
-        typer.Option("--details", help="Write all columns, also of the search and of each ruler."),
-    ] = False,
+    output: Table,
+    engine: EngineName = "local",
+    address: ClusterAddress = None,
+    workers: Workers = None,
+    overwrite: Overwrite = False,
+    details: Details = False,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Estimate the scales of many images, and write a table with one row per image, errors included.
+    """Estimate the scales of many images, and write a table with a row per image, errors included.
 
     After an interruption, the same command resumes the run. With --measure, the table has one row
     per target.
@@ -98,6 +105,7 @@ def batch(
                 overwrite=overwrite,
             )
             return
+
         from vehanchor.batch import run_batch
 
         with resumable(output, "rows"):
@@ -115,23 +123,22 @@ def batch(
                 overwrite=overwrite,
                 runtime=chosen.runtime(progress),
             )
-    _summarise(summary, time.monotonic() - started)
-
-
-def _summarise(summary: BatchSummary, seconds: float) -> None:
-    """Print what would help images without a usable scale, and the summary; fail if every image did."""
-    for n_rows, first in summary.causes:
-        advice = "; ".join(filter(None, first.advice or ()))
-        print(
-            f"{n_rows} x {first.reason}, as in {printable(first.file)}: {advice}", file=sys.stderr
-        )
-    resumed = f", {summary.n_resumed} of them from an earlier run" if summary.n_resumed else ""
-    print(
-        f"{printable(str(summary.table))}: {count(summary.n_rows, 'row')} "
-        f"({counts_text(summary.statuses)}){resumed}; "
-        f"{count(summary.n_rows - summary.n_resumed, 'image')} in {seconds:.1f} s",
-        file=sys.stderr,
-    )
+    _print_summary(summary, time.monotonic() - started)
     if summary.statuses.get("error", 0) == summary.n_rows:
         print("no image could be used: the columns error_code and error say why", file=sys.stderr)
         raise typer.Exit(FAILED)
+
+
+def _print_summary(summary: BatchSummary, seconds: float) -> None:
+    """Print advice for images without a usable scale, and the numbers of the run."""
+    for n_rows, first in summary.causes:
+        # An error has its remedy in the first part, and no second one.
+        advice = "; ".join(filter(None, first.advice or ()))
+        file = printable(first.file)
+        print(f"{n_rows} x {first.reason}, as in {file}: {advice}", file=sys.stderr)
+    table = printable(str(summary.table))
+    rows = f"{count(summary.n_rows, 'row')} ({counts_text(summary.statuses)})"
+    if summary.n_resumed:
+        rows += f", {summary.n_resumed} of them from an earlier run"
+    images = count(summary.n_rows - summary.n_resumed, "image")
+    print(f"{table}: {rows}; {images} in {seconds:.1f} s", file=sys.stderr)

@@ -19,7 +19,7 @@ from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets
 from vehanchor.records.text import count
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from vehanchor.engine import Engine
 
@@ -35,14 +35,16 @@ def measure_table(
     *,
     overwrite: bool,
 ) -> None:
-    """Measure the targets of a table with one search per image; write their results, and a summary on stderr.
+    """Measure the targets of a table, write their results, and print a summary on stderr.
+
+    Each image is searched once for all its targets.
 
     Args:
         inputs: directories, patterns and files; the targets lie in these images.
         table: CSV of targets; see ``read_targets``.
         output: a table, or the outlines and lines with their sizes as GeoJSON.
-        engine: its models and options.
-        tell: receives the number of measured images and of all images.
+        engine: models and options of the measurements.
+        tell: called with the numbers of measured and of all images.
         overwrite: replace an existing file.
 
     Raises:
@@ -50,46 +52,65 @@ def measure_table(
         OutputError: the file exists, or cannot be written.
         ImageNotFoundError: as ``find_images``.
     """
-    as_shapes = output.suffix.lower() == SUFFIX
-    (check_geojson_path if as_shapes else check_table_path)(output)
+    as_geojson = output.suffix.lower() == SUFFIX
+    if as_geojson:
+        check_geojson_path(output)
+    else:
+        check_table_path(output)
     if output.exists() and not overwrite:
         raise OutputError(f"{str(output)!r} exists: name another file, or pass --overwrite")
-    wanted = read_targets(table)
-    images = find_images(inputs)
-    strangers = sorted(set(wanted) - {where_it_is(image) for image in images})
-    if strangers:
-        raise PromptError(
-            f"a target is in {strangers[0]!r}, which is not one of the images: files are named "
-            "relative to the table"
-        )
-    options = engine.options
-    rows = []
-    detector = checked_detector(engine.detector, options)
+    targets_by_image = read_targets(table)
+    _check_images(targets_by_image, find_images(inputs))
+
+    detector = checked_detector(engine.detector, engine.options)
     segmenter = engine.segmenter
-    for number, (image, targets) in enumerate(wanted.items()):
-        tell(number, len(wanted))
+    n_images = len(targets_by_image)
+    rows: list[TargetRow] = []
+    for n_measured, (image, targets) in enumerate(targets_by_image.items()):
+        tell(n_measured, n_images)
         rows += measure_targets(
-            image, targets, detector=detector, segmenter=segmenter, options=options
+            image, targets, detector=detector, segmenter=segmenter, options=engine.options
         )
-    tell(len(wanted), len(wanted))
-    if as_shapes:
-        placed = [(feature, row.ground) for row in rows if (feature := row.feature()) is not None]
-        write_features(output, placed)
+    tell(n_images, n_images)
+
+    if as_geojson:
+        _write_geojson(output, rows)
     else:
         write_table(output, (row.flat() for row in rows), TARGET_COLUMNS)
-    _summarise(output, rows)
-
-
-def _summarise(output: Path, rows: Sequence[TargetRow]) -> None:
-    """Print the first errors and the numbers by status; fail if nothing was measured."""
-    errors = [(row.target, row.error) for row in rows if row.error is not None]
-    for target, error in errors[:_SHOWN_ERRORS]:
-        report(error, f"{target.file} {target.name}".strip())
-    counts = Counter("error" if row.record is None else row.record.status for row in rows)
-    print(
-        f"{printable(str(output))}: {count(len(rows), 'target')} ({counts_text(counts)})",
-        file=sys.stderr,
-    )
-    if len(errors) == len(rows):
+    _print_summary(output, rows)
+    if all(row.error is not None for row in rows):
         print("no target could be measured", file=sys.stderr)
         raise typer.Exit(FAILED)
+
+
+def _check_images(targets_by_image: Iterable[str], images: Iterable[str]) -> None:
+    """Check that all targets lie in the images of the command."""
+    unknown = sorted(set(targets_by_image) - {where_it_is(image) for image in images})
+    if unknown:
+        raise PromptError(
+            f"a target is in {unknown[0]!r}, which is not one of the images: files are named "
+            "relative to the table"
+        )
+
+
+def _write_geojson(output: Path, rows: Iterable[TargetRow]) -> None:
+    features = []
+    for row in rows:
+        feature = row.feature()
+        if feature is not None:
+            features.append((feature, row.ground))
+    write_features(output, features)
+
+
+def _print_summary(output: Path, rows: Sequence[TargetRow]) -> None:
+    """Print the first errors, and the numbers of targets by status."""
+    errors = [(row.target, row.error) for row in rows if row.error is not None]
+    for target, error in errors[:_SHOWN_ERRORS]:
+        name = f"{target.file} {target.name}".strip()
+        report(error, name)
+    statuses: Counter[str] = Counter()
+    for row in rows:
+        statuses["error" if row.record is None else row.record.status] += 1
+    file = printable(str(output))
+    targets = count(len(rows), "target")
+    print(f"{file}: {targets} ({counts_text(statuses)})", file=sys.stderr)

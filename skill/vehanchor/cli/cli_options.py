@@ -4,9 +4,9 @@
     def estimate(images: ..., chosen: ParsedOptions) -> None:
         engine = chosen.engine()
 
-``estimate`` then has the options of ``ScaleOptions``, of the detector and of its runtime beside its
-own: the usual ones in ``--help``, all of them in a TOML file with the keywords of the library. The
-options check the values, so that the command can report errors.
+``estimate`` then has its own options, and those of ``ScaleOptions``, of the detector and of its
+runtime: the usual ones in ``--help``, all of them in a TOML file with the keywords of the library.
+Typer passes texts; the option groups read and check them, so that errors are the library's own.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ OF_ONE_IMAGE = ("frame", "coordinates", "known_lengths", "drop", "add")
 """Options that belong to one image."""
 
 _FILE = "options_file"
-_MODELS = {
+_MODEL_OPTIONS = {
     "detector": models.DETECTOR,
     "classes": models.CLASSES,
     "threads": models.THREADS,
@@ -61,8 +61,8 @@ class ParsedOptions:
 
     Attributes:
         typed: values of the command line.
-        file: TOML file with further ones; None without one.
-        names: options of the command.
+        file: TOML file with further values; None without one.
+        names: keywords of the command's options.
     """
 
     typed: Mapping[str, Any]
@@ -80,18 +80,18 @@ class ParsedOptions:
         if self.file is None:
             return self.typed
         try:
-            of_file = tomllib.loads(self.file.read_text(encoding="utf-8"))
+            from_file = tomllib.loads(self.file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise InvalidParameterError(
                 f"--options {str(self.file)!r} cannot be read: {error}"
             ) from None
-        unknown = next((name for name in of_file if name not in self.names), None)
-        if unknown is not None:
-            raise InvalidParameterError(
-                f"--options {str(self.file)!r} has {unknown!r}: the options of this command are "
-                f"{', '.join(sorted(self.names))}"
-            )
-        return {**of_file, **self.typed}
+        for name in from_file:
+            if name not in self.names:
+                raise InvalidParameterError(
+                    f"--options {str(self.file)!r} has {name!r}: the options of this command are "
+                    f"{', '.join(sorted(self.names))}"
+                )
+        return {**from_file, **self.typed}
 
     def options(self) -> ScaleOptions:
         """Make the options of the method.
@@ -100,13 +100,13 @@ class ParsedOptions:
             InvalidParameterError: a value is invalid.
             CalibrationFileError: the calibration cannot be read.
         """
-        return ScaleOptions.of(
-            {name: value for name, value in self.values.items() if name in declared_options()}
-        )
+        declared = declared_options()
+        keywords = {name: value for name, value in self.values.items() if name in declared}
+        return ScaleOptions.of(keywords)
 
     @property
     def detector(self) -> str | None:
-        """Path of an ONNX oriented-box model, or the name of a bundled one; None for the bundled default."""
+        """Path of an ONNX oriented-box model, or name of a bundled one; None for the default."""
         detector: str | None = self.values.get("detector")
         return detector
 
@@ -121,10 +121,10 @@ class ParsedOptions:
         Raises:
             InvalidParameterError: the threads or the providers are invalid.
         """
-        given = {
+        fields = {
             name: self.values[name] for name in ("threads", "providers") if name in self.values
         }
-        return Runtime(**given, progress=progress)
+        return Runtime(**fields, progress=progress)
 
     def engine(
         self,
@@ -149,47 +149,54 @@ class ParsedOptions:
 
 def read_classes(values: Iterable[object]) -> list[str | int] | None:
     """Read classes of a model; digits are indices. None without any."""
-    return [int(each) if each.isdecimal() else each for each in map(str, values)] or None
+    classes: list[str | int] = []
+    for value in values:
+        text = str(value)
+        classes.append(int(text) if text.isdecimal() else text)
+    return classes or None
 
 
 def scale_command(
     *, without: Collection[str] = ()
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add the options of all groups to a command, which receives them as the argument ``chosen``; report its errors.
+    """Add the options of all groups to a command, and report its errors.
 
     Args:
         without: keywords of options that do not apply to this command.
 
     Returns:
-        A decorator for a function with a parameter ``chosen``; its result is a Typer command.
+        A decorator for a function that receives the options as the keyword ``chosen``; its result
+        is a Typer command.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        # Typer needs types, not their names
+        # Typer needs the annotated types, not their names as texts.
         own = dict(inspect.signature(command, eval_str=True).parameters)
         del own["chosen"]
-        shown = [
-            (name, option, each)
-            for name, option, each in _parameters()
-            if name not in {*without, *own}
-        ]
-        added = [each for _, _, each in sorted(shown, key=lambda one: not one[1].first)]
-        names = frozenset(each.name for each in added)
+        added = _option_parameters(without={*without, *own})
+        names = frozenset(parameter.name for parameter in added)
 
         @functools.wraps(command)
-        def with_choices(**arguments: Any) -> None:
-            typed = {
-                name: value for name in names if (value := arguments.pop(name)) not in (None, [])
-            }
+        def parse_and_run(**arguments: Any) -> None:
+            typed = {}
+            for name in names:
+                value = arguments.pop(name)
+                if value not in (None, []):
+                    typed[name] = value
             file = arguments.pop(_FILE)
             with exit_on_error():
                 command(**arguments, chosen=ParsedOptions(typed, file, names))
 
-        parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in own.values()]
+        # Typer reads the parameters of a command from its signature and its annotations.
+        parameters = [
+            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own.values()
+        ]
         parameters += [*added, _FILE_PARAMETER]
-        with_choices.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        with_choices.__annotations__ = {each.name: each.annotation for each in parameters}
-        return with_choices
+        parse_and_run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        parse_and_run.__annotations__ = {
+            parameter.name: parameter.annotation for parameter in parameters
+        }
+        return parse_and_run
 
     return decorate
 
@@ -210,42 +217,62 @@ _FILE_PARAMETER = inspect.Parameter(
 )
 
 
-def _parameters() -> Iterator[tuple[str, Option, inspect.Parameter]]:
-    """Make the parameters of a Typer command: name, declaration, and a keyword-only parameter annotated for Typer."""
-    for name, option in _MODELS.items():
-        yield name, option, _parameter(name, option, str, None)
-    for name, each in declared_options().items():
-        if each.option.cli:
-            yield name, each.option, _parameter(name, each.option, each.kind, each.default)
+def _option_parameters(without: Collection[str]) -> list[inspect.Parameter]:
+    """Make the parameters of a Typer command for all options; the usual ones come first."""
+    usual = []
+    others = []
+    for name, option, kind, default in _command_line_options():
+        if name in without:
+            continue
+        parameter = _parameter(name, option, kind=kind, default=default)
+        if option.first:
+            usual.append(parameter)
+        else:
+            others.append(parameter)
+    return usual + others
 
 
-def _parameter(name: str, option: Option, bare: Any, default: Any) -> inspect.Parameter:
-    """Make a parameter that takes texts, which the option reads; a flag; or a list of texts."""
+def _command_line_options() -> Iterator[tuple[str, Option, Any, Any]]:
+    """List keyword, declaration, type and default of each option that the command line offers."""
+    for name, option in _MODEL_OPTIONS.items():
+        yield name, option, str, None
+    for name, declared in declared_options().items():
+        if declared.option.cli:
+            yield name, declared.option, declared.kind, declared.default
+
+
+def _parameter(name: str, option: Option, *, kind: Any, default: Any) -> inspect.Parameter:
+    """Make a keyword-only parameter with an annotation for Typer.
+
+    A flag takes a bool. Any other option takes texts, which its group reads.
+    """
+    is_flag = kind is bool
     flag = option.flag or re.sub("_(px|m)$", "", name).replace("_", "-")
-    metavar = option.metavar or (
-        "|".join(typing.get_args(bare)) if typing.get_origin(bare) is Literal else ""
-    )
-    n_values = len(metavar.split())
-    kind: Any
-    if bare is bool:
-        flag = f"{flag}/--no-{flag}"
-        kind = bool
-    elif option.repeated:
-        kind = list[str]
-    else:
-        kind = types.GenericAlias(tuple, (str,) * n_values) if n_values > 1 else str
+    metavar = option.metavar
+    if not metavar and typing.get_origin(kind) is Literal:
+        metavar = "|".join(typing.get_args(kind))
+    show_default = not is_flag and default not in (None, (), "assumed")
     declared = typer.Option(
-        f"--{flag}",
+        f"--{flag}/--no-{flag}" if is_flag else f"--{flag}",
         help=rulers_help() if name == "rulers" else option.help,
         metavar=metavar or None,
         hidden=not option.first,
-        show_default=str(default)
-        if default not in (None, (), "assumed") and bare is not bool
-        else False,
+        show_default=str(default) if show_default else False,
     )
+
+    n_values = len(metavar.split())
+    typer_kind: Any
+    if is_flag:
+        typer_kind = bool
+    elif option.repeated:
+        typer_kind = list[str]
+    elif n_values > 1:
+        typer_kind = types.GenericAlias(tuple, (str,) * n_values)
+    else:
+        typer_kind = str
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
         default=None,
-        annotation=Annotated[kind | None, declared],
+        annotation=Annotated[typer_kind | None, declared],
     )

@@ -53,16 +53,19 @@ def distance(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Measure the distance (metres) between two points, or along a line, with the scale from cars in the image."""
+    """Measure the distance (metres) between two points, or along a line through several.
+
+    The scale comes from cars in the image, unless you give one.
+    """
 
     def analyse(progress: Callable[[int, int], None]) -> DistanceAnalysis:
         path = [parse_point("--point", text) for text in point or ()]
-        known = read_scale(scale, image)
+        known_scale = read_scale(scale, image)
         return chosen.engine().analyse_distance(
             image,
             path,
             gsd_m_per_px=gsd,
-            scale=known,
+            scale=known_scale,
             object_height_m=object_height,
             progress=progress,
         )
@@ -73,12 +76,12 @@ def distance(
 
 def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record without its scale."""
-    low = record.distance_ci95_low_m
-    high = record.distance_ci95_high_m
     distance = with_interval(
-        record.distance_m, low, high=high, unit="m", missing="none: there is no scale"
+        record.distance_m,
+        record.distance_ci95_low_m,
+        high=record.distance_ci95_high_m,
+        unit="m",
+        missing="none: there is no scale",
     )
-    return [
-        ("distance", distance),
-        ("line", f"{len(record.path)} points, {record.length_px:.1f} px"),
-    ]
+    line = f"{len(record.path)} points, {record.length_px:.1f} px"
+    return [("distance", distance), ("line", line)]

@@ -46,15 +46,15 @@ OverlayFile: TypeAlias = Annotated[
     typer.Option(
         metavar="OUT.png",
         help="Write the image with vehicles and scale bar. '{stem}' in the name stands for the "
-        "image's name without "
-        "suffix; it is required for several images.",
+        "image's name without suffix; it is required for several images.",
     ),
 ]
 PlotFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.png",
-        help="Write a plot of lengths, mode and interval (extra 'plots'); '{stem}' as above.",
+        help="Write a plot of lengths, mode and interval (extra 'plots'); '{stem}' as for "
+        "--overlay.",
         hidden=True,
     ),
 ]
@@ -63,24 +63,23 @@ BoxesFile: TypeAlias = Annotated[
     typer.Option(
         metavar="OUT.geojson",
         help="Write the vehicles as GeoJSON: degrees if georeferenced, else pixels; '{stem}' as "
-        "above.",
+        "for --overlay.",
     ),
 ]
 ScaleBarFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.png",
-        help="Write the photograph with a scale bar alone; without a single usable scale "
-        "nothing, and exit status "
-        f"{NOT_OK}.",
+        help="Write the photograph with only a scale bar. Without a single usable scale, write "
+        f"nothing and exit with status {NOT_OK}.",
     ),
 ]
 GeotiffFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.tif",
-        help="Write the photograph in full size as a GeoTIFF in local metres, as --scale-bar; "
-        "needs the extra 'geo'.",
+        help="Write the photograph in full size as a GeoTIFF in local metres, under the conditions "
+        "of --scale-bar; needs the extra 'geo'.",
     ),
 ]
 
@@ -106,16 +105,9 @@ def estimate(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Estimate the ground sampling distance (metres per pixel) of aerial images from the cars in them."""
+    """Estimate the ground sampling distance (metres per pixel) of aerial images from cars."""
     with failures_as_json(images, as_json):
-        folder = next((source for source in images if Path(source).is_dir()), None)
-        if folder is not None:
-            raise ImageNotFoundError(
-                f"{folder!r} is a folder: 'vehanchor batch {folder} -o scales.csv' measures all "
-                "images in it"
-            )
-        if len(images) > 1:
-            chosen.options().by_hand.check_single()
+        _check_images(images, chosen)
         files = {
             "overlay": overlay,
             "plot": plot,
@@ -123,146 +115,204 @@ def estimate(
             "scale_bar": scale_bar,
             "geotiff": geotiff,
         }
-        outputs = _outputs(images, files)
+        outputs = _output_files(images, files)
         engine = chosen.engine()
         engine.load()
-    rows, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
-    if rows and not as_json:
-        _print_summary(rows) if len(images) > 1 else print_facts(rows[0][0], _facts(rows[0][1]))
-        for source, record in rows:
-            print_warnings(record.warnings, source if len(images) > 1 else "")
-    if n_failed or n_refused:
-        raise typer.Exit(BAD_INPUT if n_failed else NOT_OK)
-    exit_strictly(strict, (record.status for _, record in rows))
+    records, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
+    if records and not as_json:
+        _print_records(records, several=len(images) > 1)
+    if n_failed:
+        raise typer.Exit(BAD_INPUT)
+    if n_refused:
+        raise typer.Exit(NOT_OK)
+    exit_strictly(strict, [record.status for _, record in records])
+
+
+def _check_images(images: Sequence[str], chosen: ParsedOptions) -> None:
+    """Refuse folders, and corrections of vehicles for several images."""
+    for source in images:
+        if Path(source).is_dir():
+            raise ImageNotFoundError(
+                f"{source!r} is a folder: 'vehanchor batch {source} -o scales.csv' measures all "
+                "images in it"
+            )
+    if len(images) > 1:
+        chosen.options().by_hand.check_single()
+
+
+def _output_files(
+    images: Sequence[str], patterns: Mapping[str, str | None]
+) -> list[dict[str, Path]]:
+    """Name the output files of each image by their options, and check them before the work."""
+    paths_by_name: dict[str, list[Path]] = {}
+    for name, pattern in patterns.items():
+        if pattern:
+            option = f"--{name.replace('_', '-')}"
+            paths_by_name[name] = _expand_pattern(images, option, pattern)
+    outputs = [(name, path) for name, paths in paths_by_name.items() for path in paths]
+    check_outputs(images, outputs)
+    return [
+        {name: paths[number] for name, paths in paths_by_name.items()}
+        for number in range(len(images))
+    ]
+
+
+def _expand_pattern(images: Sequence[str], option: str, pattern: str) -> list[Path]:
+    """Replace ``{stem}`` in the name of an output by the name of each image."""
+    if len(images) > 1 and _STEM not in pattern:
+        raise InvalidParameterError(
+            f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the "
+            f"name, as in {option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
+        )
+    return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
 
 
 def _estimate_all(
     images: Sequence[str], engine: Engine, outputs: Sequence[Mapping[str, Path]], *, as_json: bool
 ) -> tuple[list[tuple[str, GsdEstimate]], int, int]:
-    """Estimate all images; return the records, the number of errors, and of images without metric outputs."""
-    rows: list[tuple[str, GsdEstimate]] = []
-    n_failed = n_refused = 0
+    """Estimate all images, and write their outputs.
+
+    Returns:
+        Images with their records; number of errors; number of images without a single usable scale,
+        whose outputs in metres are not written.
+    """
+    records: list[tuple[str, GsdEstimate]] = []
+    n_failed = 0
+    n_refused = 0
+    # A bar on the terminal would mix with the JSON lines there.
     with work_progress("tiles", lines=as_json and sys.stdout.isatty()) as tell:
-        for number, source in enumerate(images):
+        for number, source in enumerate(images, start=1):
+            name = Path(source).name
+            if len(images) > 1:
+                name = f"{number}/{len(images)} {name}"
             try:
                 with failures_as_json([source], as_json):
-                    name = (f"{number + 1}/{len(images)} " if len(images) > 1 else "") + Path(
-                        source
-                    ).name
                     analysis = engine.analyse_scale(source, progress=partial(tell, name=name))
                 if as_json:
                     print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
-                rows.append((source, analysis.estimate))
-                why = write_outputs(analysis, outputs[number])
+                records.append((source, analysis.estimate))
+                why_refused = write_outputs(analysis, outputs[number - 1])
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
                 continue
-            if why is not None:
+            if why_refused is not None:
                 n_refused += 1
-                print(printable(f"{source}: no scale bar and no GeoTIFF: {why}"), file=sys.stderr)
-    return rows, n_failed, n_refused
+                message = f"{source}: no scale bar and no GeoTIFF: {why_refused}"
+                print(printable(message), file=sys.stderr)
+    return records, n_failed, n_refused
 
 
-def _outputs(images: Sequence[str], patterns: Mapping[str, str | None]) -> list[dict[str, Path]]:
-    """Choose the output files of each image by their options, and check them before the work."""
-    named = {
-        name: _names(images, f"--{name.replace('_', '-')}", each)
-        for name, each in patterns.items()
-        if each
-    }
-    check_outputs(images, ((name, path) for name, paths in named.items() for path in paths))
-    return [{name: paths[number] for name, paths in named.items()} for number in range(len(images))]
-
-
-def _names(images: Sequence[str], option: str, pattern: str) -> list[Path]:
-    if len(images) > 1 and _STEM not in pattern:
-        raise InvalidParameterError(
-            f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the "
-            "name, as in "
-            f"{option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
-        )
-    return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
+def _print_records(records: Sequence[tuple[str, GsdEstimate]], *, several: bool) -> None:
+    """Print the facts of one image, or a table of several; the warnings follow on stderr."""
+    if several:
+        _print_table(records)
+    else:
+        ((source, record),) = records
+        print_facts(source, _facts(record))
+    for source, record in records:
+        print_warnings(record.warnings, source if several else "")
 
 
 def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
-    fused = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
-    guard = "; the vehicles are too coarse" if record.details.resolution_guard and not fused else ""
+    """List the facts of a record for people, with their names."""
+    other_rulers = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
+    confidence = f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"
+    if record.details.resolution_guard and not other_rulers:
+        confidence += "; the vehicles are too coarse"
     facts = [
         ("scale", scale_text(record)),
-        ("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}{guard}"),
+        ("confidence", confidence),
         ("vehicles", vehicles_text(record)),
     ]
-    if fused:
-        for row, each in enumerate(record.rulers):
-            scale = f"{each.label} {significant(each.gsd_m_per_px, 4)} m/px"
-            facts.append(
-                ("" if row else "rulers", f"{scale}, right with a chance of {each.p_right:.2f}")
-            )
-    if advice := advice_for(record, "look at --overlay, then --drop what is no car"):
+    if other_rulers:
+        facts += _ruler_facts(record)
+    advice = advice_for(record, "look at --overlay, then --drop what is not a car")
+    if advice is not None:
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
-    size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is not None and record.mode_length_px is not None:
         facts.append(("modal length", _length_text(record.mode_length_px, record.details)))
-    if record.gsd_m_per_px is not None and record.tilt is None:
-        width_m, height_m = (
-            side * record.gsd_m_per_px for side in (record.image_width_px, record.image_height_px)
-        )
-        size += f" = {significant(width_m, 4)} x {significant(height_m, 4)} m"
     if record.tilt is not None:
         facts.append(("tilt", _tilt_text(record.tilt)))
-    facts.append(("image", size))
-    if record.frame is not None:
-        seen = record.frame
-        facts.append(("your frame", f"{seen.width_px} x {seen.height_px} px: {scale_text(seen)}"))
-    if record.georeference_gsd_m_per_px is not None:
-        facts.append(
-            ("file's own scale", f"{significant(record.georeference_gsd_m_per_px, 4)} m/px")
-        )
-    facts.append(("model", f"{record.model} ({record.details.model_sha256[:_SHORT_SHA]})"))
+    facts.append(("image", _size_text(record)))
+    frame = record.frame
+    if frame is not None:
+        text = f"{frame.width_px} x {frame.height_px} px: {scale_text(frame)}"
+        facts.append(("your frame", text))
+    georeference_gsd = record.georeference_gsd_m_per_px
+    if georeference_gsd is not None:
+        facts.append(("file's own scale", f"{significant(georeference_gsd, 4)} m/px"))
+    sha256 = record.details.model_sha256[:_SHORT_SHA]
+    facts.append(("model", f"{record.model} ({sha256})"))
     return facts
 
 
+def _ruler_facts(record: GsdEstimate) -> list[tuple[str, str]]:
+    """List the rulers below one name."""
+    facts = []
+    name = "rulers"
+    for ruler in record.rulers:
+        scale = f"{ruler.label} {significant(ruler.gsd_m_per_px, 4)} m/px"
+        facts.append((name, f"{scale}, right with a chance of {ruler.p_right:.2f}"))
+        name = ""
+    return facts
+
+
+def _size_text(record: GsdEstimate) -> str:
+    """Format the size of the image in pixels, and in metres if one scale holds for all of it."""
+    size = f"{record.image_width_px} x {record.image_height_px} px"
+    if record.gsd_m_per_px is None or record.tilt is not None:
+        return size
+    width = significant(record.image_width_px * record.gsd_m_per_px, 4)
+    height = significant(record.image_height_px * record.gsd_m_per_px, 4)
+    return f"{size} = {width} x {height} m"
+
+
 def _length_text(mode_px: float, details: EstimateDetails) -> str:
-    scale = details.working_scale
-    found_at = "" if scale is None or scale == 1 else f", found at {scale:g} of the size"
-    told = " by the vehicles' appearance" if details.reference_source == "appearance" else ""
+    """Format the modal length in pixels and metres, with the source of the metres."""
     metres = significant(details.reference_length_m or 0, 4)
-    return f"{mode_px:.1f} px ({details.aggregation}) = {metres} m{told}{found_at}"
+    text = f"{mode_px:.1f} px ({details.aggregation}) = {metres} m"
+    if details.reference_source == "appearance":
+        text += " by the vehicles' appearance"
+    if details.working_scale not in (None, 1):
+        text += f", found at {details.working_scale:g} of the size"
+    return text
 
 
 def _tilt_text(tilt: TiltEstimate) -> str:
-    text = (
-        f"{tilt.tilt_deg:.0f} degrees (95 %: {tilt.tilt_ci95_low_deg:.0f} to "
-        f"{tilt.tilt_ci95_high_deg:.0f}), "
-    )
-    text += f"by {tilt.source}"
+    """Format the tilt with its interval and the scales in the image."""
+    low = f"{tilt.tilt_ci95_low_deg:.0f}"
+    high = f"{tilt.tilt_ci95_high_deg:.0f}"
+    text = f"{tilt.tilt_deg:.0f} degrees (95 %: {low} to {high}), by {tilt.source}"
     if tilt.gsd_least_m_per_px is None or tilt.gsd_largest_m_per_px is None:
         return text
-    least, largest = (
-        significant(each, 4) for each in (tilt.gsd_least_m_per_px, tilt.gsd_largest_m_per_px)
-    )
-    return f"{text}; the scale is that of the centre, {least} to {largest} m/px over the image"
+    smallest = significant(tilt.gsd_least_m_per_px, 4)
+    largest = significant(tilt.gsd_largest_m_per_px, 4)
+    return f"{text}; the scale is that of the centre, {smallest} to {largest} m/px over the image"
 
 
-def _print_summary(rows: Sequence[tuple[str, GsdEstimate]]) -> None:
-    folder, names = under_one_folder([source for source, _ in rows])
+def _print_table(records: Sequence[tuple[str, GsdEstimate]]) -> None:
+    """Print a table with one row per image."""
+    folder, names = under_one_folder([source for source, _ in records])
     columns = {
         "image": "text",
         **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), "number"),
         "status": "word",
     }
-    cells = [(name, *_cells(record)) for name, (_, record) in zip(names, rows, strict=True)]
-    print_rows(columns, cells, f"{count(len(rows), 'image')} in {folder}" if folder else "")
+    rows = [(name, *_cells(record)) for name, (_, record) in zip(names, records, strict=True)]
+    title = f"{count(len(records), 'image')} in {folder}" if folder else ""
+    print_rows(columns, rows, title)
 
 
 def _cells(record: GsdEstimate) -> tuple[str, ...]:
+    """Format the cells of a record in the table of several images; "-" for a missing value."""
+    scale = "-"
+    if record.gsd_m_per_px is not None:
+        scale = significant(record.gsd_m_per_px, 4)
+    interval = "-"
     low = record.gsd_ci95_low_m_per_px
     high = record.gsd_ci95_high_m_per_px
-    return (
-        "-" if record.gsd_m_per_px is None else significant(record.gsd_m_per_px, 4),
-        "-" if low is None or high is None else f"{significant(low, 4)} to {significant(high, 4)}",
-        f"{record.confidence:.2f}",
-        "-" if record.n_vehicles is None else str(record.n_vehicles),
-        record.status,
-    )
+    if low is not None and high is not None:
+        interval = f"{significant(low, 4)} to {significant(high, 4)}"
+    n_vehicles = "-" if record.n_vehicles is None else str(record.n_vehicles)
+    return scale, interval, f"{record.confidence:.2f}", n_vehicles, record.status

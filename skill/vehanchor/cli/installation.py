@@ -1,4 +1,4 @@
-"""Check of an installation for ``vehanchor models --check``: versions, and a bundled picture of known scale."""
+"""Check of an installation: versions, and a bundled picture of known scale."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
 _NEEDED = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pydantic", "mcp")
 _EXTRAS = {"rasterio": "geo", "matplotlib": "plots", "pyarrow": "parquet", "ray": "ray"}
-# a rendered car park: python -m research.scenes, seed 5
+# A rendered car park: python -m research.scenes, seed 5.
 _PICTURE = "bundled/check.jpg"
 GSD_M_PER_PX = 0.15
+"""True scale of the picture."""
 
 
 def installed() -> list[tuple[str, str]]:
@@ -27,19 +28,21 @@ def installed() -> list[tuple[str, str]]:
         ("python", f"{platform.python_version()} on {platform.platform()}"),
     ]
     for name in (*_NEEDED, *_EXTRAS):
-        try:
-            rows.append((name, version(name)))
-        except PackageNotFoundError:
-            extra = _EXTRAS.get(name)
-            rows.append(
-                (
-                    name,
-                    f"missing: pip install 'vehanchor[{extra}]'" if extra else "missing: reinstall",
-                )
-            )
-    return [*rows, ("providers", ", ".join(onnxruntime.get_available_providers()))]
+        rows.append((name, _version_or_remedy(name)))
+    providers = ", ".join(onnxruntime.get_available_providers())
+    return [*rows, ("providers", providers)]
+
+
+def _version_or_remedy(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        extra = _EXTRAS.get(package)
+        remedy = f"pip install 'vehanchor[{extra}]'" if extra else "reinstall"
+        return f"missing: {remedy}"
 
 
 def check_picture(engine: Engine) -> GsdEstimate:
-    """Measure the bundled picture."""
-    return engine.estimate(files("vehanchor.models").joinpath(_PICTURE).read_bytes())
+    """Estimate the scale of the bundled picture."""
+    picture = files("vehanchor.models").joinpath(_PICTURE)
+    return engine.estimate(picture.read_bytes())

@@ -47,7 +47,7 @@ def measure(
     box: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(
-            metavar="X1 Y1 X2 Y2", help="A box around the object, pixels; or give points."
+            metavar="X1 Y1 X2 Y2", help="A box around the object, pixels; otherwise give points."
         ),
     ] = None,
     point: Annotated[
@@ -76,17 +76,20 @@ def measure(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Measure the area (square metres) of the object in a box or at a point, with the scale from cars in the image."""
+    """Measure the area (square metres) of the object in a box or at a point.
+
+    The scale comes from cars in the image, unless you give one.
+    """
 
     def analyse(progress: Callable[[int, int], None]) -> AreaAnalysis:
         engine = chosen.engine(segmenter=segmenter)
-        known = read_scale(scale, image)
+        known_scale = read_scale(scale, image)
         return engine.analyse_area(
             image,
             box=box,
-            points=_points(point, negative),
+            points=_read_points(point, negative),
             gsd_m_per_px=gsd,
-            scale=known,
+            scale=known_scale,
             object_height_m=object_height,
             progress=progress,
         )
@@ -95,48 +98,63 @@ def measure(
     show_measurement(image, analyse, facts=_facts, files=files, as_json=as_json, strict=strict)
 
 
-def _points(
-    on: Sequence[str] | None, beside: Sequence[str] | None
+def _read_points(
+    on_object: Sequence[str] | None, beside_object: Sequence[str] | None
 ) -> list[tuple[float, float, bool]] | None:
-    """Join the points of both options; None without any."""
-    given = (("--point", on, True), ("--negative", beside, False))
-    return [
-        (*parse_point(option, text), kind) for option, texts, kind in given for text in texts or ()
-    ] or None
+    """Read the points of both options: x, y, whether on the object. None without any."""
+    points = []
+    for text in on_object or ():
+        x, y = parse_point("--point", text)
+        points.append((x, y, True))
+    for text in beside_object or ():
+        x, y = parse_point("--negative", text)
+        points.append((x, y, False))
+    return points or None
 
 
 def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     """List the facts of the record without its scale."""
-    none = "none: there is no scale, or no mask"
-    low = record.area_ci95_low_m2
-    high = record.area_ci95_high_m2
-    facts = [("area", with_interval(record.area_m2, low, high=high, unit="m2", missing=none))]
-    if record.area_m2 is not None:
-        length = record.length_m or 0
-        width = record.width_m or 0
-        perimeter = record.perimeter_m or 0
-        low = record.inscribed_diameter_ci95_low_m
-        high = record.inscribed_diameter_ci95_high_m
-        facts += [
-            (
-                "size",
-                f"{significant(length, 4)} x {significant(width, 4)} m, perimeter "
-                f"{significant(perimeter, 4)} m",
-            ),
-            (
-                "largest circle",
-                with_interval(record.inscribed_diameter_m, low, high=high, unit="m"),
-            ),
-        ]
-    facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
-    facts += [("or the object", _other_object(each)) for each in record.alternatives]
-    return [*facts, ("segmenter", f"{record.segmenter} ({record.segmenter_sha256[:_SHORT_SHA]})")]
-
-
-def _other_object(other: OtherObject) -> str:
-    box = other.bounding_box
-    size = (
-        f"{other.mask_area_px} px" if other.area_m2 is None else f"{significant(other.area_m2)} m2"
+    area = with_interval(
+        record.area_m2,
+        record.area_ci95_low_m2,
+        high=record.area_ci95_high_m2,
+        unit="m2",
+        missing="none: there is no scale, or no mask",
     )
-    place = f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
-    return f"of {size}, score {other.mask_score:.2f}, at {place}: draw a box by eye"
+    facts = [("area", area)]
+    if record.area_m2 is not None:
+        facts += _size_facts(record)
+    facts.append(("mask", f"{record.mask_area_px} px, score {record.mask_score:.2f}"))
+    for other_object in record.alternatives:
+        facts.append(("or the object", _object_text(other_object)))
+    sha256 = record.segmenter_sha256[:_SHORT_SHA]
+    facts.append(("segmenter", f"{record.segmenter} ({sha256})"))
+    return facts
+
+
+def _size_facts(record: AreaMeasurement) -> list[tuple[str, str]]:
+    """List sides, perimeter and largest circle of the object."""
+    length = significant(record.length_m or 0, 4)
+    width = significant(record.width_m or 0, 4)
+    perimeter = significant(record.perimeter_m or 0, 4)
+    circle = with_interval(
+        record.inscribed_diameter_m,
+        record.inscribed_diameter_ci95_low_m,
+        high=record.inscribed_diameter_ci95_high_m,
+        unit="m",
+    )
+    return [
+        ("size", f"{length} x {width} m, perimeter {perimeter} m"),
+        ("largest circle", circle),
+    ]
+
+
+def _object_text(other: OtherObject) -> str:
+    """Describe another object that the points may mean."""
+    size = f"{other.mask_area_px} px"
+    if other.area_m2 is not None:
+        size = f"{significant(other.area_m2)} m2"
+    box = other.bounding_box
+    across = f"x {box.x1_px:.0f} to {box.x2_px:.0f}"
+    down = f"y {box.y1_px:.0f} to {box.y2_px:.0f}"
+    return f"of {size}, score {other.mask_score:.2f}, at {across}, {down}: draw a box by eye"

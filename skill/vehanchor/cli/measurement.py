@@ -1,4 +1,4 @@
-"""The course of ``vehanchor measure`` and ``vehanchor distance``."""
+"""Common course of ``vehanchor measure`` and ``vehanchor distance``."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def show_measurement(
 
     Args:
         image: the photograph.
-        measure: makes the analysis; it gets the progress of the search.
+        measure: makes the analysis from a callback for the progress of the search.
         facts: lists the facts of a record for people, without its scale.
-        files: files by the names of their options; None for those that the caller does not want.
+        files: files by the names of their options; None for options that are not given.
         as_json: print one JSON object and nothing else.
         strict: exit with another status if the record is not ok.
     """
@@ -53,7 +53,8 @@ def show_measurement(
     if as_json:
         print_json({"source": image, **record.model_dump(mode="json")})
     else:
-        print_facts(image, [*facts(record), *_scale_facts(record), ("status", record.status)])
+        all_facts = [*facts(record), *_scale_facts(record), ("status", record.status)]
+        print_facts(image, all_facts)
         print_warnings(record.warnings)
     write_outputs(analysis, outputs)
     exit_strictly(strict, [record.status])
@@ -61,14 +62,14 @@ def show_measurement(
 
 def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> list[tuple[str, str]]:
     """List the facts of the scale behind a measurement."""
-    if record.estimate is not None:
-        facts = [
-            ("scale", scale_text(record.estimate)),
-            ("vehicles", vehicles_text(record.estimate)),
-        ]
+    estimate = record.estimate
+    if estimate is not None:
+        status = estimate.status
+        facts = [("scale", scale_text(estimate)), ("vehicles", vehicles_text(estimate))]
     else:
+        status = record.status
         facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}")]
     if record.scale_confidence is not None:
-        status = STATUS_TEXTS[(record.estimate or record).status]
-        facts.append(("scale confidence", f"{record.scale_confidence:.2f}   {status}"))
+        text = f"{record.scale_confidence:.2f}   {STATUS_TEXTS[status]}"
+        facts.append(("scale confidence", text))
     return facts

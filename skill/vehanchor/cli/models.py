@@ -1,4 +1,4 @@
-"""``vehanchor models list | info | --sizes | --check``: models, things of known size, a check of the installation."""
+"""``vehanchor models``: models, things of known size, and a check of the installation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vehanchor.records.text import scale_text
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
 
-_TOLERANCE = 0.15  # of the scale that --check measures, relative
+_MAX_CHECK_ERROR = 0.15  # relative error of the scale that --check measures
 
 models = typer.Typer(no_args_is_help=True, add_completion=False)
 
@@ -40,37 +40,39 @@ def _show(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Where --check runs models, as for `estimate`; repeatable. Default: cpu.",
+            help="Where --check runs models, as in `estimate`; repeatable. Default: cpu.",
         ),
     ] = None,
 ) -> None:
-    """Show bundled models, your own model files and the things of known size, and check the installation."""
-    if sizes or check:
-        with exit_on_error():
-            _print_sizes(as_json=as_json) if sizes else _check_installation(provider)
-        raise typer.Exit
+    """Show bundled models, your own model files, things of known size; check the installation."""
+    if not sizes and not check:
+        return
+    with exit_on_error():
+        if sizes:
+            _print_sizes(as_json=as_json)
+        else:
+            _check_installation(provider)
+    raise typer.Exit
 
 
 def _print_sizes(*, as_json: bool) -> None:
     """Print the things of known size for --known-length X1 Y1 X2 Y2 NAME."""
     from vehanchor.rulers.standards import standards
 
-    for each in standards().values():
+    for standard in standards().values():
         if as_json:
-            print_json(
-                {**each._asdict(), "variants": [variant._asdict() for variant in each.variants]}
-            )
+            variants = [variant._asdict() for variant in standard.variants]
+            print_json({**standard._asdict(), "variants": variants})
             continue
-        facts = [("between", each.between)]
-        for variant in each.variants:
-            countries = f": {', '.join(variant.countries)}" if variant.countries else ""
-            facts.append(
-                ("length", f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %{countries}")
-            )
-        mistaken = f"{100 * each.chance_wrong:.0f} %"
-        print_facts(
-            each.name, [*facts, ("chance of another thing", mistaken), ("source", each.source)]
-        )
+        facts = [("between", standard.between)]
+        for variant in standard.variants:
+            length = f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %"
+            if variant.countries:
+                length += f": {', '.join(variant.countries)}"
+            facts.append(("length", length))
+        facts.append(("chance of another thing", f"{100 * standard.chance_wrong:.0f} %"))
+        facts.append(("source", standard.source))
+        print_facts(standard.name, facts)
 
 
 def _check_installation(providers: list[str] | None) -> None:
@@ -80,15 +82,14 @@ def _check_installation(providers: list[str] | None) -> None:
     from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 
     print_facts("installed", installation.installed())
-    record = installation.check_picture(
-        Engine(runtime=Runtime(providers=providers or DEFAULT_PROVIDERS))
-    )
+    runtime = Runtime(providers=providers or DEFAULT_PROVIDERS)
+    record = installation.check_picture(Engine(runtime=runtime))
     gsd = record.gsd_m_per_px or 0.0
-    true = installation.GSD_M_PER_PX
-    passed = record.status == "ok" and abs(gsd / true - 1) <= _TOLERANCE
+    true_gsd = installation.GSD_M_PER_PX
+    passed = record.status == "ok" and abs(gsd / true_gsd - 1) <= _MAX_CHECK_ERROR
     facts = [
         ("check", "passed" if passed else "FAILED: reinstall, or report this"),
-        ("measured", f"{scale_text(record)}, {record.status}; true: {true:g} m/px"),
+        ("measured", f"{scale_text(record)}, {record.status}; true: {true_gsd:g} m/px"),
     ]
     print_facts("a picture of known scale", facts)
     if not passed:
@@ -107,17 +108,17 @@ def list_models(
         from vehanchor.models.zoo import DEFAULT_DETECTOR, bundled_models
 
         for name, path in bundled_models().items():
-            default = name == DEFAULT_DETECTOR
-            title = f"{name} (default)" if default else name
-            _print_detector(
-                Engine(path), title, {"kind": "detector", "default": default}, as_json=as_json
-            )
+            is_default = name == DEFAULT_DETECTOR
+            title = f"{name} (default)" if is_default else name
+            about = {"kind": "detector", "default": is_default}
+            _print_detector(Engine(path), title, about, as_json=as_json)
         _print_segmenter(Engine(), as_json=as_json)
 
 
 def _print_segmenter(engine: Engine, *, as_json: bool) -> None:
+    """Print the metadata of the segmenter's files."""
     segmenter = engine.segmenter
-    card = engine.segmenter.card
+    card = segmenter.card
     files = {"encoder": str(segmenter.encoder_path), "decoder": str(segmenter.decoder_path)}
     if as_json:
         print_json({"kind": "segmenter", **files, **asdict(card)})
@@ -149,7 +150,7 @@ def show_model(
         ),
     ] = None,
 ) -> None:
-    """Show the metadata of a detector's file; missing values are the paper's."""
+    """Show the metadata of a detector's file, with the paper's values for missing ones."""
     with exit_on_error():
         with failures_as_json([file], as_json):
             from vehanchor.engine import Engine
@@ -160,35 +161,43 @@ def show_model(
 
 
 def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_json: bool) -> None:
-    """Print the metadata of a detector's file; ``about`` has further members of the JSON object."""
-    model = engine.detector
-    card = engine.detector.card
+    """Print the metadata of a detector's file.
+
+    Args:
+        engine: engine with the detector.
+        title: title of the facts.
+        about: further members of the JSON object.
+        as_json: print one JSON object and nothing else.
+    """
+    detector = engine.detector
+    card = detector.card
     if as_json:
-        file = {"file": str(model.path), "fixed_size_px": model.fixed_size}
+        file = {"file": str(detector.path), "fixed_size_px": detector.fixed_size}
         print_json({**about, **file, **card.model_dump(mode="json")})
         return
-    (shortest, longest) = card.length_range_px
-    of_lengths = card.bodies or card
-    unbiased = (
-        f"; measured without bias from {card.min_length_px:g} px" if card.min_length_px else ""
-    )
-    regions = (
-        f"{name} {length:.4g} m" for name, length in sorted(of_lengths.region_lengths_m.items())
-    )
-    mean = of_lengths.reference_length_m
-    sd = of_lengths.reference_length_sd_m
+
+    input_size = "any"
+    if detector.fixed_size is not None:
+        height, width = detector.fixed_size
+        input_size = f"{width} x {height} px"
+    shortest, longest = card.length_range_px
+    vehicle_lengths = f"{shortest:g} to {longest:g} px"
+    if card.min_length_px:
+        vehicle_lengths += f"; measured without bias from {card.min_length_px:g} px"
+    # A model that measures bodies has other reference lengths for them.
+    lengths = card.bodies or card
+    mean = lengths.reference_length_m
+    sd = lengths.reference_length_sd_m
+    regions = [
+        f"{name} {length:.4g} m" for name, length in sorted(lengths.region_lengths_m.items())
+    ]
     facts = [
-        ("file", str(model.path)),
-        (
-            "input",
-            "any"
-            if model.fixed_size is None
-            else f"{model.fixed_size[1]} x {model.fixed_size[0]} px",
-        ),
+        ("file", str(detector.path)),
+        ("input", input_size),
         ("classes", ", ".join(card.class_names.values()) or "not named"),
         ("sha256", card.sha256),
         ("reference length", f"{mean:.4g} m, sd {sd:.2g} m between regions"),
-        ("vehicle lengths", f"{shortest:g} to {longest:g} px{unbiased}"),
+        ("vehicle lengths", vehicle_lengths),
         ("minimum score", f"{card.min_score:g}"),
         ("licence", card.licence or "not stated"),
         ("regions", ", ".join(regions)),

@@ -1,4 +1,4 @@
-"""Repeatable options of several numbers each, which Typer does not support."""
+"""Repeatable options with several numbers each, which Typer does not support."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typer.core import TyperCommand
 from vehanchor.errors import PromptError
 from vehanchor.options import Basis
 
-_WORDS = {"--known-length": get_args(Basis)}  # a last value that may follow
-_VALUES = {"--known-length": 5, "--add": 4, "--point": 2, "--negative": 2}
+# Number of values by option.
+_N_VALUES = {"--known-length": 5, "--add": 4, "--point": 2, "--negative": 2}
+# Words that may follow as a further value.
+_LAST_WORDS = {"--known-length": get_args(Basis)}
 
 
 def parse_point(option: str, text: str) -> tuple[float, float]:
@@ -27,18 +29,31 @@ def parse_point(option: str, text: str) -> tuple[float, float]:
 
 
 class SpacedCommand(TyperCommand):
-    """Command that joins the values of such an option to one text before parsing."""
+    """Command that joins the values of such an option to one text before Typer parses them."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join values, then parse."""
+        """Join the values of these options, then parse."""
         joined: list[str] = []
         rest = list(args)
         while rest:
-            joined.append(rest.pop(0))
-            n_values = _VALUES.get(joined[-1], 0)
-            apart = bool(rest) and len(rest[0].replace(",", " ").split()) < n_values
-            if apart:
-                n_values += len(rest) > n_values and rest[n_values] in _WORDS.get(joined[-1], ())
+            option = rest.pop(0)
+            joined.append(option)
+            n_values = _separate_values(option, rest)
+            if n_values:
                 joined.append(" ".join(rest[:n_values]))
                 del rest[:n_values]
         return super().parse_args(ctx, joined)
+
+
+def _separate_values(option: str, rest: list[str]) -> int:
+    """Count the arguments that are values of an option; 0 if one text holds all values."""
+    n_values = _N_VALUES.get(option, 0)
+    if not rest:
+        return 0
+    in_first_text = len(rest[0].replace(",", " ").split())
+    if in_first_text >= n_values:
+        return 0
+    last_words = _LAST_WORDS.get(option, ())
+    if len(rest) > n_values and rest[n_values] in last_words:
+        return n_values + 1
+    return n_values

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.records import GsdEstimate
 
+# GeoJSON files.
 _SHAPES = ("boxes", "line", "outline")
+# Files in metres, which need one usable scale for the whole photograph.
 _METRIC = ("scale_bar", "geotiff")
 
 
@@ -26,28 +28,28 @@ def check_outputs(images: Iterable[str], outputs: Iterable[tuple[str, Path]]) ->
         outputs: files with the names of their options.
 
     Raises:
-        OutputError: a suffix is another one, or a folder does not exist.
+        OutputError: a suffix is wrong, or a folder does not exist.
         InvalidParameterError: a file is an image, or is named twice.
         MissingExtraError: matplotlib or rasterio is not installed.
     """
     inputs = {Path(source).resolve() for source in images}
-    seen: set[Path] = set()
+    targets: set[Path] = set()
     for name, path in outputs:
-        _check(name, path)
-        resolved = path.resolve()
-        if resolved in inputs:
+        _check_output(name, path)
+        target = path.resolve()
+        if target in inputs:
             raise InvalidParameterError(
                 f"{str(path)!r} is one of the images: writing there would destroy it"
             )
-        if resolved in seen:
+        if target in targets:
             raise InvalidParameterError(
                 f"two files would both be written to {str(path)!r}: choose other names"
             )
-        seen.add(resolved)
+        targets.add(target)
 
 
-def _check(name: str, path: Path) -> None:
-    """Check suffix, folder and needs of one file."""
+def _check_output(name: str, path: Path) -> None:
+    """Check suffix and folder of one file, and the packages that write it."""
     check: Callable[[Path], object]
     if name in _SHAPES:
         from vehanchor.export.geojson import check_geojson_path as check
@@ -72,7 +74,7 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         outputs: files by the names of their options, checked by ``check_outputs``.
 
     Returns:
-        Why files in metres are not written; None if all are.
+        Why the files in metres were not written; None if all files were written.
 
     Raises:
         OutputError: a file cannot be written.
@@ -94,22 +96,24 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
 
             write_plot(path, analysis.plot())
     metric = {name: outputs[name] for name in _METRIC if name in outputs}
-    why = refusal(analysis.estimate) if metric else None
-    if metric and why is None:
+    if not metric:
+        return None
+    why_refused = refusal(analysis.estimate)
+    if why_refused is None:
         _write_metric(analysis, metric)
-    return why
+    return why_refused
 
 
 def refusal(record: GsdEstimate) -> str | None:
-    """Say why the photograph has no single usable scale; None if it has one."""
+    """Explain why the photograph has no single usable scale; None if it has one."""
     if record.scale is None:
         return "there is no scale"
     if record.status != "ok":
         return "the scale is not usable"
     if record.scale.plane is not None:
         return (
-            f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the "
-            "scale varies"
+            f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the scale "
+            "varies"
         )
     return None
 
@@ -126,7 +130,8 @@ def _write_metric(analysis: ScaleAnalysis, outputs: Mapping[str, Path]) -> None:
     with open_raster(analysis.image, analysis.reading) as raster:
         if "scale_bar" in outputs:
             picture = fit_for_eyes(read_reduced(raster))
-            draw_scale_bar(picture, gsd * raster.width_px / picture.shape[1])
+            picture_gsd = gsd * raster.width_px / picture.shape[1]
+            draw_scale_bar(picture, picture_gsd)
             write_picture(outputs["scale_bar"], picture)
         if "geotiff" in outputs:
             write_metric_copy(outputs["geotiff"], raster, gsd)

@@ -39,9 +39,8 @@ ScaleFile: TypeAlias = Annotated[
     typer.Option(
         "--scale",
         metavar="FILE",
-        help="Output of 'vehanchor estimate --json' for this image, or of 'vehanchor flight "
-        "--out': use its scale, "
-        "without a search for cars.",
+        help="Use the scale in the output of 'vehanchor estimate --json' for this image, or of "
+        "'vehanchor flight --out', without a search for cars.",
     ),
 ]
 
@@ -65,27 +64,34 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)
         return read_known_scale(record)
-    # InvalidParameterError is a ValueError
+    # An InvalidParameterError is a ValueError, too.
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InvalidParameterError(
-            f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor "
-            "estimate IMAGE --json'"
+            f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate "
+            "IMAGE --json'"
         ) from None
 
 
 def _scale_in(photographs: Sequence[Mapping[str, Any]], image: str) -> Any:
-    """Find the scale of a photograph in the record of a flight by its file, or by a name that is unique.
+    """Find the scale of a photograph in the record of a flight, by its path or its unique name.
 
     Raises:
-        InvalidParameterError: the photograph is not in the record.
+        InvalidParameterError: the photograph is not in the record, or several have its name.
     """
-    wanted = Path(image)
-    scales = [(Path(each["photograph"]), each["scale"]) for each in photographs]
-    found = [scale for path, scale in scales if path.absolute() == wanted.absolute()]
-    found = found or [scale for path, scale in scales if path.name == wanted.name]
-    if len(found) != 1:
-        count = f"there {len(found)} times" if found else "not there"
+    path = Path(image)
+    by_path = []
+    by_name = []
+    for photograph in photographs:
+        photograph_path = Path(photograph["photograph"])
+        scale = photograph["scale"]
+        if photograph_path.absolute() == path.absolute():
+            by_path.append(scale)
+        if photograph_path.name == path.name:
+            by_name.append(scale)
+    scales = by_path or by_name
+    if len(scales) != 1:
+        count = f"there {len(scales)} times" if scales else "not there"
         raise InvalidParameterError(
             f"{image!r} is {count} in the flight: name a photograph of it by its path"
         )
-    return found[0]
+    return scales[0]

@@ -20,13 +20,14 @@ from vehanchor.records.text import by_hand_text
 if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate, Notice
 
-# exit statuses
+# Exit statuses.
 BAD_INPUT = 2
 UNFORESEEN = 1
 INTERRUPTED = 130
 NOT_OK = 3  # with --strict: a result that is not usable
 FAILED = 1  # a self-test, or every image of a batch
-_LINE_EVERY_S = 10.0  # if stderr is not a terminal
+# Time between lines of progress if stderr is not a terminal.
+_LINE_EVERY_S = 10.0
 
 Strict: TypeAlias = Annotated[
     bool,
@@ -46,13 +47,17 @@ def exit_strictly(strict: bool, statuses: Iterable[str]) -> None:
 def report(error: VehAnchorError, about: str = "") -> None:
     """Print an error in one line on stderr, with its subject if the message does not name it."""
     message = str(error)
-    prefix = f"{about}: " if about and about not in message else ""
-    print(printable(f"error[{error.code}]: {prefix}{message}"), file=sys.stderr, flush=True)
+    if about and about not in message:
+        message = f"{about}: {message}"
+    print(printable(f"error[{error.code}]: {message}"), file=sys.stderr, flush=True)
 
 
 @contextmanager
 def exit_on_error() -> Iterator[None]:
-    """Convert an exception of a command to one line on stderr and an exit status."""
+    """Convert an exception of a command to one line on stderr and an exit status.
+
+    With the environment variable ``VEHANCHOR_TRACEBACK``, an unforeseen exception goes on.
+    """
     try:
         yield
     except VehAnchorError as error:
@@ -68,10 +73,10 @@ def exit_on_error() -> Iterator[None]:
     except Exception as error:
         if os.environ.get("VEHANCHOR_TRACEBACK"):
             raise
-        reason = printable(f"{type(error).__name__}: {error}".splitlines()[0])
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
         print(
-            f"error[internal_error]: {reason}. This is a defect of vehanchor; for details, set "
-            "VEHANCHOR_TRACEBACK=1",
+            f"error[internal_error]: {printable(reason)}. This is a defect of vehanchor; for "
+            "details, set VEHANCHOR_TRACEBACK=1",
             file=sys.stderr,
         )
         raise typer.Exit(UNFORESEEN) from None
@@ -79,29 +84,41 @@ def exit_on_error() -> Iterator[None]:
 
 @contextmanager
 def work_progress(unit: str, *, lines: bool = False) -> Iterator[Callable[..., None]]:
-    """Report work on stderr: a bar on a terminal, else a line every ten seconds.
-
-    Yields the callback for finished and all units and, optionally, the name of the work.
+    """Report progress on stderr: by a bar on a terminal, else by a line every ten seconds.
 
     Args:
         unit: what is counted, in the plural.
-        lines: write lines also on a terminal.
+        lines: write lines on a terminal, too.
+
+    Yields:
+        The callback, for the numbers of finished and of all units and, optionally, the name of the
+        work.
     """
     if lines or not sys.stderr.isatty():
-        last = time.monotonic()
+        yield _progress_lines(unit)
+    else:
+        with _progress_bar() as update:
+            yield update
 
-        def tell(done: int, total: int, name: str = "") -> None:
-            nonlocal last
-            if time.monotonic() - last >= _LINE_EVERY_S:
-                last = time.monotonic()
-                print(
-                    printable(f"{name} {done} of {total} {unit}".lstrip()),
-                    file=sys.stderr,
-                    flush=True,
-                )
 
-        yield tell
-        return
+def _progress_lines(unit: str) -> Callable[..., None]:
+    """Make a callback that prints a line if the last one is old enough."""
+    last_s = time.monotonic()
+
+    def print_line(done: int, total: int, name: str = "") -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s < _LINE_EVERY_S:
+            return
+        last_s = time.monotonic()
+        line = f"{name} {done} of {total} {unit}".lstrip()
+        print(printable(line), file=sys.stderr, flush=True)
+
+    return print_line
+
+
+@contextmanager
+def _progress_bar() -> Iterator[Callable[..., None]]:
+    """Show a progress bar while the block runs; yield the callback that updates it."""
     from rich import progress
     from rich.console import Console
     from rich.markup import escape
@@ -110,40 +127,54 @@ def work_progress(unit: str, *, lines: bool = False) -> Iterator[Callable[..., N
         progress.TextColumn("{task.description}"),
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
+        progress.TimeRemainingColumn(),
     )
     # By default, rich redirects stdout to stderr.
     with progress.Progress(
-        *columns,
-        progress.TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        redirect_stdout=False,
+        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False
     ) as bar:
         task = bar.add_task("", total=None)
-        yield lambda done, total, name="": bar.update(
-            task, completed=done, total=total, description=escape(printable(name))
-        )
+
+        def update(done: int, total: int, name: str = "") -> None:
+            description = escape(printable(name))
+            bar.update(task, completed=done, total=total, description=description)
+
+        yield update
 
 
 @contextmanager
-def failures_as_json(sources: Iterable[str], wanted: bool) -> Iterator[None]:
-    """Print, if it is wanted, one JSON object for each image that an error prevents; the error goes on."""
+def failures_as_json(sources: Iterable[str], as_json: bool) -> Iterator[None]:
+    """Print a JSON object for each image of a block that an error ends; the error goes on.
+
+    Args:
+        sources: images of the block.
+        as_json: whether the command prints JSON; otherwise, nothing is printed here.
+    """
     try:
         yield
     except VehAnchorError as error:
-        for source in sources if wanted else ():
-            print_json({"source": source, "error": {"code": error.code, "message": str(error)}})
+        if as_json:
+            for source in sources:
+                print_json({"source": source, "error": {"code": error.code, "message": str(error)}})
         raise
 
 
 def print_json(record: Mapping[str, Any]) -> None:
     """Print one JSON object in one line on stdout."""
-    print(json.dumps(record, allow_nan=False), flush=True)  # ASCII: the same bytes in every locale
+    # JSON is ASCII here, so that the bytes are the same in every locale.
+    print(json.dumps(record, allow_nan=False), flush=True)
 
 
 def printable(text: str, *, lines: bool = False) -> str:
-    """Escape what a terminal would obey; ``lines`` keeps line ends, in texts of ours."""
-    return "\n".join(map(on_one_line, text.split("\n"))) if lines else on_one_line(text)
+    """Escape characters that a terminal would obey.
+
+    Args:
+        text: any text.
+        lines: keep line ends, for texts of our own.
+    """
+    if lines:
+        return "\n".join(on_one_line(line) for line in text.split("\n"))
+    return on_one_line(text)
 
 
 def print_facts(title: str, facts: Iterable[tuple[str, str]]) -> None:
@@ -161,8 +192,8 @@ def print_rows(
     """Print a table on stdout, as wide as the terminal.
 
     Args:
-        columns: their kinds by heading: ``text`` is folded, ``number`` is on the right, ``word`` on
-            the left, ``name`` is coloured.
+        columns: kinds of the columns by heading: ``text`` is folded, ``number`` is on the right,
+            ``word`` is on the left, ``name`` is coloured.
         rows: the cells of each row.
         title: title of the table; empty for none.
         heading: print the headings of the columns.
@@ -189,8 +220,10 @@ def print_rows(
             justify="right" if kind == "number" else "left",
         )
     for row in rows:
-        table.add_row(*(Text(printable(cell)) for cell in row))
-    Console(soft_wrap=False, highlight=False).print(table)
+        cells = [Text(printable(cell)) for cell in row]
+        table.add_row(*cells)
+    console = Console(soft_wrap=False, highlight=False)
+    console.print(table)
 
 
 def counts_text(counts: Mapping[str, int]) -> str:
@@ -204,6 +237,7 @@ STATUS_TEXTS = {
     "low_confidence": "low: use another source of scale",
     "no_scale": "no scale: no ruler found",
 }
+"""Texts of statuses beside a confidence."""
 
 
 def print_warnings(warnings: Iterable[Notice], about: str = "") -> None:
@@ -215,7 +249,12 @@ def print_warnings(warnings: Iterable[Notice], about: str = "") -> None:
 
 @contextmanager
 def resumable(journal: object, kept: str = "photographs") -> Iterator[None]:
-    """Report after Ctrl-C that a journal, if there is one, keeps the results so far."""
+    """Report after Ctrl-C that the journal, if there is one, keeps the results so far.
+
+    Args:
+        journal: the journal or its path; None without one.
+        kept: what the journal keeps, in the plural.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -235,18 +274,17 @@ def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
     """
     try:
         folder = os.path.commonpath([PurePath(name).parent for name in names])
-    except ValueError:  # some are absolute and some not
+    except ValueError:  # Some names are absolute and others are not.
         folder = ""
-    folder = "" if folder == "." else folder
-    return folder, [os.path.relpath(name, folder) if folder else name for name in names]
+    if folder in ("", "."):
+        return "", list(names)
+    return folder, [os.path.relpath(name, folder) for name in names]
 
 
 def vehicles_text(record: GsdEstimate) -> str:
     """Count the vehicles of an estimate."""
     if record.n_vehicles is None:
         return "not searched"
+    text = f"{record.n_vehicles} kept of {record.details.n_detections} found"
     by_hand = by_hand_text(record)
-    return (
-        f"{record.n_vehicles} kept of {record.details.n_detections} "
-        f"found{by_hand and f'; {by_hand}'}"
-    )
+    return f"{text}; {by_hand}" if by_hand else text

@@ -21,7 +21,7 @@ from vehanchor.scale.defaults import (
 )
 
 Effort: TypeAlias = Literal["full", "auto", "fast"]
-"""Extents of the search of a large image."""
+"""How much of a large image is searched."""
 
 _Share = Annotated[float, Limits(0, 1)]
 _Count = Annotated[int, Limits(least=1, whole=True)]
@@ -34,22 +34,22 @@ class Search:
     """Options of the search for vehicles.
 
     Attributes:
-        min_score: lowest detection score, 0..1; None takes the model's, or for foreign models
-            ``vehanchor.detection.card.MIN_SCORE``.
+        min_score: lowest accepted detection score, 0..1; None uses the model's, or for a model
+            without one ``vehanchor.detection.card.MIN_SCORE``.
         nms_iou: IoU, 0..1, above which the weaker of two boxes is dropped.
         search_scales: also search reduced copies of the image, for vehicles longer than the model
-            was trained on; None takes the model's own choice (no, for foreign models).
+            was trained on; None uses the model's choice, or False for a model without one.
         verify: score candidates again with the model's verifier and chip network, if it has any,
             and measure bodies.
-        tile_px: tile side; None is 1024, or the model's fixed input size.
-        stride_px: step between tiles; None is three quarters of the tile.
+        tile_px: tile side, pixels; None is 1024, or the model's fixed input size.
+        stride_px: step between tiles, pixels; None is three quarters of the tile.
         effort: ``full`` searches every tile; ``auto`` and ``fast`` search likely tiles first, and
             end when more tiles would not change the scale (see ``vehanchor.analysis.convergence``).
             In images below 4 megapixels they skip only resolutions at which, by the scene-scale
             prior, no car has a valid size.
-        max_tiles: largest number of tiles, likely ones first; None for all.
-        max_seconds: largest time in seconds; None for no limit. With it, results depend on the
-            machine.
+        max_tiles: maximum number of tiles, likely ones first; None for all.
+        max_seconds: maximum search time in seconds; None for no limit. With a limit, results depend
+            on the machine.
 
     Raises:
         InvalidParameterError: a number is invalid, or the effort is unknown.
@@ -66,8 +66,7 @@ class Search:
         Flag | None,
         Option(
             "Also search copies at 1/2, 1/4 and 1/8, for vehicles longer than the model was "
-            "trained on. Default: the "
-            "model's choice."
+            "trained on. Default: the model's choice."
         ),
     ] = None
     verify: Annotated[Flag, Option("Score candidates again, and measure bodies.", cli=False)] = True
@@ -98,8 +97,8 @@ class Search:
     max_seconds: Annotated[
         _Seconds | None,
         Option(
-            "Maximum search time in seconds; the result then depends on the machine. Default: "
-            "no limit.",
+            "Maximum search time in seconds; the result then depends on the machine. Default: no "
+            "limit.",
             metavar="S",
             tools="estimate",
             listed=False,
@@ -108,8 +107,10 @@ class Search:
 
 
 def _number_or_none(value: Any) -> Any:
-    """Read ``none`` or ``off`` as no filter."""
-    return None if isinstance(value, str) and value.strip().lower() in ("none", "off") else value
+    """Read the texts ``none`` and ``off`` as no filter."""
+    if isinstance(value, str) and value.strip().lower() in ("none", "off"):
+        return None
+    return value
 
 
 @group(frozen=True)
@@ -118,8 +119,8 @@ class Lengths:
 
     Attributes:
         aggregation: ``kde``, ``weighted_kde``, ``median`` or ``mean`` (see
-            ``vehanchor.scale.lengths.modal_length``); None for the model's own choice (``kde``, the
-            paper's, for foreign models).
+            ``vehanchor.scale.lengths.modal_length``); None uses the model's choice, or the paper's
+            ``kde`` for a model without one.
         alpha: outlier filter, ``P_i <= alpha * median`` (paper, equation 2), alpha >= 1; None
             switches it off.
 
@@ -130,8 +131,8 @@ class Lengths:
     aggregation: Annotated[
         Aggregation | None,
         Option(
-            "Statistic of the lengths; a KDE becomes the median below 5 vehicles. Default: the "
-            "model's, or kde."
+            "Statistic of the lengths; below 5 vehicles a KDE is replaced by the median. Default: "
+            "the model's, or kde."
         ),
     ] = None
     alpha: Annotated[
@@ -144,11 +145,11 @@ class Lengths:
 if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration
 else:
-    Calibration = Any  # imported on first use
+    Calibration = Any  # Few calls need the class, so its module is imported on first use.
 
 
-def _read(calibration: Any) -> Any:
-    """Read a calibration from its file."""
+def _read_calibration(calibration: Any) -> Any:
+    """Read a calibration if its path is given."""
     if calibration is None:
         return None
     from vehanchor.scale.calibration import as_calibration
@@ -158,18 +159,18 @@ def _read(calibration: Any) -> Any:
 
 @group(frozen=True)
 class Reference:
-    """Source of the reference length ``L_ref``: one of these or, by default, the appearance of the vehicles.
+    """Source of the reference length ``L_ref``; without one, the appearance of the vehicles.
 
     Attributes:
         reference_length_m: the fleet's modal vehicle length, 2 to 20 metres.
-        region: use the model's reference length for a region (bundled:
-            ``vehanchor.scale.countries.REGIONS``), or that of a country by its ISO 3166-1 alpha-2
-            code (``vehanchor.scale.countries``).
-        calibration: use the reference length measured for this fleet and detector (see
+        region: a region with a reference length in the model (bundled model:
+            ``vehanchor.scale.countries.REGIONS``), or a country by its ISO 3166-1 alpha-2 code
+            (``vehanchor.scale.countries``).
+        calibration: reference length measured for this fleet and detector (see
             ``load_calibration``); a path is read at once.
 
     Raises:
-        InvalidParameterError: two are given, or the length is not a number from 2 to 20.
+        InvalidParameterError: two sources are given, or the length is not from 2 to 20.
         CalibrationFileError: the calibration cannot be read.
     """
 
@@ -185,19 +186,21 @@ class Reference:
     region: Annotated[
         Annotated[str, Field(max_length=64)] | None,
         Option(
-            f"Country (ISO code, as FR) or region, if known: {', '.join(REGIONS)}.",
+            f"Country (ISO code such as FR) or region, if known: {', '.join(REGIONS)}.",
             metavar="NAME",
             first=True,
             tools="all",
         ),
     ] = None
-    calibration: Annotated[Calibration | None, BeforeValidator(_read), CALIBRATION] = None
+    calibration: Annotated[Calibration | None, BeforeValidator(_read_calibration), CALIBRATION] = (
+        None
+    )
 
     def __post_init__(self) -> None:
-        given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
-        if len(given) > 1:
+        sources = [field.name for field in fields(self) if getattr(self, field.name) is not None]
+        if len(sources) > 1:
             raise InvalidParameterError(
-                f"give {' or '.join(given)}, not both: each sets the reference length"
+                f"give {' or '.join(sources)}, not both: each sets the reference length"
             )
 
 
@@ -216,8 +219,8 @@ class Method:
     preset: Annotated[
         Preset | None,
         Option(
-            "Named preset: paper is exactly the paper's method, with its confidence and its "
-            "resolution guard.",
+            "Named preset: paper is exactly the paper's method, with its confidence and resolution "
+            "guard.",
             first=True,
         ),
     ] = None

@@ -1,4 +1,4 @@
-"""Options of models and their runtime, for the command line and the server."""
+"""Options of models and of their runtime, for the command line and the server."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ THREADS = Option(
     metavar="N",
 )
 PROVIDERS = Option(
-    "Execution providers, best first: cpu, cuda, tensorrt, coreml, openvino, directml, or an "
-    "ONNX Runtime provider; "
-    "repeatable. Default: cpu.",
+    "Execution providers, best first: cpu, cuda, tensorrt, coreml, openvino, directml, or an ONNX "
+    "Runtime provider; repeatable. Default: cpu.",
     metavar="NAME",
     flag="provider",
     repeated=True,
@@ -31,6 +30,6 @@ CALIBRATION = Option(
 )
 SEGMENTER = Option(
     "ONNX files of a promptable segmenter: SAM, MobileSAM, SAM 2, SAM 3 tracker, EfficientSAM. "
-    "Default: the bundled.",
+    "Default: the bundled one.",
     metavar="ENCODER DECODER",
 )

@@ -21,18 +21,26 @@ from vehanchor.errors import InvalidParameterError, VehAnchorError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from dataclasses import dataclass as group  # mypy knows it; below is what runs
+    from dataclasses import dataclass as group  # mypy understands it; ``group`` below is used
 
 __all__ = ["Flag", "Limits", "Number", "Option", "group", "in_order", "refusal", "set_frozen"]
 
-_TEXT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
-_UNITS = {
-    "m": {"mm": 1e-3, "cm": 0.01, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048, "yd": 0.9144}
-    | dict.fromkeys(("metre", "metres", "meter", "meters"), 1.0)
-    | dict.fromkeys(("foot", "feet"), 0.3048)
-    | {"inches": 0.0254, "yards": 0.9144},
-    "mm": {"mm": 1.0},
+_NUMBER_WITH_UNIT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
+_INCH_M = 0.0254
+_FOOT_M = 0.3048
+_YARD_M = 0.9144
+_METRES = {
+    "mm": 1e-3,
+    "cm": 0.01,
+    "km": 1e3,
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("in", "inches"), _INCH_M),
+    **dict.fromkeys(("ft", "foot", "feet"), _FOOT_M),
+    **dict.fromkeys(("yd", "yards"), _YARD_M),
 }
+# Factors of the units that a text may name, by the unit of the option.
+_FACTORS = {"m": _METRES, "mm": {"mm": 1.0}}
+# What to give instead, by pydantic's type of the error.
 _EXPECTED = {
     "bool_type": "use True or False",
     "bool_parsing": "use True or False",
@@ -43,14 +51,14 @@ _EXPECTED = {
 
 
 class Limits(NamedTuple):
-    """Valid numbers of an option; a type of numbers within ``Annotated``.
+    """Valid numbers of an option; within ``Annotated``, pydantic validates by them.
 
     Attributes:
         least: the smallest number; None for no such limit.
         most: the largest number; None for no such limit.
         above: exclusive lower limit; None for no such limit.
         whole: whether only whole numbers are valid.
-        unit: unit of the number, in which a text may name another: "m" also takes "30 ft".
+        unit: unit of the number. A text may name another unit: "m" also accepts "30 ft".
     """
 
     least: float | None = None
@@ -62,50 +70,78 @@ class Limits(NamedTuple):
     @property
     def schema(self) -> dict[str, float]:
         """Limits by their names in JSON Schema."""
-        named = {"minimum": self.least, "maximum": self.most, "exclusiveMinimum": self.above}
-        return {
-            name: int(limit) if limit == int(limit) else limit
-            for name, limit in named.items()
-            if limit is not None
-        }
+        limits = {"minimum": self.least, "maximum": self.most, "exclusiveMinimum": self.above}
+        schema: dict[str, float] = {}
+        for name, limit in limits.items():
+            if limit is None:
+                continue
+            is_whole = limit == int(limit)
+            schema[name] = int(limit) if is_whole else limit
+        return schema
 
     def __str__(self) -> str:
-        """Describe the values, as ``a finite number > 0``."""
+        """Describe the valid numbers, such as ``a finite number > 0``."""
         noun = "a whole number" if self.whole else "a finite number"
         if self.least is not None and self.most is not None:
             return f"{noun} from {self.least:.10g} to {self.most:.10g}"
-        named = ((" > ", self.above), (" >= ", self.least), (", at most ", self.most))
-        return noun + "".join(f"{sign}{limit:.10g}" for sign, limit in named if limit is not None)
+        text = noun
+        if self.above is not None:
+            text += f" > {self.above:.10g}"
+        if self.least is not None:
+            text += f" >= {self.least:.10g}"
+        if self.most is not None:
+            text += f", at most {self.most:.10g}"
+        return text
 
     def check(self, name: str, value: Any) -> float:
-        """Check a number, or a text with one, and convert it to Python's types, also from NumPy's.
+        """Check a number or a text with a number, and convert it to a number of Python.
 
         Raises:
             InvalidParameterError: the value is a bool, is not a finite number, or is outside the
                 limits.
         """
-        found = self._number(value)
-        low = (self.least is not None and found < self.least) or (
-            self.above is not None and found <= self.above
-        )
-        high = self.most is not None and found > self.most
-        if not math.isfinite(found) or low or high or (self.whole and found != int(found)):
+        number = self._read(value)
+        if not self._contains(number):
             raise InvalidParameterError(f"{name} is {_shown(value)}: use {self}")
-        return int(found) if self.whole else found
+        return int(number) if self.whole else number
 
-    def _number(self, value: Any) -> float:
-        """Read a number; NaN for what is none."""
-        if isinstance(value, numbers.Real) and not isinstance(value, bool):
-            try:
-                return float(value)
-            except OverflowError:
-                return math.nan
-        found = _TEXT.fullmatch(value.strip()) if isinstance(value, str) else None
-        unit = found[2].lower() if found else ""
-        factor = _UNITS.get(self.unit, {}).get(unit) if unit else 1.0
+    def _contains(self, number: float) -> bool:
+        if not math.isfinite(number):
+            return False
+        if self.least is not None and number < self.least:
+            return False
+        if self.above is not None and number <= self.above:
+            return False
+        if self.most is not None and number > self.most:
+            return False
+        return not self.whole or number == int(number)
+
+    def _read(self, value: Any) -> float:
+        """Read a number of any library, or a text with a number; NaN for anything else."""
+        if isinstance(value, str):
+            return self._read_text(value)
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
+            return math.nan
         try:
-            return math.nan if found is None or factor is None else float(found[1]) * factor
-        except ValueError:  # several points
+            return float(value)
+        except OverflowError:
+            return math.nan
+
+    def _read_text(self, text: str) -> float:
+        """Read a number with or without a unit; NaN for another text or an unknown unit."""
+        match = _NUMBER_WITH_UNIT.fullmatch(text.strip())
+        if match is None:
+            return math.nan
+        digits, unit = match.groups()
+        factor: float | None = 1.0
+        if unit:
+            factors = _FACTORS.get(self.unit, {})
+            factor = factors.get(unit.lower())
+        if factor is None:
+            return math.nan
+        try:
+            return float(digits) * factor
+        except ValueError:  # The digits have several decimal points.
             return math.nan
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -138,11 +174,11 @@ class Option:
         flag: name on the command line; empty for the field's name without its unit.
         repeated: whether the command line repeats it, once for each item.
         cli: whether the command line offers it.
-        first: whether ``--help`` shows it; others are for a file of options.
-        tools: whether no tool, all measuring tools, or only those of lengths and areas take it as
-            argument.
+        first: whether ``--help`` shows it; other options are for an options file.
+        tools: tools that take it as an argument: none, all, only the one that estimates a scale, or
+            only those that measure areas and distances.
         listed: whether the listed schemas of these tools show it to models.
-        error: class of errors in its value.
+        error: class of the errors about its value.
     """
 
     help: str
@@ -167,57 +203,83 @@ def _shown(value: Any) -> str:
 if not TYPE_CHECKING:
 
     def group(*, frozen: bool) -> Callable[[type], type]:
-        """Make a frozen dataclass that checks its fields, and refuses them by an error of this library."""
+        """Make a dataclass whose fields pydantic checks, with errors of this library."""
 
         def decorate(kind: type) -> type:
             config = ConfigDict(
-                extra="forbid",
-                allow_inf_nan=False,
-                json_schema_extra=lambda s: s.pop("description", 0),
+                extra="forbid", allow_inf_nan=False, json_schema_extra=_drop_description
             )
-            made = validated(frozen=frozen, config=config)(kind)
-            initialise = made.__init__
+            checked_kind = validated(frozen=frozen, config=config)(kind)
+            initialise = checked_kind.__init__
 
-            def checked(self: Any, *args: Any, **values: Any) -> None:
+            def initialise_or_refuse(self: Any, *args: Any, **values: Any) -> None:
                 try:
                     initialise(self, *args, **values)
                 except ValidationError as error:
-                    raise refusal(made, error) from None
+                    raise refusal(checked_kind, error) from None
 
-            made.__init__ = checked
-            return made
+            checked_kind.__init__ = initialise_or_refuse
+            return checked_kind
 
         return decorate
 
+    def _drop_description(schema: dict[str, Any]) -> None:
+        """Remove the docstring of a group from its schema: it is for programmers."""
+        schema.pop("description", None)
+
 
 def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
-    """Convert pydantic's error in the fields of a group to an error of this library."""
-    first = error.errors(include_url=False)[0]
-    cause = first.get("ctx", {}).get("error")
+    """Convert pydantic's error about the fields of a group to an error of this library."""
+    detail: Any = error.errors(include_url=False)[0]
+    cause = detail.get("ctx", {}).get("error")
     if isinstance(cause, VehAnchorError):
         return cause
-    place = [
-        str(part) for part in first["loc"] if str(part).isidentifier() or isinstance(part, int)
+    # Names that are neither fields nor indices are pydantic's own, such as "function-before".
+    path = [
+        str(part) for part in detail["loc"] if isinstance(part, int) or str(part).isidentifier()
     ]
-    field = kind.__pydantic_fields__.get(place[0]) if place else None
-    options = [each for each in (field.metadata if field else ()) if isinstance(each, Option)]
-    made: Any = getattr(kind, "error", options[0].error if options else InvalidParameterError)
-    words = _EXPECTED.get(first["type"]) or first["msg"].replace("Input should be", "use")
-    if first["type"] == "literal_error":
-        words = f"use one of {first['ctx']['expected'].replace(' or ', ', ').replace(chr(39), '')}"
-    refused: VehAnchorError = made(f"{'.'.join(place)} is {_shown(first['input'])}: {words}")
-    return refused
+    error_class = _error_class(kind, path)
+    value = _shown(detail["input"])
+    return error_class(f"{'.'.join(path)} is {value}: {_expectation(detail)}")
+
+
+def _error_class(kind: Any, path: list[str]) -> type[InvalidParameterError]:
+    """Return the class of errors of a group, of the option at a path, or the general one."""
+    if hasattr(kind, "error"):
+        group_error: type[InvalidParameterError] = kind.error
+        return group_error
+    field = kind.__pydantic_fields__.get(path[0]) if path else None
+    if field is None:
+        return InvalidParameterError
+    for annotation in field.metadata:
+        if isinstance(annotation, Option):
+            return annotation.error
+    return InvalidParameterError
+
+
+def _expectation(detail: Any) -> str:
+    """Say what to give instead of a value that pydantic refuses."""
+    kind = detail["type"]
+    if kind == "literal_error":
+        # Pydantic writes "'a', 'b' or 'c'".
+        names = detail["ctx"]["expected"].replace(" or ", ", ").replace("'", "")
+        return f"use one of {names}"
+    message: str = detail["msg"]
+    return _EXPECTED.get(kind) or message.replace("Input should be", "use")
 
 
 def in_order(*names: str) -> BeforeValidator:
-    """Make a validator that reads the fields of a group from their values in order, or from one text."""
+    """Make a validator that reads the fields of a group from a sequence or a text."""
 
     def read(value: Any) -> Any:
-        values = value.replace(",", " ").split() if isinstance(value, str) else value
+        values = value
+        if isinstance(value, str):
+            values = value.replace(",", " ").split()
         if isinstance(values, dict) or not isinstance(values, Iterable):
             return values
-        # no group has the fields "0", "1", ...
-        return dict(zip((*names, *map(str, range(64))), values, strict=False))
+        # Surplus values get the names "0", "1", ..., which no group has, so pydantic refuses them.
+        surplus = map(str, range(64))
+        return dict(zip((*names, *surplus), values, strict=False))
 
     return BeforeValidator(read)
 

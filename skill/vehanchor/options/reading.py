@@ -1,4 +1,4 @@
-"""Options of reading images: limits, the caller's resized copy, and conversion of its coordinates."""
+"""Options of reading images: limits, the caller's resized copy, and its coordinates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _MIB = 1 << 20
 DECODED_BYTES_PER_PIXEL = 10
-"""Memory for decoding 8-bit RGB, with a reserve."""
+"""Bytes of memory per pixel for decoding 8-bit RGB, with a reserve."""
 
 _Count = Annotated[int, Limits(least=1, whole=True)]
 
@@ -27,10 +27,11 @@ class ImageLimits:
     Attributes:
         max_bytes: encoded size of a file that is read whole.
         max_pixels: declared width x height of an image that is decoded whole. Larger TIFFs and all
-            JPEG 2000 are read by windows.
+            JPEG 2000 files are read by windows.
         max_windowed_pixels: declared width x height of an image that is read by windows.
-        max_decoded_bytes: memory for decoding: width x height x bands x depth of an image decoded
-            whole, or of a strip or tile of one read by windows, and the decoder's own memory.
+        max_decoded_bytes: memory for decoding: width x height x bands x depth of an image that is
+            decoded whole, or of a strip or tile of one that is read by windows, and the decoder's
+            own memory.
 
     Raises:
         InvalidParameterError: a limit is not a whole number >= 1.
@@ -46,8 +47,8 @@ Coordinates: TypeAlias = Literal["pixels", "fraction", "per_mille"]
 """Units of coordinates."""
 
 _Side = Annotated[int, Limits(1, 1_000_000, whole=True)]
-# largest value along either side
-_SHARES: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}
+# Largest coordinate along either side, for units that do not depend on the size.
+_LARGEST_SHARE: dict[Coordinates, int] = {"fraction": 1, "per_mille": 1000}
 
 
 @group(frozen=True)
@@ -69,8 +70,8 @@ class Frame:
 
     Attributes:
         frame: width and height of the copy; None for the image itself.
-        coordinates: pixels: of the copy, or of the image without a copy; fraction: 0 to 1 of either
-            side; per_mille: 0 to 1000 of either side.
+        coordinates: pixels: of the copy, or of the image without a copy; fraction: 0 to 1 along
+            either side; per_mille: 0 to 1000 along either side.
 
     Raises:
         InvalidParameterError: a side is not a whole number >= 1, or the units are unknown.
@@ -95,7 +96,9 @@ class Frame:
         return None if self.frame is None else (self.frame.width_px, self.frame.height_px)
 
     def check(self, width_px: int, height_px: int) -> None:
-        """Check that the frame has the aspect ratio of the image, and is not a crop or another image.
+        """Check that the frame has the aspect ratio of the image.
+
+        A crop and a copy of another image usually have another one.
 
         Raises:
             FrameError: the sides differ by more than a pixel of rounding.
@@ -103,12 +106,13 @@ class Frame:
         if self.size is None:
             return
         width, height = self.size
-        fitting = width * height_px / width_px
-        slack = 1.0 + height_px / width_px  # one pixel of rounding per side
-        if abs(height - fitting) > slack:
+        expected_height = width * height_px / width_px
+        # Either side of the copy may be rounded by one pixel.
+        tolerance = 1.0 + height_px / width_px
+        if abs(height - expected_height) > tolerance:
             raise FrameError(
-                f"the frame is {width} x {height} px, the image {width_px} x {height_px} "
-                f"px: a copy of that width would be {round(fitting)} px high. Give the size of "
+                f"the frame is {width} x {height} px, the image {width_px} x {height_px} px: a "
+                f"copy of that width would be {round(expected_height)} px high. Give the size of "
                 "an uncropped copy"
             )
 
@@ -116,11 +120,12 @@ class Frame:
 Place: TypeAlias = tuple[float, float]
 """x, y; the first pixel spans 0 to 1."""
 
-_CUT_EDGE = 1.0  # tolerance of rounding, in pixels or thousandths of a side
-_CUT_EDGE_SHARE = 1e-3
-# long sides of images shown to language models
-_SEEN_SIDES_PX = (768, 1024, 1092, 1280, 1536, 1568, 2000, 2048, 2576)
-_THOUSAND = 1000
+# Callers round coordinates, so that a point on the border may lie just outside.
+_EDGE_TOLERANCE = 1.0  # in pixels, or thousandths of a side
+_EDGE_TOLERANCE_FRACTION = 1e-3
+# Hosts show images to language models reduced to one of these long sides.
+_MODEL_SIDES_PX = (768, 1024, 1092, 1280, 1536, 1568, 2000, 2048, 2576)
+_MAX_PER_MILLE = 1000
 
 
 @dataclass(frozen=True)
@@ -139,76 +144,94 @@ class CoordinateFrame:
 
     @property
     def extent(self) -> tuple[int, int]:
-        """Largest coordinates to the right and down, in their own units."""
-        share = _SHARES.get(self.frame.coordinates)
-        return (share, share) if share else self.frame.size or (self.width_px, self.height_px)
+        """Largest coordinates to the right and down, in the caller's units."""
+        share = _LARGEST_SHARE.get(self.frame.coordinates)
+        if share is not None:
+            return share, share
+        return self.frame.size or (self.width_px, self.height_px)
 
     @property
     def unit_px(self) -> tuple[float, float]:
-        """Size of the finest step of the caller's coordinates, in pixels of the full image, across and down.
+        """Size of one step of the caller's coordinates across and down, pixels of the full image.
 
         For fractions, the step is a pixel of the caller's copy.
         """
-        across, down = self.frame.size or (self.width_px, self.height_px)
         if self.frame.coordinates == "per_mille":
-            across, down = self.extent
-        return self.width_px / across, self.height_px / down
+            steps_across, steps_down = self.extent
+        else:
+            steps_across, steps_down = self.frame.size or (self.width_px, self.height_px)
+        return self.width_px / steps_across, self.height_px / steps_down
 
     @property
     def name(self) -> str:
         """Name of the coordinate frame, for messages."""
+        width, height = self.extent
         if self.frame.coordinates != "pixels":
-            return f"image, whose coordinates go from 0 to {self.extent[0]}"
-        return "{} x {} px {}".format(*self.extent, "frame" if self.frame.size else "image")
+            return f"image, whose coordinates go from 0 to {width}"
+        noun = "image" if self.frame.size is None else "frame"
+        return f"{width} x {height} px {noun}"
 
     def inside(self, places: Sequence[Place]) -> bool:
-        """Tell whether all places are inside, within rounding."""
-        cut = _CUT_EDGE_SHARE if self.frame.coordinates == "fraction" else _CUT_EDGE
+        """Test whether all places are inside, within rounding."""
+        tolerance = _EDGE_TOLERANCE
+        if self.frame.coordinates == "fraction":
+            tolerance = _EDGE_TOLERANCE_FRACTION
         return all(
-            -cut < at < side + cut
+            -tolerance < coordinate < side + tolerance
             for place in places
-            for at, side in zip(place, self.extent, strict=True)
+            for coordinate, side in zip(place, self.extent, strict=True)
         )
 
     def in_image(self, x: float, y: float) -> Place:
         """Convert a place to pixels of the full image; clamp it to the image."""
         across, down = self.extent
-        x = x * self.width_px / across
-        y = y * self.height_px / down
-        return min(max(x, 0.0), float(self.width_px)), min(max(y, 0.0), float(self.height_px))
+        x_px = x * self.width_px / across
+        y_px = y * self.height_px / down
+        return _clamp(x_px, self.width_px), _clamp(y_px, self.height_px)
 
     def other_reading(self, places: Sequence[Place]) -> str:
         """Suggest other coordinates for invalid places; empty without a suggestion."""
         if self.frame.coordinates != "pixels" or min(min(place) for place in places) < 0:
             return ""
-        if len(places) > 1 and all(tuple(place) == tuple(places[0]) for place in places):
-            return ""  # no length in any unit
-        x = max(place[0] for place in places)
-        y = max(place[1] for place in places)
-        if max(x, y) <= 1:
+        first = tuple(places[0])
+        if len(places) > 1 and all(tuple(place) == first for place in places):
+            return ""  # Equal places have no length in any unit.
+        x_max = max(place[0] for place in places)
+        y_max = max(place[1] for place in places)
+        if max(x_max, y_max) <= 1:
             return (
                 "; as fractions of the sides it would be valid: for fractions, set "
                 'coordinates to "fraction"'
             )
-        # a larger copy makes lengths smaller still
+        # The caller may have seen an enlarged copy. A place inside the image needs none, because
+        # a larger copy only makes lengths smaller.
         if self.frame.size is not None or self.inside(places):
             return ""
-        for side in _SEEN_SIDES_PX:
-            factor = side / max(self.width_px, self.height_px)
+        copy = self._smallest_copy_with(x_max, y_max)
+        if copy is None:
+            return ""
+        width, height = copy
+        suggestion = (
+            f"; in a copy of {width} x {height} px it would be valid: for a copy, give its size as "
+            "the frame"
+        )
+        if max(x_max, y_max) <= _MAX_PER_MILLE:
+            suggestion += ', or set coordinates to "per_mille" if they go to 1000'
+        return suggestion
+
+    def _smallest_copy_with(self, x: float, y: float) -> tuple[int, int] | None:
+        """Find the smallest enlarged copy, of those shown to models, that contains a place."""
+        for long_side in _MODEL_SIDES_PX:
+            factor = long_side / max(self.width_px, self.height_px)
             width = round(self.width_px * factor)
             height = round(self.height_px * factor)
             if factor > 1 and x <= width and y <= height:
-                thousand = (
-                    ', or set coordinates to "per_mille" if they go to 1000'
-                    if max(x, y) <= _THOUSAND
-                    else ""
-                )
-                return (
-                    f"; in a copy of {width} x {height} px it would be valid: for a copy, give "
-                    "its size as the frame"
-                    f"{thousand}"
-                )
-        return ""
+                return width, height
+        return None
+
+
+def _clamp(coordinate: float, side_px: int) -> float:
+    return min(max(coordinate, 0.0), float(side_px))
 
 
 _MEGAPIXEL = 1_000_000
@@ -245,9 +268,9 @@ class Reading:
     ] = None
 
     def __post_init__(self) -> None:
-        if self.max_megapixels is not None:
-            pixels = max(1, round(self.max_megapixels * _MEGAPIXEL))
-            memory = max(self.limits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * pixels)
-            set_frozen(
-                self, "limits", replace(self.limits, max_pixels=pixels, max_decoded_bytes=memory)
-            )
+        if self.max_megapixels is None:
+            return
+        pixels = max(1, round(self.max_megapixels * _MEGAPIXEL))
+        memory = max(self.limits.max_decoded_bytes, DECODED_BYTES_PER_PIXEL * pixels)
+        limits = replace(self.limits, max_pixels=pixels, max_decoded_bytes=memory)
+        set_frozen(self, "limits", limits)

@@ -19,26 +19,27 @@ GSD = Option(
     "Known metres per pixel of the full image; skips the search.", metavar="M/PX", flag="gsd"
 )
 OBJECT_HEIGHT = Option(
-    "Height of the object above ground, metres, such as a roof; needs the camera height or "
-    "focal length.",
+    "Height of the object above ground, metres, such as a roof; needs the camera height or focal "
+    "length.",
     metavar="M",
     flag="object-height",
 )
 
 ObjectHeight: TypeAlias = Annotated[Annotated[float, OBJECT_HEIGHT_M] | None, OBJECT_HEIGHT]
+"""Argument of tools."""
 
+MAX_BY_HAND = 1000
+"""Maximum number of vehicles in either list."""
 
-MOST_BY_HAND = 1000
-"""Largest number of vehicles in either list."""
-
-_MOST_CHARS = 4000  # 1000 numbers of three digits with commas
-_NUMBER = Limits(1, 1_000_000, whole=True)
-_MIN_LINE_PX = 5.0  # on a shorter line, an error of a pixel at each end exceeds a quarter
+_MAX_DROP_CHARS = 4000  # 1000 numbers of three digits with commas
+_VEHICLE_NUMBER = Limits(1, 1_000_000, whole=True)
+# An error of a pixel at each end exceeds a quarter of a shorter line.
+_MIN_LINE_PX = 5.0
 
 
 @group(frozen=True)
 class Segment:
-    """Straight line in the picture.
+    """Straight line in a picture.
 
     Attributes:
         x1: x of one end, pixels of the frame, or of the image without a frame.
@@ -60,12 +61,12 @@ class Segment:
     def check(
         self, name: str, error: type[InvalidParameterError], size: tuple[int, int] | None = None
     ) -> None:
-        """Check that the line is long enough, and inside a picture.
+        """Check that the line is long enough and inside the picture.
 
         Args:
-            name: of the line, for the message.
+            name: name of the line in messages.
             error: class of the error.
-            size: width and height of the picture, pixels; None checks the length alone.
+            size: width and height of the picture, pixels; None checks only the length.
 
         Raises:
             InvalidParameterError: the line is shorter than five pixels, or an end is outside.
@@ -75,74 +76,77 @@ class Segment:
                 f"{name} is {self.length_px:.1f} px long: give both ends of one of "
                 f"{_MIN_LINE_PX:g} px or more"
             )
-        ends = ((self.x1, self.y1), (self.x2, self.y2))
-        if size and not all(
-            0 <= at <= side for end in ends for at, side in zip(end, size, strict=True)
-        ):
+        if size is None:
+            return
+        width, height = size
+        x_inside = 0 <= self.x1 <= width and 0 <= self.x2 <= width
+        y_inside = 0 <= self.y1 <= height and 0 <= self.y2 <= height
+        if not (x_inside and y_inside):
             raise error(
                 f"{name}, from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g}), leaves "
-                "the picture of "
-                f"{size[0]} x {size[1]} px: give both ends in its pixels"
+                f"the picture of {width} x {height} px: give both ends in its pixels"
             )
 
 
 @group(frozen=True)
 class AddedVehicle(Segment):
-    """Car that the caller points at: both ends of its long axis."""
+    """Car that the detector missed: both ends of its long axis."""
 
 
 def vehicle_numbers(value: Any) -> Any:
-    """Read numbers of vehicles: a list, or a text with numbers and ranges, as "1-20,23".
+    """Read numbers of vehicles: a list, or a text with numbers and ranges such as "1-20,23".
 
     Raises:
-        InvalidParameterError: the text is something else, or there are too many numbers.
+        InvalidParameterError: the value is something else, or there are too many numbers.
     """
-    if isinstance(value, int) and not isinstance(value, bool):
-        value = (value,)
-    found = (
-        _ranges(value)
-        if isinstance(value, str)
-        else list(value)
-        if isinstance(value, Iterable)
-        else None
-    )
-    if found is None:
+    if isinstance(value, str):
+        numbers = _numbers_in_text(value)
+    elif isinstance(value, int) and not isinstance(value, bool):
+        numbers = [value]
+    elif isinstance(value, Iterable):
+        numbers = list(value)
+    else:
         raise InvalidParameterError(
-            f"drop is {value!r}: give a list of numbers of vehicles, as 1-20,23"
+            f"drop is {value!r}: give a list of numbers of vehicles, such as 1-20,23"
         )
-    if len(found) > MOST_BY_HAND:
-        raise InvalidParameterError(f"drop has {len(found)} vehicles: give at most {MOST_BY_HAND}")
-    return tuple(dict.fromkeys(int(_NUMBER.check("drop", each)) for each in found))
+    if len(numbers) > MAX_BY_HAND:
+        raise InvalidParameterError(f"drop has {len(numbers)} vehicles: give at most {MAX_BY_HAND}")
+    checked = [int(_VEHICLE_NUMBER.check("drop", number)) for number in numbers]
+    # A number that is repeated counts once; the order stays.
+    return tuple(dict.fromkeys(checked))
 
 
-def _ranges(text: str) -> list[int]:
-    found: list[int] = []
+def _numbers_in_text(text: str) -> list[int]:
+    """Read numbers and ranges, with commas or spaces between them."""
+    numbers: list[int] = []
     for part in text.replace(",", " ").split():
-        first, _, last = part.partition("-")
-        if not first.isdecimal() or not (last or first).isdecimal() or part.endswith("-"):
+        first, dash, last = part.partition("-")
+        if not dash:
+            last = first
+        if not first.isdecimal() or not last.isdecimal():
             raise InvalidParameterError(
-                f"drop is {text!r}: use numbers and ranges with commas, as 1-20,23"
+                f"drop is {text!r}: use numbers and ranges with commas, such as 1-20,23"
             )
         low = int(first)
-        high = int(last or first)
-        if high < low or high - low >= MOST_BY_HAND:
+        high = int(last)
+        if high < low or high - low >= MAX_BY_HAND:
             raise InvalidParameterError(
-                f"drop has the range {part}: use rising ranges of at most {MOST_BY_HAND}"
+                f"drop has the range {part}: use rising ranges of at most {MAX_BY_HAND}"
             )
-        found += range(low, high + 1)
-    return found
+        numbers += range(low, high + 1)
+    return numbers
 
 
 @group(frozen=True)
 class ByHand:
     """Vehicles that the caller drops or adds.
 
-    The numbers are those of the pictures: 1 is the best detection. They hold for one image, one
-    detector and the same options of the search.
+    Numbers are those in the pictures: 1 is the best detection. They hold for one image, one
+    detector and the same search options.
 
     Attributes:
-        drop: numbers of vehicles that are no cars.
-        add: cars that were not found: x1, y1, x2, y2 of the long axis, from bumper to bumper.
+        drop: numbers of detections that are not cars.
+        add: missed cars: x1, y1, x2, y2 of the long axis, from bumper to bumper.
 
     Raises:
         InvalidParameterError: a number or an axis is invalid.
@@ -151,14 +155,14 @@ class ByHand:
     drop: Annotated[
         tuple[int, ...],
         BeforeValidator(vehicle_numbers),
-        WithJsonSchema({"type": "string", "maxLength": _MOST_CHARS}),
-        Option("Overlay boxes that are no cars, as 3,7.", metavar="N,N-N", first=True, tools="all"),
+        WithJsonSchema({"type": "string", "maxLength": _MAX_DROP_CHARS}),
+        Option("Overlay boxes that are not cars: 3,7-9.", metavar="N,N-N", first=True, tools="all"),
     ] = ()
     add: Annotated[
         tuple[Annotated[AddedVehicle, in_order("x1", "y1", "x2", "y2")], ...],
-        Field(max_length=MOST_BY_HAND),
+        Field(max_length=MAX_BY_HAND),
         Option(
-            "Cars not found: both ends of the long axis.",
+            "Missed cars: both ends of the long axis.",
             metavar="X1 Y1 X2 Y2",
             repeated=True,
             first=True,
@@ -169,15 +173,17 @@ class ByHand:
     @property
     def given(self) -> str | None:
         """Name of the first list with vehicles; None without any."""
-        return "drop" if self.drop else "add" if self.add else None
+        if self.drop:
+            return "drop"
+        return "add" if self.add else None
 
     def check_single(self) -> None:
-        """Check, before the work on several images, that no vehicle is given.
+        """Refuse corrections of vehicles for several images, before the work on them.
 
         Raises:
-            InvalidParameterError: one is.
+            InvalidParameterError: vehicles are dropped or added.
         """
-        if self.given:
+        if self.given is not None:
             raise InvalidParameterError(
                 f"{self.given} belongs to one image: estimate that image by itself"
             )
@@ -186,18 +192,18 @@ class ByHand:
 Basis: TypeAlias = Literal["assumed", "measured"]
 """How a fact is known: by a standard or an inference, or by tape, plan or survey."""
 
-# half of the 95 % interval of a stated scale without a tolerance, relative; a choice
+# Half of the 95 % interval of a stated scale without a tolerance, as a share of it; our choice.
 _STATED_TOLERANCE = 0.1
 _Length = Annotated[float, Limits(above=0, most=100_000, unit="m")]
 _Name = Annotated[str, Field(max_length=64, pattern="^[A-Za-z]")]
-# survey aircraft fly at 10 km
+# Survey aircraft fly at 10 km.
 Height: TypeAlias = Annotated[float, Limits(above=0, most=20_000, unit="m")]
 FocalLength: TypeAlias = Annotated[float, Limits(above=0, most=10_000, unit="mm")]
 _Gsd = Annotated[float, GSD_M_PER_PX]
 
 
 class StatedScale(NamedTuple):
-    """Scale from elsewhere, as of a map or a sister photograph.
+    """Scale from elsewhere, such as a map or a sister photograph.
 
     Attributes:
         gsd_m_per_px: metres per pixel of the full image.
@@ -215,10 +221,10 @@ class KnownLength(Segment):
     """Straight line on the ground with its known length.
 
     Attributes:
-        metres: length of the line; or a thing of known size by its name in
-            ``vehanchor.rulers.standards``, with an optional country, as "railway_gauge/ES".
+        metres: length of the line; or the name of a thing of known size in
+            ``vehanchor.rulers.standards``, with an optional country, such as "railway_gauge/ES".
         basis: how the length is known: assumed, or measured by tape, plan or survey.
-        tolerance_m: half of the 95 % interval of the length, metres; None for the default of its
+        tolerance_m: half of the 95 % interval of the length, metres; None for the default of the
             basis.
 
     Raises:
@@ -248,32 +254,39 @@ class KnownLength(Segment):
         return None if isinstance(self.metres, str) else self.metres
 
 
-def _line_of_text(value: Any) -> Any:
-    """Split a text, ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``, into the values."""
+def _split_line(value: Any) -> Any:
+    """Split the text of a known length into its values; leave other values as they are.
+
+    The text is ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``.
+    """
     if not isinstance(value, str):
         return value
     parts = value.replace(",", " ").split()
-    basis = parts.pop() if parts and parts[-1] in get_args(Basis) else "assumed"
-    metres, _, tolerance = parts.pop().partition("+-") if parts else ("", "", "")
-    if len(parts) != 4:
+    basis = "assumed"
+    if parts and parts[-1] in get_args(Basis):
+        basis = parts.pop()
+    if len(parts) != 5:
         raise KnownLengthError(
-            f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, "
-            "or X1 Y1 X2 Y2 and "
-            "a name of 'vehanchor models --sizes'"
+            f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or "
+            "X1 Y1 X2 Y2 and a name of 'vehanchor models --sizes'"
         )
-    return (*parts, metres, basis, tolerance or None)
+    *ends, length = parts
+    metres, _, tolerance = length.partition("+-")
+    return (*ends, metres, basis, tolerance or None)
 
 
 _Line = Annotated[
     KnownLength,
     in_order("x1", "y1", "x2", "y2", "metres", "basis", "tolerance_m"),
-    BeforeValidator(_line_of_text),
+    BeforeValidator(_split_line),
 ]
 
 
-def _names(value: Any) -> Any:
-    """Read names with commas."""
-    return [name.strip() for name in value.split(",")] if isinstance(value, str) else value
+def _split_names(value: Any) -> Any:
+    """Split a text with names between commas; leave other values as they are."""
+    if isinstance(value, str):
+        return [name.strip() for name in value.split(",")]
+    return value
 
 
 @group(frozen=True)
@@ -290,9 +303,9 @@ class Rulers:
             metadata or courts show a tilt.
         height_basis: how the height is known.
         height_tolerance_m: half of the 95 % interval of the height, metres; None for the default of
-            its basis.
+            the basis.
         focal_35mm: 35 mm equivalent focal length, millimetres, for this height or the file's; None
-            takes the file's.
+            uses the file's.
         gsd_m_per_px: scale from elsewhere, metres per pixel of the full image.
         gsd_basis: how that scale is known.
         gsd_tolerance: half of its 95 % interval, metres per pixel; None for a tenth of it.
@@ -303,13 +316,13 @@ class Rulers:
     """
 
     rulers: Annotated[
-        Annotated[tuple[str, ...], BeforeValidator(_names)] | None,
+        Annotated[tuple[str, ...], BeforeValidator(_split_names)] | None,
         Option("Rulers to use, with commas. Default: all.", metavar="NAMES", first=True),
     ] = None
     metadata: Annotated[
         Flag,
         Option(
-            "Use the camera's height and focal length if the file has them.",
+            "Use the file's camera height and focal length.",
             first=True,
             tools="all",
         ),
@@ -320,7 +333,8 @@ class Rulers:
             examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]
         ),
         Option(
-            "Lines: metres, or a name, as iso_container_20ft; basis measured: tape, plan, survey.",
+            "Lines with metres or a name such as iso_container_20ft; basis measured: tape, plan or "
+            "survey.",
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
             repeated=True,
@@ -361,7 +375,7 @@ class Rulers:
     ] = None
     gsd_m_per_px: Annotated[
         _Gsd | None,
-        Option("Metres per pixel by a map or sister photograph.", cli=False, tools="measure"),
+        Option("Metres per pixel from a map or sister photograph.", cli=False, tools="measure"),
     ] = None
     gsd_basis: Annotated[
         Basis,
@@ -384,26 +398,37 @@ class Rulers:
     def __post_init__(self) -> None:
         if self.rulers == ():
             raise InvalidParameterError("rulers is empty: name at least one, or leave it out")
-        lonely = ["height_tolerance_m"] if self.height_tolerance_m is not None else []
-        lonely += ["focal_35mm"] if self.focal_35mm is not None and not self.metadata else []
-        lonely += ["height_basis"] if self.height_basis == "measured" else []
-        if lonely and self.height_m is None:
+        self._check_height()
+        self._check_stated_scale()
+
+    def _check_height(self) -> None:
+        """Refuse facts about a height without the height itself."""
+        if self.height_m is not None:
+            return
+        if self.height_tolerance_m is not None:
+            unused = "height_tolerance_m"
+        elif self.focal_35mm is not None and not self.metadata:
+            unused = "focal_35mm"  # Without metadata, the file's height is not used either.
+        elif self.height_basis == "measured":
+            unused = "height_basis"
+        else:
+            return
+        raise InvalidParameterError(
+            f"{unused} needs height_m: also give the height above the ground"
+        )
+
+    def _check_stated_scale(self) -> None:
+        """Refuse facts about a scale without the scale itself, and a tolerance as large as it."""
+        scale = self.stated_scale
+        if scale is None:
+            if self.gsd_basis == "measured" or self.gsd_tolerance is not None:
+                raise InvalidParameterError(
+                    "gsd_basis and gsd_tolerance need gsd_m_per_px: give the scale, too"
+                )
+        elif scale.tolerance >= scale.gsd_m_per_px:
             raise InvalidParameterError(
-                f"{lonely[0]} needs height_m: also give the height above the ground"
-            )
-        if self.gsd_m_per_px is None and (
-            self.gsd_basis == "measured" or self.gsd_tolerance is not None
-        ):
-            raise InvalidParameterError(
-                "gsd_basis and gsd_tolerance need gsd_m_per_px: give the scale, too"
-            )
-        if (
-            self.stated_scale is not None
-            and self.stated_scale.tolerance >= self.stated_scale.gsd_m_per_px
-        ):
-            raise InvalidParameterError(
-                f"gsd_tolerance is {self.gsd_tolerance:g}, as large as the scale: give half of "
-                "its 95 % interval"
+                f"gsd_tolerance is {scale.tolerance:g}, as large as the scale: give half of its 95 "
+                "% interval"
             )
 
     @property
@@ -412,4 +437,5 @@ class Rulers:
         gsd = self.gsd_m_per_px
         if gsd is None:
             return None
-        return StatedScale(gsd, self.gsd_basis, self.gsd_tolerance or _STATED_TOLERANCE * gsd)
+        tolerance = self.gsd_tolerance or _STATED_TOLERANCE * gsd
+        return StatedScale(gsd, self.gsd_basis, tolerance)

@@ -19,16 +19,21 @@ if TYPE_CHECKING:
 
 _Line = TypeVar("_Line", KnownLength, AddedVehicle)
 
-_OF_METHOD = [vars(group) for group in (Search(), Lengths(), Reference(), Rulers(), ByHand())]
-_FREE = ("tile_px", "stride_px")  # a preset leaves them to the caller
+# Options of the method that a preset leaves to the caller.
+_FREE = ("tile_px", "stride_px")
+
+
+def _method_defaults() -> dict[str, Any]:
+    """Collect the defaults of all options of the method that a preset sets."""
+    defaults: dict[str, Any] = {}
+    for kind in (Search, Lengths, Reference, Rulers, ByHand):
+        defaults |= vars(kind())
+    return {name: default for name, default in defaults.items() if name not in _FREE}
+
+
 PRESETS: dict[Preset, dict[str, Any]] = {
     "paper": {
-        **{
-            name: default
-            for group in _OF_METHOD
-            for name, default in group.items()
-            if name not in _FREE
-        },
+        **_method_defaults(),
         "min_score": 0.1,
         "search_scales": False,
         "verify": False,
@@ -39,7 +44,7 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "metadata": False,
     }
 }
-"""Options of each preset by keyword."""
+"""Values of each preset by keyword."""
 
 
 @dataclass(frozen=True)
@@ -85,30 +90,35 @@ class ScaleOptions:
 
         Raises:
             KnownLengthError: a line is shorter than five pixels, or ends outside the image.
-            InvalidParameterError: so does an added vehicle.
+            InvalidParameterError: an added vehicle does so.
         """
-        picture = self.frame.size or (width_px, height_px)
-        extent = CoordinateFrame(self.frame, width_px, height_px).extent
-        across = picture[0] / extent[0]
-        down = picture[1] / extent[1]
+        picture_size = self.frame.size or (width_px, height_px)
+        options = self
+        has_lines = self.rulers.known_lengths or self.by_hand.add
+        if self.frame.coordinates != "pixels" and has_lines:
+            extent = CoordinateFrame(self.frame, width_px, height_px).extent
+            across = picture_size[0] / extent[0]
+            down = picture_size[1] / extent[1]
+            options = self._with_scaled_lines(across, down)
+        options._check_lines(picture_size)
+        return options
 
-        def in_picture(line: _Line) -> _Line:
+    def _with_scaled_lines(self, across: float, down: float) -> ScaleOptions:
+        """Convert lines and added vehicles to pixels by the pixels per unit of coordinates."""
+
+        def scaled(line: _Line) -> _Line:
             return replace(
                 line, x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down
             )
 
-        told = self
-        if self.frame.coordinates != "pixels" and (self.rulers.known_lengths or self.by_hand.add):
-            told = replace(
-                self,
-                rulers=replace(
-                    self.rulers, known_lengths=tuple(map(in_picture, self.rulers.known_lengths))
-                ),
-                by_hand=replace(self.by_hand, add=tuple(map(in_picture, self.by_hand.add))),
-                frame=replace(self.frame, coordinates="pixels"),
-            )
-        told._check_lines(picture)
-        return told
+        known_lengths = tuple(scaled(line) for line in self.rulers.known_lengths)
+        added = tuple(scaled(axis) for axis in self.by_hand.add)
+        return replace(
+            self,
+            rulers=replace(self.rulers, known_lengths=known_lengths),
+            by_hand=replace(self.by_hand, add=added),
+            frame=replace(self.frame, coordinates="pixels"),
+        )
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
@@ -126,38 +136,53 @@ class ScaleOptions:
             InvalidParameterError: a value is invalid, an option does not exist, or contradicts the
                 preset.
         """
-        # its values give way to those of the caller, and are then compared
         if self.method.preset is not None:
-            keywords = {
-                **{name: declared_options()[name].default for name in PRESETS[self.method.preset]},
-                **keywords,
-            }
-        changes: dict[str, dict[str, Any]] = {}
+            # Reset what the preset has set, so that only the caller's values are compared with it.
+            preset_names = PRESETS[self.method.preset]
+            reset = {name: declared_options()[name].default for name in preset_names}
+            keywords = {**reset, **keywords}
+        options = self._with_values(keywords)
+        return options._with_preset()
+
+    def _with_values(self, keywords: Mapping[str, Any]) -> ScaleOptions:
+        """Copy the options with other values of single fields, whatever the preset."""
+        values_by_group: dict[str, dict[str, Any]] = {}
         for name, value in keywords.items():
             declared = declared_options().get(name)
             if declared is None:
                 names = ", ".join(sorted(declared_options()))
                 raise InvalidParameterError(f"there is no option {name!r}: the options are {names}")
-            changes.setdefault(declared.group, {})[name] = value
-        told = replace(
-            self,
-            **{group: replace(getattr(self, group), **values) for group, values in changes.items()},
-        )
-        preset = told.method.preset
-        if preset is None or all(
-            told.value(name) == value for name, value in PRESETS[preset].items()
-        ):
-            return told
-        for name, value in PRESETS[preset].items():
-            if told.value(name) not in (value, declared_options()[name].default):
+            values_by_group.setdefault(declared.group, {})[name] = value
+        groups = {
+            group: replace(getattr(self, group), **values)
+            for group, values in values_by_group.items()
+        }
+        return replace(self, **groups)
+
+    def _with_preset(self) -> ScaleOptions:
+        """Copy the options with the values of their preset.
+
+        Raises:
+            InvalidParameterError: an option has neither its default nor the value of the preset.
+        """
+        preset = self.method.preset
+        if preset is None:
+            return self
+        values = PRESETS[preset]
+        if all(self.value(name) == value for name, value in values.items()):
+            return self
+        for name, value in values.items():
+            default = declared_options()[name].default
+            if self.value(name) not in (value, default):
                 raise InvalidParameterError(
                     f"the preset {preset} sets {name}: leave {name} out, or leave the preset out"
                 )
-        return told.with_keywords(PRESETS[preset])
+        return self._with_values(values)
 
     def value(self, keyword: str) -> Any:
         """Get the value of an option."""
-        return getattr(getattr(self, declared_options()[keyword].group), keyword)
+        group = getattr(self, declared_options()[keyword].group)
+        return getattr(group, keyword)
 
 
 class DeclaredOption(NamedTuple):
@@ -168,7 +193,7 @@ class DeclaredOption(NamedTuple):
         group: name of the group in ``ScaleOptions``.
         option: its declaration.
         annotation: its type with limits and declaration.
-        kind: type of its values alone.
+        kind: its type without None, limits and declaration.
         default: its default.
     """
 
@@ -183,18 +208,27 @@ class DeclaredOption(NamedTuple):
 @cache
 def declared_options() -> dict[str, DeclaredOption]:
     """List the options of all groups by their keywords."""
-    found = {}
-    for group, options in vars(ScaleOptions()).items():
-        annotations, kinds = (
-            typing.get_type_hints(type(options), include_extras=extras) for extras in (True, False)
-        )
-        for name, default in vars(options).items():
-            option = next(
-                part for part in annotations[name].__metadata__ if isinstance(part, Option)
+    declared = {}
+    for group_name, group in vars(ScaleOptions()).items():
+        annotations = typing.get_type_hints(type(group), include_extras=True)
+        kinds = typing.get_type_hints(type(group))
+        for keyword, default in vars(group).items():
+            annotation = annotations[keyword]
+            option = next(part for part in annotation.__metadata__ if isinstance(part, Option))
+            declared[keyword] = DeclaredOption(
+                keyword=keyword,
+                group=group_name,
+                option=option,
+                annotation=annotation,
+                kind=_without_none(kinds[keyword]),
+                default=default,
             )
-            given = [kind for kind in typing.get_args(kinds[name]) if kind is not type(None)]
-            kind = given[0] if type(None) in typing.get_args(kinds[name]) else kinds[name]
-            found[name] = DeclaredOption(
-                name, group, option=option, annotation=annotations[name], kind=kind, default=default
-            )
-    return found
+    return declared
+
+
+def _without_none(kind: Any) -> Any:
+    """Return the type ``X`` of ``X | None``, and any other type as it is."""
+    members = typing.get_args(kind)
+    if type(None) not in members:
+        return kind
+    return next(member for member in members if member is not type(None))

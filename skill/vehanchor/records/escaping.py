@@ -1,24 +1,33 @@
-"""Text that others wrote (file names, metadata) as readers can take it without harm; HTML has ``html.escape``."""
+"""Escape foreign text, such as file names and metadata, for terminals, models and spreadsheets.
+
+For HTML, use ``html.escape``.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+# A spreadsheet runs a text as a formula if it starts with one of these.
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
 def on_one_line(text: str) -> str:
-    """Escape what would start a line, move the cursor or reverse the text, for models, terminals and logs.
+    """Escape characters that would start a line, move the cursor or reverse the text.
 
-    Escaped are control characters, line and paragraph separators, marks of direction, and bytes
-    that are not UTF-8.
+    These are control characters, line and paragraph separators, direction marks, and bytes that
+    are not UTF-8.
     """
     return "".join(
-        each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
-        for each in text
+        character if character.isprintable() else _escaped(character) for character in text
     )
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")
 
 
 def in_cell(value: Any) -> Any:
     """Put an apostrophe before a text that a spreadsheet would run as a formula."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
+    if isinstance(value, str) and value.startswith(_FORMULA_STARTS):
+        return f"'{value}"
+    return value

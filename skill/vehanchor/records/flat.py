@@ -1,10 +1,10 @@
-"""Records as flat rows of data frames and batch tables, with the same columns for every record of a type.
+"""Records as flat rows of data frames and batch tables; all records of a type have equal columns.
 
 A field with one value is a column. A field of a nested record is a column with the outer name as
 prefix, unless its name has it already: ``tilt.tilt_deg`` is ``tilt_deg``, ``tilt.roll_deg`` is
-``tilt_roll_deg``. Fields of ``details`` have no prefix. Each kind of ruler has
-columns for its scale and its agreement. Codes of warnings are one column, separated by spaces.
-Other lists are counted.
+``tilt_roll_deg``. Fields of ``details`` have no prefix. Each kind of ruler has a column for its
+scale and one for its chance of being right. The codes of all warnings are one column, separated by
+spaces. Other lists are counted.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from vehanchor.records.ruler_registry import RULERS
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
-_OF_RULERS: dict[str, type] = {"gsd_m_per_px": float, "p_right": float}
-_CODES = "warning_codes"
+# Fields of each ruler that are columns.
+_RULER_FIELDS: dict[str, type] = {"gsd_m_per_px": float, "p_right": float}
+_WARNING_CODES = "warning_codes"
 _DETAILS = "details"
 
 
@@ -35,17 +36,15 @@ def flat_columns(kind: type[BaseModel], *, without: Collection[str] = ()) -> dic
     Returns:
         ``float``, ``int``, ``bool`` or ``str`` by column; any value may be null.
     """
-    found: dict[str, type] = {}
+    columns: dict[str, type] = {}
     for name, field in kind.model_fields.items():
-        if name == "rulers" and name not in without:
-            found |= {
-                f"ruler_{ruler}_{part}": each
-                for ruler in RULERS
-                for part, each in _OF_RULERS.items()
-            }
-        elif name not in without:
-            found |= _columns(name, _bare(field))
-    return found
+        if name in without:
+            continue
+        if name == "rulers":
+            columns |= _ruler_columns()
+        else:
+            columns |= _field_columns(name, _bare_type(field))
+    return columns
 
 
 def flat_row(record: BaseModel, *, without: Collection[str] = ()) -> dict[str, Any]:
@@ -55,50 +54,73 @@ def flat_row(record: BaseModel, *, without: Collection[str] = ()) -> dict[str, A
         record: any record.
         without: fields to leave out.
     """
-    row: dict[str, Any] = dict.fromkeys(flat_columns(type(record), without=without))
-    for name in type(record).model_fields:
+    # Fields that are null in this record keep their columns.
+    kind = type(record)
+    row: dict[str, Any] = dict.fromkeys(flat_columns(kind, without=without))
+    for name in kind.model_fields:
         if name not in without:
-            row |= _values(name, getattr(record, name))
+            value = getattr(record, name)
+            row |= _field_values(name, value)
     return row
 
 
-def _values(name: str, value: Any) -> dict[str, Any]:
+def _field_values(name: str, value: Any) -> dict[str, Any]:
+    """Flatten a field to values by column."""
+    if value is None:
+        return {}
     if isinstance(value, BaseModel):
-        return {_joined(name, inner): each for inner, each in flat_row(value).items()}
+        return {_joined(name, inner): item for inner, item in flat_row(value).items()}
     if not isinstance(value, tuple):
-        return {} if value is None else {name: value}
+        return {name: value}
     if name == "warnings":
-        return {_CODES: " ".join(notice.code for notice in value)}
+        return {_WARNING_CODES: " ".join(notice.code for notice in value)}
     if name == "rulers":
         return {
-            f"ruler_{ruler.kind}_{part}": getattr(ruler, part)
+            _ruler_column(ruler.kind, field): getattr(ruler, field)
             for ruler in value
-            for part in _OF_RULERS
+            for field in _RULER_FIELDS
         }
     return {f"n_{name}": len(value)}
 
 
 @cache
-def _columns(name: str, kind: Any) -> dict[str, type]:
+def _field_columns(name: str, kind: Any) -> dict[str, type]:
+    """List the columns of a field with the types of their values."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return {_joined(name, inner): each for inner, each in flat_columns(kind).items()}
+        return {_joined(name, inner): item for inner, item in flat_columns(kind).items()}
     if get_origin(kind) is not tuple:
         return {name: kind}
     if name == "warnings":
-        return {_CODES: str}
+        return {_WARNING_CODES: str}
     return {f"n_{name}": int}
 
 
+def _ruler_columns() -> dict[str, type]:
+    return {
+        _ruler_column(ruler, field): kind
+        for ruler in RULERS
+        for field, kind in _RULER_FIELDS.items()
+    }
+
+
+def _ruler_column(ruler: str, field: str) -> str:
+    return f"ruler_{ruler}_{field}"
+
+
 def _joined(outer: str, inner: str) -> str:
-    return inner if outer == _DETAILS or inner.startswith(f"{outer}_") else f"{outer}_{inner}"
+    """Join the names of a field and of a field of the record in it."""
+    has_prefix = inner.startswith(f"{outer}_")
+    return inner if outer == _DETAILS or has_prefix else f"{outer}_{inner}"
 
 
-def _bare(field: FieldInfo) -> Any:
-    """Give the type of a field's values without null."""
+def _bare_type(field: FieldInfo) -> Any:
+    """Return the type of a field's values without null, limits and literals."""
     kind = field.annotation
-    kinds = get_args(field.annotation)
-    if type(None) in kinds:
-        kind = next(each for each in kinds if each is not type(None))
+    members = get_args(kind)
+    if type(None) in members:
+        kind = next(member for member in members if member is not type(None))
     if get_origin(kind) is Annotated:
         kind = get_args(kind)[0]
-    return type(get_args(kind)[0]) if get_origin(kind) is Literal else kind
+    if get_origin(kind) is Literal:
+        return type(get_args(kind)[0])
+    return kind

@@ -1,4 +1,4 @@
-"""The records of areas and distances, with their shapes in pixels of the image."""
+"""Records of areas and distances, with their shapes in pixels of the image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
 
 ScaleSource = Literal["estimated", "given", "reused"]
 
-# Fields that both records share.
+# Fields that the records of areas and of distances share.
 ScaleConfidence = Annotated[
     float | None,
     Field(
@@ -24,8 +24,8 @@ ScaleConfidence = Annotated[
 MeasuredGsd = Annotated[
     float | None,
     Field(
-        description="Ground sampling distance, metres per pixel of the full image; null without "
-        "a scale."
+        description="Ground sampling distance, metres per pixel of the full image; null without a "
+        "scale."
     ),
 ]
 MeasuredVehicles = Annotated[
@@ -35,16 +35,15 @@ MeasuredVehicles = Annotated[
 ScaleSourceField = Annotated[
     ScaleSource,
     Field(
-        description="estimated: from this image, by the rulers in estimate. given: a number "
-        "from the caller. reused: "
-        "an earlier estimate of this image, given back."
+        description="estimated: from this image, by the rulers in estimate. given: a number from "
+        "the caller. reused: an earlier estimate of this image, which the caller gave back."
     ),
 ]
 ScaleField = Annotated[
     KnownScale | None,
     Field(
-        description="The scale to give back for more measurements in this image; null for a "
-        "number or no scale."
+        description="The scale to give back for more measurements in this image; null for a number "
+        "or no scale."
     ),
 ]
 EstimateField = Annotated[
@@ -60,14 +59,14 @@ MeasuredWarnings = Annotated[
 
 
 class ImagePoint(Record):
-    """A point in the image; the first pixel spans 0 to 1."""
+    """Point in the image; the first pixel spans 0 to 1."""
 
     x_px: float = Field(description="Pixels from the left edge.")
     y_px: float = Field(description="Pixels from the upper edge.")
 
 
 class BoundingBox(Record):
-    """An upright box; the first pixel spans 0 to 1."""
+    """Upright box; the first pixel spans 0 to 1."""
 
     x1_px: float = Field(description="Left side, pixels from the left edge.")
     y1_px: float = Field(description="Upper side, pixels from the upper edge.")
@@ -75,7 +74,12 @@ class BoundingBox(Record):
     y2_px: float = Field(description="Lower side, pixels from the upper edge.")
 
     def scaled(self, across: float, down: float) -> BoundingBox:
-        """Return the box in a copy of the image; the factors are the copy's sides over the image's."""
+        """Scale the box to a copy of the image.
+
+        Args:
+            across: width of the copy over that of the image.
+            down: height of the copy over that of the image.
+        """
         return BoundingBox(
             x1_px=self.x1_px * across,
             y1_px=self.y1_px * down,
@@ -85,7 +89,7 @@ class BoundingBox(Record):
 
 
 class OutlineRing(Record):
-    """A closed line; the last point is joined to the first."""
+    """Closed line; the last point is joined to the first."""
 
     points: tuple[ImagePoint, ...] = Field(
         description="Corners in order, pixels of the full image."
@@ -98,7 +102,7 @@ class OutlineRing(Record):
 
 
 class OutlinePolygon(Record):
-    """One piece of an object's outline."""
+    """Piece of an object's outline."""
 
     exterior: OutlineRing = Field(description="The line around the piece.")
     holes: tuple[OutlineRing, ...] = Field(description="The lines around its holes.")
@@ -113,12 +117,12 @@ class FrameArea(Record):
         description="Metres per pixel of that copy; null without a scale."
     )
     bounding_box: BoundingBox | None = Field(
-        description="The object's box in pixels of that copy; null for no mask."
+        description="The object's box in pixels of that copy; null without a mask."
     )
 
 
 class OtherObject(Record):
-    """Another object that points may mean; its box is a prompt for it."""
+    """Another object that the points may mean; its box is a prompt for it."""
 
     area_m2: float | None = Field(description="Its area, square metres; null without a scale.")
     mask_area_px: int = Field(gt=0, description="Pixels of its mask in the full image.")
@@ -127,20 +131,19 @@ class OtherObject(Record):
 
 
 class AreaMeasurement(Record):
-    """Area of one object: the pixels of its mask times the square of the scale."""
+    """Area of an object: the pixels of its mask times the square of the scale."""
 
     status: Status = Field(
-        description="ok. low_confidence: the scale is not usable, the mask's score is below the "
-        "model's "
-        "limit, or there is no mask. no_scale: no scale, so pixels only."
+        description="ok: scale and mask are usable. low_confidence: the scale is not usable, the "
+        "score of the mask is below the model's limit, or there is no mask. no_scale: there is no "
+        "scale, so sizes are in pixels only."
     )
     area_m2: float | None = Field(
-        description="mask_area_px times GSD squared, square metres, summed over the ground "
-        "plane for a tilted camera; "
-        "null without a scale."
+        description="mask_area_px times GSD squared, square metres, summed over the ground plane "
+        "for a tilted camera; null without a scale."
     )
     area_ci95_low_m2: float | None = Field(
-        description="Lower end of its 95 % interval, from scale and mask."
+        description="Lower end of its 95 % interval, from the errors of scale and mask."
     )
     area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
     scale_confidence: ScaleConfidence
@@ -160,7 +163,7 @@ class AreaMeasurement(Record):
     )
     width_m: float | None = Field(description="Shorter side of that rectangle, metres.")
     inscribed_diameter_m: float | None = Field(
-        description="Diameter of the largest circle inside the mask, metres, as for a landing site."
+        description="Diameter of the largest circle inside the mask, metres, for landing sites."
     )
     inscribed_diameter_ci95_low_m: float | None = Field(
         description="Lower end of its 95 % interval."
@@ -169,19 +172,18 @@ class AreaMeasurement(Record):
         description="Upper end of its 95 % interval."
     )
     inscribed_center: ImagePoint | None = Field(
-        description="Centre of that circle, pixels of the full image; null for no mask."
+        description="Centre of that circle, pixels of the full image; null without a mask."
     )
     bounding_box: BoundingBox | None = Field(
-        description="The mask's box, pixels of the full image; null for no mask."
+        description="The mask's box, pixels of the full image; null without a mask."
     )
     alternatives: tuple[OtherObject, ...] = Field(
         default=(),
         description="Other objects that the points may mean, best score first; empty for a box.",
     )
     outline: tuple[OutlinePolygon, ...] = Field(
-        description="The mask's outline, largest piece first, simplified to 200 points at most: "
-        "for drawing. Areas "
-        "come from the mask itself."
+        description="The mask's outline for drawing, largest piece first, simplified to at most "
+        "200 points. Areas come from the mask itself."
     )
     image_width_px: ImageWidth
     image_height_px: ImageHeight
@@ -200,26 +202,27 @@ class AreaMeasurement(Record):
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """Outline as a GeoJSON MultiPolygon, for shapely, geopandas and fiona; pixels, y down."""
-        pieces = [
-            [ring.closed for ring in (piece.exterior, *piece.holes)] for piece in self.outline
-        ]
-        return {"type": "MultiPolygon", "coordinates": pieces}
+        polygons = []
+        for piece in self.outline:
+            rings = (piece.exterior, *piece.holes)
+            polygons.append([ring.closed for ring in rings])
+        return {"type": "MultiPolygon", "coordinates": polygons}
 
 
 class DistanceMeasurement(Record):
     """Length of a line on the ground: its pixels times the scale."""
 
     status: Status = Field(
-        description="ok. low_confidence: the scale is not usable. no_scale: no scale, so pixels "
-        "only."
+        description="ok: the scale is usable. low_confidence: the scale is not usable. no_scale: "
+        "there is no scale, so the length is in pixels only."
     )
     distance_m: float | None = Field(
-        description="length_px times GSD, metres, along the ground plane for a tilted camera; "
-        "null without a scale."
+        description="length_px times GSD, metres, along the ground plane for a tilted camera; null "
+        "without a scale."
     )
     distance_ci95_low_m: float | None = Field(
-        description="Lower end of its 95 % interval, from the scale and one pixel of error per "
-        "point."
+        description="Lower end of its 95 % interval, from the error of the scale and one pixel of "
+        "error per point."
     )
     distance_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
     scale_confidence: ScaleConfidence

@@ -1,4 +1,4 @@
-"""Notices of records, and their stable codes."""
+"""Notices in records, and their stable codes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from vehanchor.records.record import Record
 class NoticeCode(StrEnum):
     """Codes of notices."""
 
-    # of the image
+    # About the image.
     PIXELS_STRETCHED = "pixels_stretched"
     BANDS_SELECTED = "bands_selected"
     DETAIL_MISSING = "detail_missing"
     GEOREFERENCE_DIFFERS = "georeference_differs"
-    # of the search
+    # About the search.
     DETECTIONS_CAPPED = "detections_capped"
-    # doubts that the vehicles are cars of true proportions
+    # Doubts that the vehicles are cars with true proportions.
     STRETCHED = "stretched"
     LOOK_ALIKES = "look_alikes"
-    # of the rulers beside vehicles
+    # About other rulers than vehicles.
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"
     TILT_SUSPECTED = "tilt_suspected"
@@ -32,10 +32,10 @@ class NoticeCode(StrEnum):
     UNIT_MISTYPED = "unit_mistyped"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
     HEIGHT_REPEATED = "height_repeated"
-    # of a flight
+    # About a flight.
     NOT_LINKED = "not_linked"
     SEVERAL_SORTIES = "several_sorties"
-    # of the mask
+    # About the mask of an object.
     MASK_EMPTY = "mask_empty"
     MASK_SCORE_LOW = "mask_score_low"
     MASK_TOUCHES_EDGE = "mask_touches_edge"

@@ -17,12 +17,12 @@ SchemaVersion = Annotated[
 ]
 
 _SHOWN_FLOAT_DIGITS = 4
-# types with a missing value
+# Types of pandas that have a missing value.
 _FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}
 
 
 class Record(BaseModel):
-    """Frozen record: numbers are finite or null; names have units."""
+    """Frozen record: numbers are finite or null; names of quantities have units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -43,26 +43,26 @@ class Record(BaseModel):
 
         row = flat_row(self)
         columns = flat_columns(type(self))
-        return pd.DataFrame(
-            {
-                name: pd.array([row[name]], dtype=_FRAME_TYPES[kind])
-                for name, kind in columns.items()
-            }
-        )
+        data = {
+            name: pd.array([row[name]], dtype=_FRAME_TYPES[kind]) for name, kind in columns.items()
+        }
+        return pd.DataFrame(data)
 
     def _repr_html_(self) -> str:
-        """Make an HTML table of the single values for notebooks, without nulls."""
+        """Make an HTML table for notebooks: single values and warnings, without nulls."""
         values = self.model_dump(mode="json")
-        shown = []
+        shown: list[tuple[str, str]] = []
         for name, value in values.items():
-            if value is not None and not isinstance(value, dict | list):
-                text = (
-                    f"{value:.{_SHOWN_FLOAT_DIGITS}g}" if isinstance(value, float) else str(value)
-                )
-                shown.append((name, text))
-        shown += [(note["code"], note["message"]) for note in values.get("warnings") or ()]
-        rows = (
+            if value is None or isinstance(value, dict | list):
+                continue
+            if isinstance(value, float):
+                shown.append((name, f"{value:.{_SHOWN_FLOAT_DIGITS}g}"))
+            else:
+                shown.append((name, str(value)))
+        for notice in values.get("warnings") or ():
+            shown.append((notice["code"], notice["message"]))
+        rows = "".join(
             f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(text)}</td></tr>"
             for name, text in shown
         )
-        return f"<table>{''.join(rows)}</table>"
+        return f"<table>{rows}</table>"

@@ -1,4 +1,4 @@
-"""Registered rulers, one line each: their kinds in records, and where their classes are.
+"""Registered rulers, one line each: kind in records, and path of the class.
 
 Records, JSON schemas and tables list the kinds; ``vehanchor.rulers.active`` imports the classes.
 """
@@ -22,13 +22,14 @@ RULERS: dict[str, str] = {
 }
 """Class of each ruler by its kind, as ``module:Class``; imported on first use."""
 
-for _point in sorted(entry_points(group="vehanchor.rulers"), key=lambda point: point.name):
-    RULERS.setdefault(_point.name, _point.value)  # of installed packages; they replace no ruler
+# Installed packages add rulers; they cannot replace one of ours.
+for _entry_point in sorted(entry_points(group="vehanchor.rulers"), key=lambda point: point.name):
+    RULERS.setdefault(_entry_point.name, _entry_point.value)
 
 
-def _named(schema: dict[str, Any]) -> None:
+def _add_kinds(schema: dict[str, Any]) -> None:
     schema["enum"] = list(RULERS)
 
 
-RulerKind: TypeAlias = Annotated[str, Field(json_schema_extra=_named)]
+RulerKind: TypeAlias = Annotated[str, Field(json_schema_extra=_add_kinds)]
 """Kind of a ruler: its name in options, records and tables."""

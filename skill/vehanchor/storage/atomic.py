@@ -26,17 +26,22 @@ def check_output_path(
 
     Args:
         path: the path.
-        suffixes: possible suffixes; empty for any.
-        kind: what the file holds, for the message about its suffix.
-        also: a further remedy for another suffix.
+        suffixes: allowed suffixes; empty for any.
+        kind: what the file holds, for messages.
+        also: further advice for a wrong suffix.
 
     Raises:
-        OutputError: the suffix is another one, the folder does not exist, or the path is a folder.
+        OutputError: the suffix is wrong, the folder does not exist, or the path is a folder.
     """
     target = Path(path)
     if suffixes and target.suffix.lower() not in suffixes:
-        use = f"one of {', '.join(suffixes)}" if len(suffixes) > 1 else f"the suffix {suffixes[0]}"
-        raise OutputError(f"cannot write {kind} as {str(path)!r}: use {use}{also and f'; {also}'}")
+        if len(suffixes) > 1:
+            remedy = f"use one of {', '.join(suffixes)}"
+        else:
+            remedy = f"use the suffix {suffixes[0]}"
+        if also:
+            remedy += f"; {also}"
+        raise OutputError(f"cannot write {kind} as {str(path)!r}: {remedy}")
     if not target.parent.is_dir():
         raise OutputError(
             f"cannot write {str(path)!r}: there is no folder {str(target.parent)!r}; create it "
@@ -49,10 +54,10 @@ def check_output_path(
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Write a temporary file beside the target; it replaces the target when it is complete and on the disk.
+    """Write a temporary file, which replaces the target once it is complete and on the disk.
 
     Yields:
-        The path to write to. If the block raises, the target does not change.
+        The path to write to, beside the target. If the block raises, the target does not change.
 
     Raises:
         OutputError: the file cannot be written.

@@ -1,8 +1,8 @@
-"""Intermediate results as JSON and back, exactly: for the journals of flights and evaluations.
+"""Exact conversion of intermediate results to JSON and back, for journals.
 
-Frozen dataclasses, named tuples and records, arrays, and JSON's own values. A codec makes only its
-own classes: a journal from elsewhere can import and start nothing. The names of classes may change
-with the version of the library, on which journals depend.
+Journals of flights and evaluations keep frozen dataclasses, named tuples, records, arrays and the
+values of JSON. A codec makes objects of its own classes only, so that a foreign journal cannot
+import or run anything.
 """
 
 from __future__ import annotations
@@ -17,82 +17,97 @@ from pydantic import BaseModel
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+# A JSON object with this key is an array or an object of the class that it names.
 _KIND = "="
 _ARRAY = "array"
 
 
 class Codec:
-    """Values of chosen classes to JSON and back.
+    """Converter between values of some classes and JSON values.
 
     Args:
-        classes: frozen dataclasses, named tuples and records, each of another name.
-        former_names: today's name by the former one, of a class (``Looks``) or of one of its fields
+        classes: frozen dataclasses, named tuples and records with different names.
+        former_names: today's names by former names of classes (``Looks``) and of their fields
             (``Detections.looks``), so that journals of earlier versions can be read.
     """
 
     def __init__(
         self, classes: Iterable[type[Any]], former_names: Mapping[str, str] | None = None
     ) -> None:
-        self._classes = {each.__name__: each for each in classes}
+        self._classes = {stored.__name__: stored for stored in classes}
         self._former_names = former_names or {}
 
     def dump(self, value: Any) -> Any:
-        """Turn a value into what JSON can hold.
+        """Convert a value to JSON values.
 
         Raises:
-            TypeError: the value holds something of another class.
+            TypeError: the value contains an object of another class.
         """
-        if value is None or (
-            isinstance(value, bool | int | float | str) and type(value).__module__ == "builtins"
-        ):
+        if value is None or _is_json_scalar(value):
             return value
         if isinstance(value, np.ndarray):
-            data = base64.b64encode(np.ascontiguousarray(value).tobytes()).decode("ascii")
-            return {
-                _KIND: _ARRAY,
-                "dtype": value.dtype.str,
-                "shape": list(value.shape),
-                "data": data,
-            }
+            return _dump_array(value)
         if isinstance(value, np.generic):
             return value.item()
-        if type(value) in self._classes.values():
-            return {_KIND: type(value).__name__, "fields": self._fields(value)}
-        if type(value) in (tuple, list):
-            return [self.dump(each) for each in value]
-        raise TypeError(f"{type(value).__name__} is no stored class: add it to those of the codec")
+        kind = type(value)
+        if kind in self._classes.values():
+            return {_KIND: kind.__name__, "fields": self._dump_fields(value)}
+        if kind in (tuple, list):
+            return [self.dump(item) for item in value]
+        raise TypeError(f"{kind.__name__} is not a stored class: add it to those of the codec")
 
-    def load(self, found: Any) -> Any:
-        """Turn the result of ``dump`` into the value; lists come back as tuples.
-
-        Raises:
-            ValueError: it names no stored class, or is no such value.
-        """
-        if isinstance(found, list):
-            return tuple(self.load(each) for each in found)
-        if not isinstance(found, dict):
-            return found
-        name = self._former_names.get(found[_KIND], found[_KIND])
-        kind = self._classes.get(name)
-        if name == _ARRAY:
-            dtype = np.dtype(found["dtype"])
-            if dtype.hasobject:
-                raise ValueError(f"an array of {dtype} cannot be stored")
-            data = np.frombuffer(base64.b64decode(found["data"]), dtype=dtype)
-            return data.reshape(found["shape"]).copy()
-        if kind is None:
-            raise ValueError(f"{name!r} is the name of no stored class")
-        if issubclass(kind, BaseModel):
-            return kind.model_validate(found["fields"])
-        return kind(
-            **{
-                self._former_names.get(f"{name}.{field}", field): self.load(value)
-                for field, value in found["fields"].items()
-            }
-        )
-
-    def _fields(self, value: Any) -> dict[str, Any]:
+    def _dump_fields(self, value: Any) -> dict[str, Any]:
         if isinstance(value, BaseModel):
             return value.model_dump(mode="json")
-        names = [each.name for each in fields(value)] if is_dataclass(value) else value._fields
-        return {name: self.dump(getattr(value, name)) for name in names}
+        if is_dataclass(value):
+            return {field.name: self.dump(getattr(value, field.name)) for field in fields(value)}
+        return {name: self.dump(getattr(value, name)) for name in value._fields}
+
+    def load(self, stored: Any) -> Any:
+        """Convert the result of ``dump`` back to the value; lists come back as tuples.
+
+        Raises:
+            ValueError: the result names an unknown class, or is not a value of its class.
+        """
+        if isinstance(stored, list):
+            return tuple(self.load(item) for item in stored)
+        if not isinstance(stored, dict):
+            return stored
+        name = self._former_names.get(stored[_KIND], stored[_KIND])
+        if name == _ARRAY:
+            return _load_array(stored)
+        kind = self._classes.get(name)
+        if kind is None:
+            raise ValueError(f"{name!r} is not the name of a stored class")
+        if issubclass(kind, BaseModel):
+            return kind.model_validate(stored["fields"])
+        values = {}
+        for stored_field, stored_value in stored["fields"].items():
+            field = self._former_names.get(f"{name}.{stored_field}", stored_field)
+            values[field] = self.load(stored_value)
+        return kind(**values)
+
+
+def _is_json_scalar(value: Any) -> bool:
+    # A subclass, such as an enumeration, would come back as its base.
+    is_subclass = type(value).__module__ != "builtins"
+    return isinstance(value, bool | int | float | str) and not is_subclass
+
+
+def _dump_array(array: np.ndarray) -> dict[str, Any]:
+    data = np.ascontiguousarray(array).tobytes()
+    return {
+        _KIND: _ARRAY,
+        "dtype": array.dtype.str,
+        "shape": list(array.shape),
+        "data": base64.b64encode(data).decode("ascii"),
+    }
+
+
+def _load_array(stored: dict[str, Any]) -> np.ndarray:
+    dtype = np.dtype(stored["dtype"])
+    if dtype.hasobject:
+        raise ValueError(f"an array of {dtype} cannot be stored")
+    data = base64.b64decode(stored["data"])
+    # The copy can be written to; the buffer itself cannot.
+    return np.frombuffer(data, dtype=dtype).reshape(stored["shape"]).copy()

@@ -1,10 +1,11 @@
 """Journal of a long run: results on disk, from which an interrupted run resumes.
 
-A journal is an SQLite file with one table: a row is the result of one source under one set of
-settings. Settings are what results depend on besides their source (version, model, options); a row
-has their hash, and the row with the empty key has the settings themselves. A key has the state of
-the source when the work began (``Source``), so that results of a replaced file are not found. Each
-result is committed alone: a killed run loses none. The file is never opened through a link.
+A journal is an SQLite file with one table. Each row is the result of one source under one set of
+settings. Settings are what results depend on besides their source: version, model, options. Each
+row has the hash of its settings; a row with an empty key has the settings themselves. A key
+contains the state of the source when the work began (``Source``), so that results of a replaced
+file are not found. Each result is committed alone, so that a killed run loses none. The file is
+never opened through a link.
 """
 
 from __future__ import annotations
@@ -28,24 +29,30 @@ if TYPE_CHECKING:
 
 Key: TypeAlias = tuple[str | int, ...]
 Value = TypeVar("Value")
+# A damaged value can cause any of these.
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
-# marks our files; another for another table. Other programs' databases are left alone
+# The header of each journal has this number, so that databases of other programs are left alone.
+# A change of the table needs another number.
 _APPLICATION_ID = 0x56416A6C
-_TABLE = (
+_CREATE_TABLE = (
     "CREATE TABLE IF NOT EXISTS results "
     "(settings TEXT, key TEXT, value TEXT NOT NULL, PRIMARY KEY (settings, key)) WITHOUT ROWID"
 )
+_SELECT_OTHER_SETTINGS = (
+    "SELECT value FROM results WHERE key = ? AND settings IN "
+    "(SELECT settings FROM results WHERE key <> ? AND settings <> ?)"
+)
 _WAIT_S = 30.0  # for another process that writes to a shared file
-_FACTS = ""  # the key of the settings
+_SETTINGS_KEY = ""
 
 
 class Source(NamedTuple):
-    """The state of a file: its key in a journal changes if the file is replaced.
+    """State of a file, as a part of a key that changes if the file is replaced.
 
     Attributes:
-        path: absolute, links followed.
-        size: bytes; -1 where there is no such file.
-        mtime_ns: time of its last change.
+        path: absolute path without links.
+        size: size in bytes; -1 for a missing file.
+        mtime_ns: time of the last change, nanoseconds.
     """
 
     path: str
@@ -54,13 +61,13 @@ class Source(NamedTuple):
 
     @classmethod
     def of(cls, file: str | os.PathLike[str]) -> Source:
-        """Read the state of the file of that name."""
+        """Read the state of a file."""
         path = Path(file).resolve()
         try:
-            facts = path.stat()
+            state = path.stat()
         except OSError:
             return cls(str(path), -1, 0)
-        return cls(str(path), facts.st_size, facts.st_mtime_ns)
+        return cls(str(path), state.st_size, state.st_mtime_ns)
 
 
 class Journal(Generic[Value]):
@@ -75,7 +82,7 @@ class Journal(Generic[Value]):
         sole: refuse a file with results of other settings, and lock the file against other runs
             until ``close``.
         anew: discard earlier results.
-        remedy: advice to the user for an unusable file.
+        remedy: advice to the user about an unusable file.
 
     Raises:
         InvalidParameterError: the file is not a journal; with ``sole``, it has other settings.
@@ -95,27 +102,24 @@ class Journal(Generic[Value]):
         remedy: str = "move the file away",
     ) -> None:
         self.path = path
-        self._facts: dict[str, Any] = to_jsonable_python(settings)
-        self._settings = hashlib.sha256(
-            json.dumps(self._facts, sort_keys=True).encode()
-        ).hexdigest()
+        self._settings: dict[str, Any] = to_jsonable_python(settings)
+        settings_text = json.dumps(self._settings, sort_keys=True)
+        self._settings_sha256 = hashlib.sha256(settings_text.encode()).hexdigest()
         self._dump = dump
         self._load = load
         self._remedy = remedy
         self._lock = threading.Lock()
-        with self._errors_told():
+        with self._errors_converted():
             try:
-                self._file = self._open(sole=sole, anew=anew)
+                self._database = self._open(sole=sole, anew=anew)
             except sqlite3.DatabaseError as error:
-                if (
-                    not anew
-                    or path is None
-                    or getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_NOTADB
-                ):
+                # To start anew, a file that is not a database may go; a foreign database may not.
+                error_code = getattr(error, "sqlite_errorcode", None)
+                if not anew or path is None or error_code != sqlite3.SQLITE_NOTADB:
                     raise
                 path.unlink()
-                self._file = self._open(sole=sole, anew=anew)
-        weakref.finalize(self, self._file.close)
+                self._database = self._open(sole=sole, anew=anew)
+        weakref.finalize(self, self._database.close)
 
     def __enter__(self) -> Self:
         return self
@@ -124,8 +128,8 @@ class Journal(Generic[Value]):
         self.close()
 
     def close(self) -> None:
-        """Let other runs use the file."""
-        self._file.close()
+        """Close the file, so that other runs can use it."""
+        self._database.close()
 
     def _open(self, *, sole: bool, anew: bool) -> sqlite3.Connection:
         if self.path is not None:
@@ -134,55 +138,54 @@ class Journal(Generic[Value]):
                     f"{str(self.path)!r} is a link: remove it, or name another output"
                 )
             self.path.parent.mkdir(parents=True, exist_ok=True)
-        wait_s = 0.0 if sole else _WAIT_S
-        file = sqlite3.connect(
-            self.path or ":memory:", wait_s, isolation_level=None, check_same_thread=False
+        timeout_s = 0.0 if sole else _WAIT_S
+        # Without an isolation level, a statement outside a transaction commits at once.
+        database = sqlite3.connect(
+            self.path or ":memory:", timeout_s, isolation_level=None, check_same_thread=False
         )
         try:
-            file.execute("PRAGMA synchronous = NORMAL")
+            database.execute("PRAGMA synchronous = NORMAL")
             if sole:
-                # the lock of the next transaction stays
-                file.execute("PRAGMA locking_mode = EXCLUSIVE")
-            file.execute("BEGIN EXCLUSIVE")
-            self._begin(file, sole=sole, anew=anew)
-            file.execute("COMMIT")
+                # The lock of the next transaction then stays until the file is closed.
+                database.execute("PRAGMA locking_mode = EXCLUSIVE")
+            database.execute("BEGIN EXCLUSIVE")
+            self._prepare(database, sole=sole, anew=anew)
+            database.execute("COMMIT")
         except BaseException:
-            file.close()
+            database.close()
             raise
-        return file
+        return database
 
-    def _begin(self, file: sqlite3.Connection, *, sole: bool, anew: bool) -> None:
-        """Prepare the table; check that the file is ours, and its settings."""
-        ((mark,),) = file.execute("PRAGMA application_id")
-        ((n_tables,),) = file.execute("SELECT count(*) FROM sqlite_master")
-        if n_tables and mark != _APPLICATION_ID:
+    def _prepare(self, database: sqlite3.Connection, *, sole: bool, anew: bool) -> None:
+        """Check that the database is a journal, create its table, check the settings, add ours."""
+        ((application_id,),) = database.execute("PRAGMA application_id")
+        ((n_tables,),) = database.execute("SELECT count(*) FROM sqlite_master")
+        if n_tables and application_id != _APPLICATION_ID:
             raise sqlite3.DatabaseError("it belongs to another program")
-        file.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
-        file.execute(_TABLE)
+        database.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
+        database.execute(_CREATE_TABLE)
         if anew:
-            file.execute("DELETE FROM results")
-        others = file.execute(
-            "SELECT value FROM results WHERE key = ? AND settings IN "
-            "(SELECT settings FROM results WHERE key <> ? AND settings <> ?)",
-            (_FACTS, _FACTS, self._settings),
-        ).fetchone()
-        if sole and others is not None:
-            other = _difference(json.loads(others[0]), self._facts)
+            database.execute("DELETE FROM results")
+        keys = (_SETTINGS_KEY, _SETTINGS_KEY, self._settings_sha256)
+        other_settings = database.execute(_SELECT_OTHER_SETTINGS, keys).fetchone()
+        if sole and other_settings is not None:
+            difference = _difference(json.loads(other_settings[0]), self._settings)
             raise InvalidParameterError(
-                f"{str(self.path)!r} has results of an unfinished run with {other}: finish that "
-                "run with its options, "
-                f"or {self._remedy}"
+                f"{str(self.path)!r} has results of an unfinished run with {difference}: finish "
+                f"that run with its options, or {self._remedy}"
             )
-        row = (self._settings, _FACTS, json.dumps(self._facts))
-        file.execute("INSERT OR IGNORE INTO results VALUES (?, ?, ?)", row)
+        row = (self._settings_sha256, _SETTINGS_KEY, json.dumps(self._settings))
+        database.execute("INSERT OR IGNORE INTO results VALUES (?, ?, ?)", row)
 
     @contextmanager
-    def _errors_told(self) -> Iterator[None]:
-        """Convert errors of SQLite and of the system."""
+    def _errors_converted(self) -> Iterator[None]:
+        """Convert errors of SQLite and of the system to errors of this library."""
         try:
             yield
         except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode & 0xFF in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            # The lowest byte is the kind of error, the others are details.
+            primary_code = error.sqlite_errorcode & 0xFF
+            if primary_code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
                 raise OutputError(
                     f"another run is using {str(self.path)!r}: wait until it has ended, or name "
                     "another output"
@@ -197,22 +200,22 @@ class Journal(Generic[Value]):
                 f"{str(self.path)!r} is not a journal, or is damaged ({error}): {self._remedy}"
             ) from None
 
-    def _found(self, query: str, *values: str) -> Any:
-        """Get the first column of the first row; None without a row."""
-        with self._lock, self._errors_told():
-            row = self._file.execute(f"SELECT {query}", (self._settings, *values)).fetchone()
+    def _select(self, columns: str, where_key: str, key: str) -> Any:
+        """Select from the rows of our settings by a condition on the key.
+
+        Returns:
+            The first column of the first row; None without a row.
+        """
+        query = f"SELECT {columns} FROM results WHERE settings = ? AND {where_key}"
+        with self._lock, self._errors_converted():
+            row = self._database.execute(query, (self._settings_sha256, key)).fetchone()
         return None if row is None else row[0]
 
     def __contains__(self, key: Key) -> bool:
-        return (
-            self._found("1 FROM results WHERE settings = ? AND key = ?", json.dumps(key))
-            is not None
-        )
+        return self._select("1", "key = ?", json.dumps(key)) is not None
 
     def __len__(self) -> int:
-        n_results: int = self._found(
-            "count(*) FROM results WHERE settings = ? AND key <> ?", _FACTS
-        )
+        n_results: int = self._select("count(*)", "key <> ?", _SETTINGS_KEY)
         return n_results
 
     def add(self, key: Key, value: Value) -> None:
@@ -221,9 +224,11 @@ class Journal(Generic[Value]):
         Raises:
             OutputError: the file cannot be written.
         """
-        row = (self._settings, json.dumps(key), json.dumps(self._dump(value), allow_nan=False))
-        with self._lock, self._errors_told():
-            self._file.execute("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", row)
+        key_text = json.dumps(key)
+        value_text = json.dumps(self._dump(value), allow_nan=False)
+        row = (self._settings_sha256, key_text, value_text)
+        with self._lock, self._errors_converted():
+            self._database.execute("INSERT OR REPLACE INTO results VALUES (?, ?, ?)", row)
 
     def get(self, key: Key) -> Value | None:
         """Get the result of a key; None if it is unknown.
@@ -232,9 +237,11 @@ class Journal(Generic[Value]):
             OutputError: the file can no longer be read.
             InvalidParameterError: the result is damaged, or has another version.
         """
-        found = self._found("value FROM results WHERE settings = ? AND key = ?", json.dumps(key))
+        value = self._select("value", "key = ?", json.dumps(key))
+        if value is None:
+            return None
         try:
-            return None if found is None else self._load(json.loads(found))
+            return self._load(json.loads(value))
         except _UNREADABLE as error:
             raise InvalidParameterError(
                 f"{str(self.path)!r} has an unreadable result of {key} ({error}): {self._remedy}"
@@ -247,20 +254,23 @@ class Journal(Generic[Value]):
             self.path.unlink(missing_ok=True)
 
 
-def _difference(theirs: Any, ours: Mapping[str, Any]) -> str:
-    before = dict(_leaves("", theirs))
-    now = dict(_leaves("", ours))
-    keys = sorted({*before, *now})
+def _difference(earlier: Any, present: Mapping[str, Any]) -> str:
+    """List the settings that differ, with their earlier and their present values."""
+    before = dict(_leaves("", earlier))
+    now = dict(_leaves("", present))
+    names = sorted({*before, *now})
     return ", ".join(
-        f"{key} {before.get(key)!r} (now {now.get(key)!r})"
-        for key in keys
-        if before.get(key) != now.get(key)
+        f"{name} {before.get(name)!r} (now {now.get(name)!r})"
+        for name in names
+        if before.get(name) != now.get(name)
     )
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """List the values in nested settings with their names, joined by points."""
     if not isinstance(value, dict):
         yield name, value
         return
-    for key, inner in value.items():
-        yield from _leaves(f"{name}.{key}" if name else key, inner)
+    for inner_name, inner_value in value.items():
+        full_name = f"{name}.{inner_name}" if name else inner_name
+        yield from _leaves(full_name, inner_value)

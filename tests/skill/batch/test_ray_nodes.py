@@ -1,4 +1,4 @@
-"""The batch engine on a cluster of several nodes, all of them on this machine (Ray's own simulation)."""
+"""The engine Ray on a cluster of several nodes, which Ray simulates on this machine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vehanchor.models.runtime import Runtime
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# of Ray, about itself
+# Ray warns about itself.
 pytestmark = [pytest.mark.ray, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 N_IMAGES = 48
 KILLED_AFTER = 12
@@ -26,7 +26,7 @@ KILLED_AFTER = 12
 
 @pytest.fixture
 def cluster() -> Iterator[Any]:
-    """A head that computes nothing, and this process connected to it; the test adds nodes."""
+    """Connect this process to a head that computes nothing; the test adds nodes."""
     ray = pytest.importorskip("ray")
     utils = pytest.importorskip("ray.cluster_utils")
     nodes = utils.Cluster(
@@ -38,7 +38,7 @@ def cluster() -> Iterator[Any]:
     nodes.shutdown()
 
 
-def test_a_node_killed_in_the_middle_costs_no_row_and_doubles_none(
+def test_a_killed_node_costs_no_row(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -48,26 +48,24 @@ def test_a_node_killed_in_the_middle_costs_no_row_and_doubles_none(
         cv2.imwrite(str(tmp_path / f"{k:03}.png"), image[:, :, ::-1])
     expected = tmp_path / "local.jsonl"
     run_batch(["*.png"], expected, detector=detector, workers=1)
-    doomed, _spared = (cluster.add_node(num_cpus=1) for _ in range(2))
+    doomed_node = cluster.add_node(num_cpus=1)
+    cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
-    told: list[int] = []
+    progress: list[int] = []
 
-    def kill_one(done: int, _total: int) -> None:
-        told.append(done)
+    def kill_one_node(done: int, _total: int) -> None:
+        progress.append(done)
         if done == KILLED_AFTER:
-            cluster.remove_node(doomed, allow_graceful=False)
+            cluster.remove_node(doomed_node, allow_graceful=False)
 
     table = tmp_path / "ray.jsonl"
+    runtime = Runtime(progress=kill_one_node)
     summary = run_batch(
-        ["*.png"],
-        table,
-        detector=detector,
-        engine="ray",
-        workers=2,
-        runtime=Runtime(progress=kill_one),
+        ["*.png"], table, detector=detector, engine="ray", workers=2, runtime=runtime
     )
     assert summary.n_rows == N_IMAGES
-    assert told == list(range(N_IMAGES + 1))  # each row came once
+    assert progress == list(range(N_IMAGES + 1)), "each row comes once"
     assert table.read_bytes() == expected.read_bytes()
-    assert len({json.loads(line)["file"] for line in table.read_text().splitlines()}) == N_IMAGES
+    files = {json.loads(line)["file"] for line in table.read_text().splitlines()}
+    assert len(files) == N_IMAGES
     assert not journal_path(table).exists()

@@ -1,3 +1,5 @@
+"""``vehanchor estimate``, ``vehanchor models``, and the command line itself."""
+
 from __future__ import annotations
 
 import contextlib
@@ -28,14 +30,14 @@ LENGTH_PX = 30.0
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Images of 20 cars, of 3, of none; a file that is no image; a detector, and a model that is none."""
+    """Images of 20 cars, of 3, of none; a text; a detector, and a model that is not one."""
     path = tmp_path_factory.mktemp("cli")
     rng = np.random.default_rng(0)
     for name, n_vehicles in (("cars", 20), ("few", 3), ("none", 0)):
         lengths = rng.normal(LENGTH_PX, 1.5, n_vehicles)
         lengths[4:5] = 70.0
         cv2.imwrite(str(path / f"{name}.png"), car_park(lengths, 900, 500)[:, :, ::-1])
-    (path / "text.png").write_text("this is no image")
+    (path / "text.png").write_text("this is not an image")
     write_detector(path / "detector.onnx", metadata={"license": "CC0-1.0"})
     write_other_model(path / "classifier.onnx")
     return path
@@ -43,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor`` in the folder of images."""
+    """Run ``vehanchor`` in the folder of images."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")
@@ -52,13 +54,11 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def _estimate(run: Any, *arguments: object) -> Result:
-    """Estimate by the vehicles alone, which is quicker, where no other ruler is asked for."""
-    alone = (
-        ()
-        if {"--rulers", "--known-length", "--options"} & set(arguments)
-        else ("--rulers", "vehicles")
-    )
-    result: Result = run("estimate", "--detector", "detector.onnx", *arguments, *alone)
+    """Run ``vehanchor estimate``; if no ruler is named, by vehicles alone, which is quicker."""
+    options = list(arguments)
+    if not {"--rulers", "--known-length", "--options"} & set(arguments):
+        options += ["--rulers", "vehicles"]
+    result: Result = run("estimate", "--detector", "detector.onnx", *options)
     return result
 
 
@@ -75,65 +75,79 @@ def _read(path: Path) -> NDArray[Any]:
 # --- estimate
 
 
-def test_the_table_says_what_each_ruler_says_and_how_likely_it_is_right(run: Any) -> None:
-    liar = ["--rulers", "vehicles,known_length", "--known-length", 10, 10, 410, 10, 400]
-    chances = re.findall(
-        r"m/px, right with a chance of (\S+)", _estimate(run, "cars.png", *liar).stdout
-    )
+def _words(text: str) -> str:
+    """Join the lines of a folded cell."""
+    return " ".join(text.split())
+
+
+def test_the_facts_have_the_chance_of_each_ruler(run: Any) -> None:
+    wrong_line = ["--known-length", 10, 10, 410, 10, 400]
+    result = _estimate(run, "cars.png", "--rulers", "vehicles,known_length", *wrong_line)
+    chances = re.findall(r"m/px, right with a chance of (\S+)", result.stdout)
     assert len(chances) == 2
     assert float(chances[1]) < 0.5 < float(chances[0])
-    alone = _estimate(
-        run, "none.png", "--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100
-    ).stdout
-    assert "known length 0.2000 m/px, right with a chance of 0.8" in " ".join(alone.split())
-    assert "not searched" in alone
-    without = _estimate(run, "none.png", "--rulers", "camera,known_length").stdout
-    assert "also use the ruler vehicles" in " ".join(without.split())
-    assert "or include cars" not in without
-    assert "900 x 500 px = 180.0 x 100.0 m" in alone
+
+
+def test_the_facts_of_vehicles_alone_have_no_chances(run: Any) -> None:
     assert "a chance" not in _estimate(run, "cars.png", "--rulers", "vehicles").stdout
 
 
-def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
-    table = _estimate(run, "cars.png")
-    assert (table.exit_code, table.stderr) == (0, "")
+def test_the_facts_of_a_line_alone_have_its_scale(run: Any) -> None:
+    line = ["--rulers", "known_length", "--known-length", 0, 0, 500, 0, 100]
+    facts = _estimate(run, "none.png", *line).stdout
+    assert "known length 0.2000 m/px, right with a chance of 0.8" in _words(facts)
+    assert "not searched" in facts
+    assert "900 x 500 px = 180.0 x 100.0 m" in facts
+
+
+def test_the_facts_advise_to_use_vehicles_if_they_are_off(run: Any) -> None:
+    facts = _estimate(run, "none.png", "--rulers", "camera,known_length").stdout
+    assert "also use the ruler vehicles" in _words(facts)
+    assert "or include cars" not in facts
+
+
+def test_one_image_has_facts(run: Any) -> None:
+    result = _estimate(run, "cars.png")
+    assert (result.exit_code, result.stderr) == (0, "")
     for fact in ("cars.png", "m/px  (95 %:", "19 kept of 20 found"):
-        assert fact in table.stdout
+        assert fact in result.stdout
+
+
+def test_json_is_the_record_with_its_source(run: Any, folder: Path) -> None:
     result = _estimate(run, "cars.png", "--json")
     assert result.exit_code == 0
     assert result.stderr == ""
     (line,) = _lines(result)
     assert line.pop("source") == "cars.png"
-    expected = analyse_scale(
+    # The command and the library therefore have the same defaults.
+    analysis = analyse_scale(
         folder / "cars.png", detector=folder / "detector.onnx", rulers=("vehicles",)
-    ).estimate
-    # which also holds the defaults of the options to the library's
+    )
+    expected = analysis.estimate
     assert line == expected.model_dump(mode="json")
     assert records.GsdEstimate.model_validate_json(json.dumps(line)) == expected
     assert line["gsd_m_per_px"] == pytest.approx(5.045 / LENGTH_PX, rel=0.05)
 
 
 def test_one_bad_image_does_not_stop_the_rest(run: Any) -> None:
-    result = _estimate(
-        run, "cars.png", "text.png", "missing.png", "few.png", "--json", "--rulers", "vehicles"
-    )
+    images = ("cars.png", "text.png", "missing.png", "few.png")
+    result = _estimate(run, *images, "--json", "--rulers", "vehicles")
     assert result.exit_code == 2
-    first, second, third, fourth = _lines(result)
-    assert (first["source"], first["status"]) == ("cars.png", "ok")
-    assert second["source"] == "text.png"
-    assert second["error"]["code"] == "image_undecodable"
-    assert third["error"]["code"] == "image_not_found"
-    assert (fourth["source"], fourth["status"]) == ("few.png", "low_confidence")
+    cars, text, missing, few = _lines(result)
+    assert (cars["source"], cars["status"]) == ("cars.png", "ok")
+    assert text["source"] == "text.png"
+    assert text["error"]["code"] == "image_undecodable"
+    assert missing["error"]["code"] == "image_not_found"
+    assert (few["source"], few["status"]) == ("few.png", "low_confidence")
     assert [line.split(":")[0] for line in result.stderr.splitlines()] == [
         "error[image_undecodable]",
         "error[image_not_found]",
     ]
 
 
-def test_several_images_give_one_table_with_a_row_each_named_below_their_folder(
-    run: Any, folder: Path
-) -> None:
-    result = _estimate(run, *(folder / name for name in ("cars.png", "text.png", "few.png")))
+def test_several_images_have_one_table_of_names_in_their_folder(run: Any, folder: Path) -> None:
+    images = [folder / name for name in ("cars.png", "text.png", "few.png")]
+    result = _estimate(run, *images)
     assert result.exit_code == 2
     heading, *lines = result.stdout.splitlines()
     assert heading.startswith("2 images in ")
@@ -157,9 +171,7 @@ def test_several_images_give_one_table_with_a_row_each_named_below_their_folder(
         (["cars.png", "few.png", "--overlay", "one.png"], "invalid_parameter"),
     ],
 )
-def test_bad_input_ends_with_status_2_and_one_line(
-    run: Any, arguments: list[str], code: str
-) -> None:
+def test_bad_input_is_one_line_with_status_2(run: Any, arguments: list[str], code: str) -> None:
     result = _estimate(run, *arguments)
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith(f"error[{code}]: ")
@@ -167,23 +179,9 @@ def test_bad_input_ends_with_status_2_and_one_line(
 
 
 def test_the_options_reach_the_method(run: Any) -> None:
-    options = [
-        "--tile",
-        320,
-        "--stride",
-        200,
-        "--class",
-        "0",
-        "--bands",
-        1,
-        2,
-        3,
-        "--alpha",
-        "none",
-        "--threads",
-        1,
-    ]
-    options += ["--provider", "CPUExecutionProvider", "--region", "europe", "--frame", 450, 250]
+    options: list[object] = ["--tile", 320, "--stride", 200, "--class", "0", "--bands", 1, 2, 3]
+    options += ["--alpha", "none", "--threads", 1, "--provider", "CPUExecutionProvider"]
+    options += ["--region", "europe", "--frame", 450, 250]
     (record,) = _lines(_estimate(run, "cars.png", "--json", *options))
     assert (record["n_vehicles"], record["details"]["reference_length_m"]) == (20, 4.5)
     assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * record["gsd_m_per_px"])
@@ -191,15 +189,11 @@ def test_the_options_reach_the_method(run: Any) -> None:
 
 
 @pytest.mark.parametrize("wrong", [("--alpha", "-1"), ("--options", "missing.toml")])
-def test_what_stops_every_image_still_gives_each_its_line_of_json(
-    run: Any, wrong: tuple[str, str]
-) -> None:
+def test_a_wrong_option_gives_each_image_its_line_of_json(run: Any, wrong: tuple[str, str]) -> None:
     result = _estimate(run, "cars.png", "few.png", "--json", *wrong)
     assert result.exit_code == 2
-    assert [(line["source"], line["error"]["code"]) for line in _lines(result)] == [
-        ("cars.png", "invalid_parameter"),
-        ("few.png", "invalid_parameter"),
-    ]
+    errors = [(line["source"], line["error"]["code"]) for line in _lines(result)]
+    assert errors == [("cars.png", "invalid_parameter"), ("few.png", "invalid_parameter")]
 
 
 @pytest.mark.parametrize(
@@ -214,14 +208,22 @@ def test_options_that_cannot_be_parsed_end_with_status_2(run: Any, arguments: li
     assert "Traceback" not in result.stderr
 
 
-def test_warnings_follow_the_table_and_stay_inside_the_json(run: Any, tmp_path: Path) -> None:
-    write_detector(tmp_path / "capped.onnx", layout="end2end", cap=10)
-    plain = _estimate(run, "cars.png", "--detector", tmp_path / "capped.onnx")
-    assert plain.exit_code == 0
-    assert plain.stderr.startswith("warning[detections_capped]: ")
-    quiet = _estimate(run, "cars.png", "--json", "--detector", tmp_path / "capped.onnx")
-    assert quiet.stderr == ""
-    assert _lines(quiet)[0]["warnings"][0]["code"] == "detections_capped"
+@pytest.fixture(scope="module")
+def capped(folder: Path) -> Path:
+    """A detector that finds at most ten vehicles, of which a record warns."""
+    return write_detector(folder / "capped.onnx", layout="end2end", cap=10)
+
+
+def test_warnings_go_to_stderr(run: Any, capped: Path) -> None:
+    result = _estimate(run, "cars.png", "--detector", capped)
+    assert result.exit_code == 0
+    assert result.stderr.startswith("warning[detections_capped]: ")
+
+
+def test_warnings_stay_inside_the_json(run: Any, capped: Path) -> None:
+    result = _estimate(run, "cars.png", "--json", "--detector", capped)
+    assert result.stderr == ""
+    assert _lines(result)[0]["warnings"][0]["code"] == "detections_capped"
 
 
 def test_with_stem_in_the_name_every_image_gets_its_overlay(run: Any, tmp_path: Path) -> None:
@@ -240,13 +242,13 @@ def test_a_record_survives_an_overlay_that_cannot_be_written(
     result = _estimate(run, "cars.png", "--json", "--rulers", "vehicles", "--overlay", "over.png")
     assert result.exit_code == 2
     assert _lines(result)[0]["status"] == "ok"
-    assert (
-        result.stderr
-        == "error[output_unwritable]: cannot write 'over.png': No space left on device\n"
-    )
+    error = "error[output_unwritable]: cannot write 'over.png': No space left on device\n"
+    assert result.stderr == error
 
 
-def test_a_missing_extra_is_told_before_the_work(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_ends_the_command_before_the_work(
+    run: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     result = _estimate(run, "cars.png", "--plot", "plot.png")
     assert result.exit_code == 2
@@ -255,48 +257,75 @@ def test_a_missing_extra_is_told_before_the_work(run: Any, monkeypatch: pytest.M
     assert "vehanchor[plots]" in result.stderr
 
 
-def test_names_that_look_like_markup_or_are_no_text_are_printed_as_they_are(
-    run: Any, folder: Path, tmp_path: Path
-) -> None:
-    odd = tmp_path / os.fsdecode(b"[red]\xff.png")
+@pytest.fixture
+def odd_name(folder: Path, tmp_path: Path) -> Path:
+    """An image whose name has markup, and a byte that is not UTF-8."""
+    path = tmp_path / os.fsdecode(b"[red]\xff.png")
     try:
-        odd.write_bytes((folder / "cars.png").read_bytes())
+        path.write_bytes((folder / "cars.png").read_bytes())
     except OSError:
-        pytest.skip("the file system takes no such names")
-    assert "[red]\\" in _estimate(run, odd).stdout.replace("\n", "").replace(" ", "")
-    (line,) = _lines(_estimate(run, odd, "--json"))
-    assert line["source"] == str(odd)
+        pytest.skip("the file system refuses such names")
+    return path
+
+
+def test_markup_in_a_name_is_printed_as_it_is(run: Any, odd_name: Path) -> None:
+    facts = _estimate(run, odd_name).stdout
+    assert "[red]\\" in facts.replace("\n", "").replace(" ", "")
+
+
+def test_json_has_a_name_with_undecodable_bytes(run: Any, odd_name: Path) -> None:
+    (line,) = _lines(_estimate(run, odd_name, "--json"))
+    assert line["source"] == str(odd_name)
 
 
 @pytest.mark.parametrize("as_json", [[], ["--json"]])
 @pytest.mark.parametrize(
-    ("raised", "status", "told"),
+    ("raised", "status", "error"),
     [
         (KeyboardInterrupt(), 130, ""),
         (MemoryError(), 2, "error[out_of_memory]: "),
         (ZeroDivisionError("oh"), 1, "error[internal_error]: ZeroDivisionError: oh."),
     ],
 )
-def test_what_ends_a_command_early_has_a_status_and_at_most_a_line(
+def test_an_early_end_has_a_status_with_at_most_one_line(
     run: Any,
     monkeypatch: pytest.MonkeyPatch,
     raised: BaseException,
     status: int,
-    told: str,
+    error: str,
     as_json: list[str],
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise raised
-
-    monkeypatch.setattr(engine.Engine, "analyse_scale", fail)
+    _fail_with(raised, monkeypatch)
     result = _estimate(run, "cars.png", *as_json)
     assert (result.exit_code, result.stdout) == (status, "")
-    assert result.stderr.startswith(told)
-    assert result.stderr.count("\n") == bool(told)
+    assert result.stderr.startswith(error)
+    assert result.stderr.count("\n") == (1 if error else 0)
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected"),
+    [
+        (KeyboardInterrupt(), SystemExit),
+        (MemoryError(), SystemExit),
+        (ZeroDivisionError("oh"), ZeroDivisionError),
+    ],
+)
+def test_a_variable_shows_the_traceback_of_a_defect(
+    run: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    raised: BaseException,
+    expected: type[BaseException],
+) -> None:
+    _fail_with(raised, monkeypatch)
     monkeypatch.setenv("VEHANCHOR_TRACEBACK", "1")
-    assert isinstance(
-        _estimate(run, "cars.png").exception, ZeroDivisionError if status == 1 else SystemExit
-    )
+    assert isinstance(_estimate(run, "cars.png").exception, expected)
+
+
+def _fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(engine.Engine, "analyse_scale", fail)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes")
@@ -319,20 +348,12 @@ def test_a_closed_pipe_causes_no_traceback(folder: Path, arguments: list[str]) -
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
-def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Path) -> None:
+def test_the_progress_bar_leaves_stdout_alone(folder: Path) -> None:
     import pty
 
     terminal, child = pty.openpty()
-    command = [
-        "estimate",
-        "cars.png",
-        "text.png",
-        "--json",
-        "--detector",
-        "detector.onnx",
-        "--rulers",
-        "vehicles",
-    ]
+    command = ["estimate", "cars.png", "text.png", "--json"]
+    command += ["--detector", "detector.onnx", "--rulers", "vehicles"]
     done = subprocess.run(
         [sys.executable, "-m", "vehanchor", *command],
         cwd=folder,
@@ -343,16 +364,14 @@ def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Pat
     )
     os.close(child)
     shown = b""
-    # what Linux says at the end of a terminal whose other side is closed
+    # Linux raises this at the end of a terminal whose other side is closed.
     with contextlib.suppress(OSError):
         while part := os.read(terminal, 1 << 16):
             shown += part
     os.close(terminal)
     assert done.returncode == 2
-    assert [json.loads(line)["source"] for line in done.stdout.splitlines()] == [
-        "cars.png",
-        "text.png",
-    ]
+    sources = [json.loads(line)["source"] for line in done.stdout.splitlines()]
+    assert sources == ["cars.png", "text.png"]
     assert b"1/2 cars.png" in shown
     assert b"error[image_undecodable]" in shown
 
@@ -362,54 +381,52 @@ def test_the_progress_bar_goes_to_a_terminal_and_leaves_stdout_alone(folder: Pat
 
 @pytest.fixture
 def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of bundled models: a default detector."""
-    write_detector(
-        tmp_path / f"{model_zoo.DEFAULT_DETECTOR}.onnx",
-        metadata={
-            "vehanchor.reference_length_m": "4.65",
-            "vehanchor.min_score": "0.3",
-            "license": "Apache-2.0",
-        },
-    )
+    """A folder of bundled models that has a default detector alone."""
+    metadata = {
+        "vehanchor.reference_length_m": "4.65",
+        "vehanchor.min_score": "0.3",
+        "license": "Apache-2.0",
+    }
+    write_detector(tmp_path / f"{model_zoo.DEFAULT_DETECTOR}.onnx", metadata=metadata)
     monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
     return tmp_path
 
 
 @pytest.mark.usefixtures("bundled")
-def test_models_list_shows_what_ships(run: Any) -> None:
+def test_models_list_shows_bundled_models(run: Any) -> None:
     result = run("models", "list")
     assert result.exit_code == 0
     for fact in (f"{model_zoo.DEFAULT_DETECTOR} (default)", "4.65 m", "Apache-2.0", "9 to 120 px"):
         assert fact in result.stdout
     assert "segmenter of measure" in result.stdout
-    default, segmenter = _lines(run("models", "list", "--json"))
-    assert (default["default"], default["reference_length_m"], len(default["sha256"])) == (
-        True,
-        4.65,
-        64,
-    )
-    assert (segmenter["kind"], segmenter["contract"], len(segmenter["sha256"])) == (
-        "segmenter",
-        "sam",
-        64,
-    )
 
 
-def test_models_info_shows_the_whole_card(run: Any) -> None:
+@pytest.mark.usefixtures("bundled")
+def test_models_list_has_an_object_for_each_bundled_model(run: Any) -> None:
+    detector, segmenter = _lines(run("models", "list", "--json"))
+    assert (detector["default"], detector["reference_length_m"]) == (True, 4.65)
+    assert (segmenter["kind"], segmenter["contract"]) == ("segmenter", "sam")
+    assert (len(detector["sha256"]), len(segmenter["sha256"])) == (64, 64)
+
+
+def test_models_info_shows_the_metadata_of_a_model(run: Any) -> None:
     result = run("models", "info", "detector.onnx")
     assert result.exit_code == 0
     for fact in ("small vehicle", "CC0-1.0", "europe 4.5 m, north_america 5.5 m", "5.045 m", "any"):
         assert fact in result.stdout
+
+
+def test_models_info_has_the_metadata_as_json(run: Any) -> None:
     (card,) = _lines(run("models", "info", "detector.onnx", "--json"))
     assert card["class_names"] == {"0": "small vehicle"}
     assert card["fixed_size_px"] is None
     assert card["min_score"] == 0.1
 
 
-# --- the command itself
+# --- the command line itself
 
 
-def test_the_command_runs_as_a_module_and_knows_its_version(folder: Path) -> None:
+def test_the_module_prints_its_version(folder: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "vehanchor", "--version"],
         cwd=folder,
@@ -419,7 +436,7 @@ def test_the_command_runs_as_a_module_and_knows_its_version(folder: Path) -> Non
     assert done.stdout.decode().strip() == f"vehanchor {version('vehanchor')}"
 
 
-def test_a_damaged_image_is_told_in_one_line_without_opencvs_own(tmp_path: Path) -> None:
+def test_opencv_adds_no_line_to_the_error_of_a_damaged_image(tmp_path: Path) -> None:
     (tmp_path / "half.bmp").write_bytes(bmp_header(60, 40))
     environment = {name: value for name, value in os.environ.items() if name != "OPENCV_LOG_LEVEL"}
     command = [sys.executable, "-m", "vehanchor", "estimate", "half.bmp"]
@@ -457,47 +474,53 @@ def test_every_error_of_the_library_has_a_code_of_its_own() -> None:
     assert len({kind.code for kind in kinds}) == len(set(kinds))
 
 
-def test_vehicles_are_dropped_and_added_by_hand(run: Any) -> None:
-    n = json.loads(_estimate(run, "--json", "cars.png").stdout)["details"]["n_detections"]
-    told = ["--drop", n, "--add", 0, 0, 20, 0, "--add", "0,60,20,60"]
-    result = _estimate(run, "--json", "cars.png", *told)
+# --- options with several values
+
+
+@pytest.fixture
+def n_detections(run: Any) -> int:
+    record = json.loads(_estimate(run, "--json", "cars.png").stdout)
+    return int(record["details"]["n_detections"])
+
+
+def test_vehicles_are_corrected_by_hand(run: Any, n_detections: int) -> None:
+    corrections = ["--drop", n_detections, "--add", 0, 0, 20, 0, "--add", "0,60,20,60"]
+    result = _estimate(run, "--json", "cars.png", *corrections)
     assert result.exit_code == 0, result.output
     record = json.loads(result.stdout)
     assert record["details"]["by_hand"] == {"dropped": 1, "added": 2}
-    assert record["details"]["n_detections"] == n + 1
-    missing = _estimate(run, "cars.png", "--drop", n + 1)
-    assert (
-        f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}"
-        in missing.stderr
-    )
+    assert record["details"]["n_detections"] == n_detections + 1
+
+
+def test_an_unknown_number_of_a_vehicle_is_refused(run: Any, n_detections: int) -> None:
+    n = n_detections
+    result = _estimate(run, "cars.png", "--drop", n + 1)
+    error = f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}"
+    assert error in result.stderr
+
+
+def test_corrections_by_hand_belong_to_one_image(run: Any) -> None:
     several = _estimate(run, "cars.png", "none.png", "--drop", 1)
     assert "drop belongs to one image" in several.stderr
     assert "--drop" not in run("batch", "--help").stdout
 
 
-def test_a_line_may_be_one_text_and_one_with_a_number_missing_is_named_whole(run: Any) -> None:
-    quoted = _estimate(
-        run, "--known-length", "0 0 300 0 90", "--json", "--rulers", "known_length", "cars.png"
-    )
-    assert json.loads(quoted.stdout)["rulers"][0]["n"] == 1
-    (line,) = json.loads(
-        _estimate(
-            run,
-            "--known-length",
-            0,
-            0,
-            300,
-            0,
-            "90+-9",
-            "measured",
-            "--json",
-            "none.png",
-            "--rulers",
-            "known_length",
-        ).stdout
-    )["rulers"]
-    assert line["explanation"].startswith(
-        "The given line, measured, gives 0.3 m/px (0.271 to 0.332"
-    )
-    short = _estimate(run, "cars.png", "--known-length", 0, 0, 300, 90)
-    assert "the known length is '0 0 300 90'" in short.stderr
+LINE_ALONE = ("--rulers", "known_length", "--json")
+
+
+def test_a_line_may_be_one_text(run: Any) -> None:
+    result = _estimate(run, "--known-length", "0 0 300 0 90", *LINE_ALONE, "cars.png")
+    assert json.loads(result.stdout)["rulers"][0]["n"] == 1
+
+
+def test_a_line_may_be_several_values_with_a_word(run: Any) -> None:
+    line = ("--known-length", 0, 0, 300, 0, "90+-9", "measured")
+    result = _estimate(run, *line, *LINE_ALONE, "none.png")
+    (ruler,) = json.loads(result.stdout)["rulers"]
+    explanation = "The given line, measured, gives 0.3 m/px (0.271 to 0.332"
+    assert ruler["explanation"].startswith(explanation)
+
+
+def test_a_line_without_a_number_is_named_whole(run: Any) -> None:
+    result = _estimate(run, "cars.png", "--known-length", 0, 0, 300, 90)
+    assert "the known length is '0 0 300 90'" in result.stderr

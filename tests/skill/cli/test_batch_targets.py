@@ -1,10 +1,11 @@
-"""``vehanchor batch --measure``: a table of boxes, points and lines becomes a table or a map."""
+"""``vehanchor batch --measure``: from a table of boxes, points and lines to a table or a map."""
 
 from __future__ import annotations
 
 import csv
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import pytest
@@ -26,6 +27,7 @@ photos/bare.png,,96,196,204,254,pool without cars
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of photographs, with a table of targets in them and a detector."""
     folder = tmp_path_factory.mktemp("targets")
     (folder / "photos").mkdir()
     for name, n_cars in (("cars", 24), ("bare", 0)):
@@ -37,84 +39,136 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _batch(place: Path, output: Path, *options: object, table: str = "targets.csv") -> Result:
-    words = [
-        "batch",
-        place / "photos",
-        "--measure",
-        place / table,
-        "-o",
-        output,
-        "--detector",
-        place / "painted.onnx",
+    arguments: list[object] = ["batch", place / "photos", "--measure", place / table]
+    arguments += ["-o", output, "--detector", place / "painted.onnx"]
+    # The scene-scale prior does not know painted pictures.
+    arguments += ["--rulers", "vehicles", *options]
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+# --- A table of measurements
+
+
+class Measured(NamedTuple):
+    """Finished command and its table, with the rows by the names of their targets."""
+
+    result: Result
+    table: Path
+    rows: dict[str, dict[str, str]]
+
+
+@pytest.fixture(scope="module")
+def measured(place: Path) -> Measured:
+    table = place / "out.csv"
+    result = _batch(place, table)
+    with table.open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    return Measured(result, table, rows)
+
+
+def test_the_summary_counts_targets_by_status(measured: Measured) -> None:
+    assert measured.result.exit_code == 0, measured.result.output
+    assert "out.csv: 5 targets (3 ok, 1 no_scale, 1 error)" in measured.result.stderr
+
+
+def test_each_target_has_a_row_in_order(measured: Measured) -> None:
+    statuses = {name: row["status"] for name, row in measured.rows.items()}
+    assert list(statuses.items()) == [
+        ("'=pool", "ok"),
+        ("middle", "ok"),
+        ("road", "ok"),
+        ("outside", ""),
+        ("pool without cars", "no_scale"),
     ]
-    words += ["--rulers", "vehicles"]  # the scene-scale prior does not know painted pictures
-    return CliRunner().invoke(app, [str(each) for each in (*words, *options)])
 
 
-def test_each_target_has_a_row_with_metres_or_an_error(place: Path, tmp_path: Path) -> None:
-    result = _batch(place, tmp_path / "out.csv")
-    assert result.exit_code == 0, result.output
-    assert "out.csv: 5 targets (3 ok, 1 no_scale, 1 error)" in result.stderr
-    with (tmp_path / "out.csv").open(newline="") as file:
-        pool, middle, road, outside, bare = list(csv.DictReader(file))
+def test_a_box_has_an_area_with_its_interval(measured: Measured) -> None:
+    pool = measured.rows["'=pool"]
     gsd = float(pool["gsd_m_per_px"])
-    assert float(pool["area_m2"]) == pytest.approx(100 * 50 * gsd**2, rel=0.15)
-    assert (
-        float(pool["area_ci95_low_m2"]) < float(pool["area_m2"]) < float(pool["area_ci95_high_m2"])
-    )
-    assert float(road["distance_m"]) == pytest.approx(400 * gsd)
-    assert float(road["gsd_m_per_px"]) == gsd, "one search for all targets of an image"
-    assert [each["status"] for each in (pool, middle, road, outside, bare)] == [
-        *("ok", "ok", "ok", "", "no_scale")
-    ]
-    assert "confidence" not in middle, "the scale's confidence is not that of the measurement"
+    area = float(pool["area_m2"])
+    assert area == pytest.approx(100 * 50 * gsd**2, rel=0.15)
+    assert float(pool["area_ci95_low_m2"]) < area < float(pool["area_ci95_high_m2"])
+
+
+def test_a_line_has_a_distance(measured: Measured) -> None:
+    road = measured.rows["road"]
+    assert float(road["distance_m"]) == pytest.approx(400 * float(road["gsd_m_per_px"]))
+    assert road["mask_score"] == ""
+
+
+def test_all_targets_of_an_image_have_the_scale_of_one_search(measured: Measured) -> None:
+    gsds = {measured.rows[name]["gsd_m_per_px"] for name in ("'=pool", "road")}
+    assert len(gsds) == 1
+
+
+def test_the_confidence_is_named_as_that_of_the_scale(measured: Measured) -> None:
+    middle = measured.rows["middle"]
+    road = measured.rows["road"]
+    assert "confidence" not in middle
     assert float(middle["scale_confidence"]) == float(road["scale_confidence"]) > 0.5
     assert 0 <= float(middle["mask_score"]) <= 1
-    assert road["mask_score"] == ""
-    assert (pool["name"], outside["error_code"]) == ("'=pool", "invalid_prompt"), (
-        "no formula for a spreadsheet"
-    )
-    again = _batch(place, tmp_path / "out.csv")
-    assert (again.exit_code, "--overwrite" in again.stderr) == (2, True)
 
 
-def test_outlines_and_lines_go_to_maps_in_pixels(place: Path, tmp_path: Path) -> None:
+def test_a_target_outside_its_image_has_a_row_with_the_error(measured: Measured) -> None:
+    assert measured.rows["outside"]["error_code"] == "invalid_prompt"
+
+
+def test_an_existing_table_is_replaced_only_with_overwrite(measured: Measured, place: Path) -> None:
+    again = _batch(place, measured.table)
+    assert again.exit_code == 2
+    assert "--overwrite" in again.stderr
+
+
+# --- Maps
+
+
+def test_a_map_of_plain_images_is_in_pixels(place: Path, tmp_path: Path) -> None:
     assert _batch(place, tmp_path / "out.geojson").exit_code == 0
     collection = json.loads((tmp_path / "out.geojson").read_text())
-    facts = [each["properties"] for each in collection["features"]]
-    assert [each["name"] for each in facts if each["distance_m"]] == ["road"]
-    assert {(each["file"], each["name"], each["status"]) for each in facts} > {
-        ("photos/cars.png", "=pool", "ok")
-    }
+    facts = [feature["properties"] for feature in collection["features"]]
+    assert [row["name"] for row in facts if row["distance_m"]] == ["road"]
+    measured = {(row["file"], row["name"], row["status"]) for row in facts}
+    assert measured > {("photos/cars.png", "=pool", "ok")}
     assert "pixel" in collection["crs"]["properties"]["name"]
 
 
-def test_targets_of_georeferenced_and_plain_images_go_to_different_files(
-    place: Path, tmp_path: Path
-) -> None:
+@pytest.fixture
+def georeferenced(place: Path, tmp_path: Path) -> Path:
+    """A folder with a georeferenced image and a plain one."""
     pixels = cv2.imread(str(place / "photos/cars.png"))
     assert pixels is not None
     shape = {"width": 800, "height": 600, "count": 3, "dtype": "uint8", "photometric": "RGB"}
-    where = Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000)
+    position = {"crs": "EPSG:32633", "transform": Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000)}
     (tmp_path / "photos").mkdir()
-    with rasterio.open(
-        tmp_path / "photos/a.tif", "w", "GTiff", crs="EPSG:32633", transform=where, **shape
-    ) as file:
+    with rasterio.open(tmp_path / "photos/a.tif", "w", "GTiff", **position, **shape) as file:
         file.write(pixels[:, :, ::-1].transpose(2, 0, 1))
     cv2.imwrite(str(tmp_path / "photos/plain.png"), pixels)
     (tmp_path / "painted.onnx").symlink_to(place / "painted.onnx")
-    (tmp_path / "one.csv").write_text(_HEADER + "photos/a.tif,line,0,0,100,0,\n")
-    (tmp_path / "two.csv").write_text(
-        _HEADER + "photos/a.tif,line,0,0,100,0,\nphotos/plain.png,line,0,0,100,0,\n"
-    )
-    assert _batch(tmp_path, tmp_path / "one.geojson", table="one.csv").exit_code == 0
-    (line,) = json.loads((tmp_path / "one.geojson").read_text())["features"]
+    one = "photos/a.tif,line,0,0,100,0,\n"
+    other = "photos/plain.png,line,0,0,100,0,\n"
+    (tmp_path / "one.csv").write_text(_HEADER + one)
+    (tmp_path / "two.csv").write_text(_HEADER + one + other)
+    return tmp_path
+
+
+def test_a_map_of_georeferenced_images_is_in_degrees(georeferenced: Path) -> None:
+    output = georeferenced / "one.geojson"
+    assert _batch(georeferenced, output, table="one.csv").exit_code == 0
+    (line,) = json.loads(output.read_text())["features"]
     (west, north), (east, _) = line["geometry"]["coordinates"]
-    assert (west, north) == pytest.approx((15, 45.15), abs=0.01), "degrees"
+    assert (west, north) == pytest.approx((15, 45.15), abs=0.01)
     assert east > west
-    both = _batch(tmp_path, tmp_path / "two.geojson", table="two.csv")
-    assert (both.exit_code, "some images are georeferenced" in both.stderr) == (2, True)
-    assert not (tmp_path / "two.geojson").exists()
+
+
+def test_a_map_of_georeferenced_with_plain_images_is_refused(georeferenced: Path) -> None:
+    output = georeferenced / "two.geojson"
+    both = _batch(georeferenced, output, table="two.csv")
+    assert both.exit_code == 2
+    assert "some images are georeferenced" in both.stderr
+    assert not output.exists()
+
+
+# --- Errors
 
 
 @pytest.mark.parametrize(
@@ -128,7 +182,7 @@ def test_targets_of_georeferenced_and_plain_images_go_to_different_files(
         ("", "has no target"),
     ],
 )
-def test_a_table_that_is_wrong_is_refused_before_the_work(
+def test_an_invalid_table_is_refused_before_the_work(
     place: Path, tmp_path: Path, rows: str, words: str
 ) -> None:
     (place / "wrong.csv").write_text(_HEADER + rows)
@@ -138,10 +192,14 @@ def test_a_table_that_is_wrong_is_refused_before_the_work(
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_it_excludes_what_it_does_not_do(place: Path, tmp_path: Path) -> None:
+def test_options_of_other_runs_are_refused(place: Path, tmp_path: Path) -> None:
     result = _batch(place, tmp_path / "out.csv", "--workers", "1")
-    assert (result.exit_code, "--measure excludes" in result.stderr) == (2, True)
-    alone = CliRunner().invoke(
-        app, ["batch", str(place / "photos"), "-o", str(tmp_path / "out.geojson")]
-    )
-    assert (alone.exit_code, "holds the targets of --measure" in alone.stderr) == (2, True)
+    assert result.exit_code == 2
+    assert "--measure excludes" in result.stderr
+
+
+def test_a_map_without_targets_is_refused(place: Path, tmp_path: Path) -> None:
+    arguments = ["batch", str(place / "photos"), "-o", str(tmp_path / "out.geojson")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert "holds the targets of --measure" in result.stderr

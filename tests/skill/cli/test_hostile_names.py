@@ -1,4 +1,4 @@
-"""Every output, with a file name and metadata that were written to be obeyed."""
+"""Every output, for file names and metadata that attack the reader."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ BROKEN = f"{HOSTILE}, broken.jpg"
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor`` in a folder of two images with hostile names, one of them with hostile metadata."""
+    """Run ``vehanchor`` beside two images with hostile names, one of them with hostile metadata."""
     image = car_park(fleet(20), 640, 480)
-    said = exif({"Make": HOSTILE, "Model": HOSTILE, "FocalLengthIn35mmFilm": 24})
+    metadata = exif({"Make": HOSTILE, "Model": HOSTILE, "FocalLengthIn35mmFilm": 24})
     encoded = cv2.imencode(".jpg", image[:, :, ::-1])[1].tobytes()
-    block = b"Exif\0\0" + said
+    block = b"Exif\0\0" + metadata
     marker = b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block
     (tmp_path / CARS).write_bytes(encoded[:2] + marker + encoded[2:])
     (tmp_path / BROKEN).write_bytes(b"\xff\xd8\xff broken")
@@ -39,13 +39,14 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def is_harmless(text: str) -> bool:
-    """Test whether a terminal shows a text as it is, without a line that someone else began."""
-    shown = all(each.isprintable() or each == "\n" for each in text)
-    return shown and not any(line.lstrip().startswith("SYSTEM") for line in text.split("\n"))
+    """Test whether a terminal shows a text as it is, without a line that an attacker begins."""
+    is_shown = all(character.isprintable() or character == "\n" for character in text)
+    starts = [line.lstrip() for line in text.split("\n")]
+    return is_shown and not any(start.startswith("SYSTEM") for start in starts)
 
 
 @pytest.mark.promise("text")
-@pytest.mark.parametrize("json_too", [False, True])
+@pytest.mark.parametrize("as_json", [False, True])
 @pytest.mark.parametrize(
     "command",
     [
@@ -62,12 +63,12 @@ def is_harmless(text: str) -> bool:
     ids=lambda command: command[0],
 )
 def test_no_command_prints_what_a_terminal_obeys(
-    run: Any, command: tuple[str, ...], json_too: bool
+    run: Any, command: tuple[str, ...], as_json: bool
 ) -> None:
-    more = ["--json"] if json_too else []
-    if command[0] not in ("models",):
-        more += ["--detector", "detector.onnx"]
-    result = run(*command, *more)
+    options = ["--json"] if as_json else []
+    if command[0] != "models":
+        options += ["--detector", "detector.onnx"]
+    result = run(*command, *options)
     assert result.exit_code in (0, 2), result.output
     assert result.stdout + result.stderr
     assert is_harmless(result.stdout), result.stdout
@@ -84,31 +85,34 @@ def test_no_cell_of_a_table_is_a_formula(run: Any, tmp_path: Path) -> None:
     with (tmp_path / "t.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["file"] for row in rows} == {f"'{CARS}", f"'{BROKEN}"}
-    assert not [cell for row in rows for cell in row.values() if cell[:1] in ("=", "@", "\t", "\r")]
+    cells = [cell for row in rows for cell in row.values()]
+    assert not [cell for cell in cells if cell[:1] in ("=", "@", "\t", "\r")]
 
 
 @pytest.mark.promise("text")
-def test_the_record_of_a_flight_keeps_names_and_notices_have_one_line(
-    run: Any, tmp_path: Path
-) -> None:
+def test_the_record_of_a_flight_has_names_unchanged(run: Any, tmp_path: Path) -> None:
     arguments = ["--out", "flight.json", "--detector", "detector.onnx"]
     assert run("flight", CARS, BROKEN, "--same-scale", *arguments).exit_code == 0
-    notice = Notice(code="x", message=HOSTILE)
-    assert "\n" not in notice.message
     record = json.loads((tmp_path / "flight.json").read_text(encoding="utf-8"))
-    assert {each["photograph"] for each in record["photographs"]} == {CARS, BROKEN}
+    photographs = {row["photograph"] for row in record["photographs"]}
+    assert photographs == {CARS, BROKEN}
+
+
+@pytest.mark.promise("text")
+def test_a_notice_has_one_line() -> None:
+    assert "\n" not in Notice(code="x", message=HOSTILE).message
 
 
 @pytest.mark.parametrize("text", ["photo é 照片.jpg", "a b.png", "C:\\photos\\a.png"])
-def test_an_honest_text_stays_as_it_is(text: str) -> None:
+def test_an_honest_text_does_not_change(text: str) -> None:
     assert on_one_line(text) == text == in_cell(text)
 
 
-def test_numbers_stay_numbers_in_cells() -> None:
-    assert [in_cell(value) for value in (-1.5, None, 3, "-x", "@x")] == [
-        -1.5,
-        None,
-        3,
-        "'-x",
-        "'@x",
-    ]
+@pytest.mark.parametrize("value", [-1.5, None, 3])
+def test_a_number_stays_a_number_in_a_cell(value: float | None) -> None:
+    assert in_cell(value) == value
+
+
+@pytest.mark.parametrize("text", ["-x", "@x"])
+def test_a_formula_becomes_a_text_in_a_cell(text: str) -> None:
+    assert in_cell(text) == f"'{text}"

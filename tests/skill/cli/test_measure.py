@@ -1,3 +1,5 @@
+"""``vehanchor measure``: its record, its facts, its prompts, its files."""
+
 from __future__ import annotations
 
 import json
@@ -34,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor measure`` in the folder of images, with its models."""
+    """Run ``vehanchor measure`` in the folder of images, with its models."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")
@@ -42,9 +44,8 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     models = ["--detector", "detector.onnx", "--segmenter", "encoder.onnx", "decoder.onnx"]
 
     def invoke(*arguments: object) -> Result:
-        return CliRunner().invoke(
-            cli.app, ["measure", *models, *(str(argument) for argument in arguments)]
-        )
+        texts = [str(argument) for argument in arguments]
+        return CliRunner().invoke(cli.app, ["measure", *models, *texts])
 
     return invoke
 
@@ -55,7 +56,7 @@ def _line(result: Result) -> dict[str, Any]:
     return record
 
 
-def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
+def test_json_is_the_record_with_its_source(run: Any, folder: Path) -> None:
     result = run("cars.png", "--box", *BOX, "--json")
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
@@ -72,7 +73,7 @@ def test_json_is_the_record_and_its_source(run: Any, folder: Path) -> None:
     assert list(line["bounding_box"].values()) == list(POOL)
 
 
-def test_a_readable_table_tells_area_circle_and_scale(run: Any) -> None:
+def test_the_facts_have_sizes_with_the_scale(run: Any) -> None:
     result = run("cars.png", "--box", *BOX)
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
@@ -85,60 +86,64 @@ def test_a_readable_table_tells_area_circle_and_scale(run: Any) -> None:
         "score 0.90",
     ):
         assert fact in result.stdout
-    given = run("none.png", "--box", *BOX, "--gsd", "0.2")
-    assert "0.2 m/px, given" in given.stdout
-    none = run("none.png", "--box", *BOX)
-    assert none.exit_code == 0
-    assert "none: there is no scale" in none.stdout
-    assert "no_scale" in none.stdout
 
 
-def test_points_can_be_repeated_and_denied(run: Any) -> None:
-    by_point = _line(run("cars.png", "--point", 444, 330, "--gsd", 0.2, "--json"))
-    more = run(
-        "cars.png",
-        "--json",
-        "--point",
-        444,
-        330,
-        "--point",
-        440.5,
-        300,
-        "--negative",
-        20,
-        560,
-        "--gsd",
-        0.2,
-    )
-    assert more.exit_code == 0, more.output
-    assert by_point["mask_area_px"] > 2500  # its sides are not on cells
-    assert _line(more)["mask_area_px"] == pytest.approx(by_point["mask_area_px"], rel=0.1)
-    denied = run("cars.png", "--json", "--point", 444, 330, "--negative", 444, 330, "--gsd", 0.2)
-    assert [notice["code"] for notice in _line(denied)["warnings"]] == ["mask_empty"]
+def test_the_facts_show_a_scale_that_the_caller_gives(run: Any) -> None:
+    result = run("none.png", "--box", *BOX, "--gsd", "0.2")
+    assert "0.2 m/px, given" in result.stdout
+
+
+def test_the_facts_show_that_there_is_no_scale(run: Any) -> None:
+    result = run("none.png", "--box", *BOX)
+    assert result.exit_code == 0
+    assert "none: there is no scale" in result.stdout
+    assert "no_scale" in result.stdout
+
+
+ON_POOL = ("--json", "--gsd", 0.2, "--point", 444, 330)
+
+
+@pytest.fixture
+def by_point(run: Any) -> dict[str, Any]:
+    return _line(run("cars.png", *ON_POOL))
+
+
+def test_a_point_is_a_prompt(by_point: dict[str, Any]) -> None:
+    assert by_point["mask_area_px"] > 2500, "a part of the pool may be missing at its sides"
     assert by_point["scale_source"] == "given"
+
+
+def test_points_can_be_repeated(run: Any, by_point: dict[str, Any]) -> None:
+    result = run("cars.png", *ON_POOL, "--point", 440.5, 300, "--negative", 20, 560)
+    assert result.exit_code == 0, result.output
+    assert _line(result)["mask_area_px"] == pytest.approx(by_point["mask_area_px"], rel=0.1)
+
+
+def test_a_point_that_is_also_negative_has_no_mask(run: Any) -> None:
+    result = run("cars.png", *ON_POOL, "--negative", 444, 330)
+    assert [notice["code"] for notice in _line(result)["warnings"]] == ["mask_empty"]
 
 
 def test_other_objects_at_a_point_are_listed_with_their_boxes(run: Any, folder: Path) -> None:
     image = blank_image(800, 800)
-    image[376:424, 376:424] = image[376:424, 504:552] = (40, 140, 210)
+    image[376:424, 376:424] = (40, 140, 210)
+    image[376:424, 504:552] = (40, 140, 210)
     cv2.imwrite(str(folder / "two.png"), image[:, :, ::-1])
-    given = ("two.png", "--point", 392, 392, "--gsd", 0.5)
-    listed = run(*given).stdout
-    assert "or the object" in listed
-    assert "at x 376 to 552, y 376 to 424: draw a box by eye" in listed
+    facts = run("two.png", "--point", 392, 392, "--gsd", 0.5).stdout
+    assert "or the object" in facts
+    assert "at x 376 to 552, y 376 to 424: draw a box by eye" in facts
 
 
 def test_the_mask_is_written_in_the_size_of_the_image(run: Any, tmp_path: Path) -> None:
-    result = run(
-        "cars.png", "--box", *BOX, "--json", "--gsd", "0.2", "--mask", tmp_path / "mask.png"
-    )
+    path = tmp_path / "mask.png"
+    result = run("cars.png", "--box", *BOX, "--json", "--gsd", "0.2", "--mask", path)
     assert result.exit_code == 0, result.output
-    written = cv2.imread(str(tmp_path / "mask.png"), cv2.IMREAD_GRAYSCALE)
-    assert written is not None
-    assert written.shape == (600, 800)
-    assert set(np.unique(written)) == {0, 255}
-    assert int((written > 0).sum()) == _line(result)["mask_area_px"]
-    rows, columns = np.nonzero(written)
+    mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    assert mask is not None
+    assert mask.shape == (600, 800)
+    assert set(np.unique(mask)) == {0, 255}
+    assert int((mask > 0).sum()) == _line(result)["mask_area_px"]
+    rows, columns = np.nonzero(mask)
     assert [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] == list(POOL)
 
 
@@ -153,9 +158,7 @@ def test_the_mask_is_written_in_the_size_of_the_image(run: Any, tmp_path: Path) 
         (["--box", *BOX, "--mask", "out.jpg"], "output_unwritable"),
     ],
 )
-def test_bad_input_ends_with_status_2_and_one_line(
-    run: Any, arguments: list[str], code: str
-) -> None:
+def test_bad_input_is_one_line_with_status_2(run: Any, arguments: list[str], code: str) -> None:
     result = run("cars.png", *arguments)
     assert result.exit_code == 2
     assert result.stdout == ""

@@ -1,4 +1,4 @@
-"""``vehanchor estimate --scale-bar --geotiff``: files in which people measure."""
+"""``vehanchor estimate --scale-bar --geotiff``: files in which people can measure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import vehanchor
 from tests.models import blank_image, write_detector
 from vehanchor.cli.app import app
 from vehanchor.cli.outputs import refusal
-from vehanchor.records import KnownPlane
+from vehanchor.records import GsdEstimate, KnownPlane
 
 LINE = ("--known-length", "100 100 500 100 40 measured")  # 0.1 m/px
 
@@ -27,12 +27,14 @@ def image(tmp_path: Path) -> Path:
 
 
 def run(image: Path, *arguments: object) -> tuple[int, str]:
-    words = ["estimate", image, "--detector", image.with_name("painted.onnx"), *arguments]
-    result = CliRunner().invoke(app, list(map(str, words)))
+    """Run ``vehanchor estimate``; return its status and stderr."""
+    detector = image.with_name("painted.onnx")
+    command = ["estimate", image, "--detector", detector, *arguments]
+    result = CliRunner().invoke(app, [str(argument) for argument in command])
     return result.exit_code, result.stderr
 
 
-def test_the_bar_is_as_long_as_it_says(image: Path) -> None:
+def test_the_scale_bar_has_its_length(image: Path) -> None:
     out = image.with_name("out.png")
     assert run(image, "--scale-bar", out, *LINE) == (0, "")
     before = cv2.imread(str(image))
@@ -41,40 +43,47 @@ def test_the_bar_is_as_long_as_it_says(image: Path) -> None:
     assert after is not None
     assert after.shape == before.shape
     white = np.argwhere((after == 255).all(2) & (before != 255).any(2))
-    bar = white[white[:, 0] > white[:, 0].max() - 3]
-    # 20 m, a fifth of the picture's width
-    assert bar[:, 1].max() - bar[:, 1].min() == pytest.approx(200, abs=2)
+    rows = white[:, 0]
+    bar_columns = white[rows > rows.max() - 3, 1]
+    # The bar is 20 m long, a fifth of the picture's width.
+    assert bar_columns.max() - bar_columns.min() == pytest.approx(200, abs=2)
 
 
 def test_without_a_usable_scale_nothing_is_written(image: Path) -> None:
     out = image.with_name("out.png")
     copy = image.with_name("out.tif")
-    code, told = run(image, "--scale-bar", out, "--geotiff", copy)
-    assert (
-        code,
-        told.splitlines()[-1].endswith("image.png: no scale bar and no GeoTIFF: there is no scale"),
-    ) == (
-        3,
-        True,
-    )
+    code, err = run(image, "--scale-bar", out, "--geotiff", copy)
+    assert code == 3
+    last = err.splitlines()[-1]
+    assert last.endswith("image.png: no scale bar and no GeoTIFF: there is no scale")
     assert not out.exists()
     assert not copy.exists()
 
 
-def test_a_scale_that_varies_or_is_unsure_is_refused_with_the_reason(image: Path) -> None:
-    record = vehanchor.estimate_gsd(image, known_lengths=[(100, 100, 500, 100, 40, "measured")])
-    assert refusal(record) is None
-    assert record.scale is not None
+@pytest.fixture
+def usable(image: Path) -> GsdEstimate:
+    """A record with a single usable scale."""
+    return vehanchor.estimate_gsd(image, known_lengths=[(100, 100, 500, 100, 40, "measured")])
+
+
+def test_a_single_usable_scale_is_not_refused(usable: GsdEstimate) -> None:
+    assert refusal(usable) is None
+
+
+def test_a_scale_that_varies_is_refused_with_the_tilt(usable: GsdEstimate) -> None:
+    assert usable.scale is not None
     plane = KnownPlane(tilt_deg=35.0, roll_deg=0.0, focal_length_px=800.0)
-    tilted = record.model_copy(update={"scale": record.scale.model_copy(update={"plane": plane})})
+    scale = usable.scale.model_copy(update={"plane": plane})
+    tilted = usable.model_copy(update={"scale": scale})
     assert refusal(tilted) == "the camera was tilted by 35 degrees, and the scale varies"
-    unsure = record.model_copy(update={"status": "low_confidence"})
+
+
+def test_a_scale_of_low_confidence_is_refused(usable: GsdEstimate) -> None:
+    unsure = usable.model_copy(update={"status": "low_confidence"})
     assert refusal(unsure) == "the scale is not usable"
 
 
-def test_a_copy_in_local_metres_is_the_whole_picture_with_the_size_of_its_pixels(
-    image: Path,
-) -> None:
+def test_a_geotiff_has_all_pixels_in_local_metres(image: Path) -> None:
     photo = np.random.default_rng(3).integers(0, 255, (700, 1100, 3), np.uint8)
     assert cv2.imwrite(str(image), photo)
     copy = image.with_name("copy.tif")
@@ -82,5 +91,5 @@ def test_a_copy_in_local_metres_is_the_whole_picture_with_the_size_of_its_pixels
     with rasterio.open(copy) as written:
         assert np.array_equal(written.read().transpose(1, 2, 0), photo[:, :, ::-1])
         assert 'UNIT["metre",1' in written.crs.to_wkt()
-        assert written.crs.to_epsg() is None  # nobody knows where on Earth
+        assert written.crs.to_epsg() is None, "the place on Earth is unknown"
         assert tuple(written.bounds) == pytest.approx((0, -70, 110, 0), rel=1e-3)

@@ -1,4 +1,4 @@
-"""Parts of the command line: what is installed, names as people read them."""
+"""Parts of the command line: check of the installation, names below a common folder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _record(gsd: float | None, status: str) -> SimpleNamespace:
     )
 
 
-def test_the_bundled_picture_has_the_scale_that_is_known() -> None:
+def test_the_bundled_picture_passes_the_check() -> None:
     code, out = _checked()
     assert code == 0, out
     assert re.search(r"check\s+passed", out)
@@ -36,7 +36,7 @@ def test_the_bundled_picture_has_the_scale_that_is_known() -> None:
 @pytest.mark.parametrize(
     ("gsd", "status"), [(None, "no_scale"), (0.15, "low_confidence"), (0.2, "ok")]
 )
-def test_a_scale_that_is_wrong_or_not_usable_fails(
+def test_a_wrong_or_unusable_scale_fails_the_check(
     gsd: float | None, status: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(installation, "check_picture", lambda engine: _record(gsd, status))
@@ -55,7 +55,8 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(installation, "version", version)
     monkeypatch.setattr(installation, "check_picture", lambda engine: _record(0.15, "ok"))
-    assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", _checked()[1])
+    _, out = _checked()
+    assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", out)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +68,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
         (["#1", "frame at 3 s"], "", ["#1", "frame at 3 s"]),
     ],
 )
-def test_names_are_told_without_the_folder_that_all_lie_in(
+def test_names_are_shown_relative_to_their_common_folder(
     names: list[str], folder: str, short: list[str]
 ) -> None:
     assert under_one_folder(names) == (folder, short)

@@ -1,8 +1,9 @@
-"""Workers as actors of a Ray cluster, or of a local Ray that is started for the run."""
+"""Engine with actors of Ray as workers: on a cluster, or on this machine for one run."""
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 from contextlib import contextmanager
@@ -18,8 +19,9 @@ if TYPE_CHECKING:
 
     from vehanchor.batch.worker import BatchJob
 
-_KNOCK_S = 10.0
-_BLOCK_FILES = 8  # rows per block, the most that each worker loses in an interruption
+_KNOCK_TIMEOUT_S = 10.0
+# A block is the work that each worker loses at most if the run is interrupted.
+_IMAGES_PER_BLOCK = 8
 
 
 def require_ray() -> Any:
@@ -45,20 +47,22 @@ class _Actor:
     def __init__(self) -> None:
         self._worker: Worker | None = None
 
-    def __call__(self, batch: dict[str, Any], job: BatchJob) -> dict[str, Any]:
-        if self._worker is None:  # not in __init__: Ray warns of constructors with arguments
-            self._worker = Worker.of_own_process(job)
-        tasks = [
-            Task(str(file), str(path))
-            for file, path in zip(batch["file"], batch["path"], strict=True)
-        ]
-        return {"row": [self._worker.row(task).model_dump_json() for task in tasks]}
+    def __call__(self, block: dict[str, Any], job: BatchJob) -> dict[str, Any]:
+        # The constructor does not load the model, because Ray warns of its arguments.
+        if self._worker is None:
+            self._worker = Worker.for_this_process(job)
+        rows = []
+        for file, path in zip(block["file"], block["path"], strict=True):
+            task = Task(str(file), str(path))
+            row = self._worker.row(task)
+            rows.append(row.model_dump_json())
+        return {"row": rows}
 
 
 def ray_rows(
     job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
 ) -> Iterator[BatchRow]:
-    """Make the rows of all tasks in order of completion.
+    """Make the rows of all tasks.
 
     Args:
         job: settings of the workers; all machines need the same vehanchor and the same image paths.
@@ -77,48 +81,58 @@ def ray_rows(
     """
     ray = require_ray()
     with _quiet(), _cluster(ray, address):
-        ray.data.DataContext.get_current().enable_progress_bars = False  # the command has its own
-        n_workers = min(workers or max(1, int(ray.cluster_resources().get("CPU", 1))), len(tasks))
-        dataset = ray.data.from_items(
-            [asdict(task) for task in tasks],
-            override_num_blocks=max(n_workers, -(-len(tasks) // _BLOCK_FILES)),
-        ).map_batches(
+        # The command shows its own progress.
+        ray.data.DataContext.get_current().enable_progress_bars = False
+        n_workers = min(workers or _cluster_cpus(ray), len(tasks))
+        n_blocks = max(n_workers, math.ceil(len(tasks) / _IMAGES_PER_BLOCK))
+        items = [asdict(task) for task in tasks]
+        blocks = ray.data.from_items(items, override_num_blocks=n_blocks)
+        rows = blocks.map_batches(
             _Actor,
-            batch_size=None,  # whole blocks
+            batch_size=None,  # Each call gets a whole block.
             batch_format="numpy",
             compute=ray.data.ActorPoolStrategy(size=n_workers),
             num_cpus=job.runtime.threads,
             fn_kwargs={"job": job},
         )
         try:
-            for item in dataset.iter_rows():
-                yield BatchRow.model_validate_json(item["row"])
+            for row in rows.iter_rows():
+                yield BatchRow.model_validate_json(row["row"])
         except ray.exceptions.RayError as error:
-            reason = (
-                str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__
-            )
+            # The last line of Ray's long message names the cause.
+            message = str(error).strip()
+            reason = message.splitlines()[-1] if message else type(error).__name__
             raise WorkerDiedError(
-                f"Ray ended the run ({reason}). Finished rows are kept; run the same command "
-                "again to resume"
+                f"Ray ended the run ({reason}). Finished rows are kept; run the same command again "
+                "to resume"
             ) from None
+
+
+def _cluster_cpus(ray: Any) -> int:
+    n_cpus = ray.cluster_resources().get("CPU", 1)
+    return max(1, int(n_cpus))
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Suppress Ray's log of starts and stops on stderr, which is for the user."""
-    levels = {logger: logger.level for logger in map(logging.getLogger, ("ray", "ray.data"))}
-    for logger in levels:
+    loggers = [logging.getLogger(name) for name in ("ray", "ray.data")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
         logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        for logger, level in levels.items():
+        for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
 
 
 @contextmanager
 def _cluster(ray: Any, address: str | None) -> Iterator[None]:
-    """Use the connected Ray, else the one at the address, else start a local one for the run."""
+    """Connect to the cluster at the address; without an address, start Ray for the run.
+
+    If this process is connected to a cluster, that cluster is used.
+    """
     if ray.is_initialized():
         yield
         return
@@ -126,12 +140,13 @@ def _cluster(ray: Any, address: str | None) -> Iterator[None]:
         _knock(address)
         ray.init(
             address or "local",
-            include_dashboard=False if address is None else None,
+            include_dashboard=False if address is None else None,  # None leaves a cluster's own.
             log_to_driver=False,
             logging_level=logging.CRITICAL,
         )
     except (OSError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        message = str(error)
+        reason = message.splitlines()[0] if message else type(error).__name__
         raise InvalidParameterError(
             f"no Ray cluster at {address!r} ({reason}): start one with 'ray start --head', or "
             "leave --address out"
@@ -143,7 +158,13 @@ def _cluster(ray: Any, address: str | None) -> Iterator[None]:
 
 
 def _knock(address: str | None) -> None:
-    """Check at once that the address answers: Ray itself tries for minutes."""
-    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    """Check that the address answers, because Ray itself would try for minutes.
+
+    Raises:
+        OSError: nothing answers.
+    """
+    host_and_port = (address or "").removeprefix("ray://")
+    host, _, port = host_and_port.rpartition(":")
     if host and port.isdigit():
-        socket.create_connection((host.strip("[]"), int(port)), timeout=_KNOCK_S).close()
+        destination = (host.strip("[]"), int(port))
+        socket.create_connection(destination, timeout=_KNOCK_TIMEOUT_S).close()
