@@ -19,7 +19,7 @@ from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95
-from vehanchor_flight.photograph import of_photographs
+from vehanchor_flight.photograph import per_photograph_witnesses
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.project import SCALE
 from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
@@ -305,7 +305,7 @@ def _supports(
     vehicles = pooled.vehicles
     lengths = np.zeros(0) if vehicles is None else vehicles.fleet.lengths
     for place, member in enumerate(members):
-        detections = member.measured
+        detections = member.rectified_detections
         own = detections.boxes[:, 2] * math.exp(component.offsets[place])
         among: NDArray[np.bool_] = (
             (own >= lengths.min()) & (own <= lengths.max())
@@ -317,7 +317,7 @@ def _supports(
             supports.append(_Support(Vehicles.kind, place, strength))
         supports += [
             _Support(other.kind, place, 1.0 - other.chance_wrong)
-            for other in of_photographs(member.analysis.witnesses)
+            for other in per_photograph_witnesses(member.analysis.witnesses)
             if other.found and other.sets_scale
         ]
     return supports
