@@ -171,7 +171,7 @@ def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
 
 
 def without_copies(results: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
-    """Keep the largest of several sizes of a photograph; the others become failures that name it."""
+    """Keep the largest of several sizes of a photograph; the others become failures."""
     remaining = list(results)
     originals: list[Photograph] = []
     for index, photograph in _widest_first(results):

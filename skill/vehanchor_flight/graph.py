@@ -7,14 +7,14 @@ The fit minimises the sum of three terms:
     gradients:     (g_i / t_g)^2
 
 x_i is the log scale at the centre of photograph i, and g_i its gradient. r_ij is the measured log
-ratio of the scales of i and j, and u_i the log scale by the photograph's own evidence; s_ij, t_i and
-t_g are standard deviations. The gradient is needed because a tilt of a few degrees changes the scale
-from edge to edge, and photographs overlap at their edges (at p_ij).
+ratio of the scales of i and j, and u_i the log scale by the photograph's own evidence; s_ij, t_i
+and t_g are standard deviations. The gradient is needed because a tilt of a few degrees changes the
+scale from edge to edge, and photographs overlap at their edges (at p_ij).
 
-rho is the Geman-McClure loss, which ignores outliers. Graduated non-convexity (Yang et al., "Graduated
-Non-Convexity for Robust Spatial Perception", 2020) goes from the square loss to rho. Each step is a
-sparse least-squares problem, so that the result does not depend on a start. The flight's own
-residuals give the real spread of the ratios, which includes relief and tilt.
+rho is the Geman-McClure loss, which ignores outliers. Graduated non-convexity (Yang et al.,
+"Graduated Non-Convexity for Robust Spatial Perception", 2020) goes from the square loss to rho.
+Each step is a sparse least-squares problem, so that the result does not depend on a start. The
+flight's own residuals give the real spread of the ratios, which includes relief and tilt.
 """
 
 from __future__ import annotations

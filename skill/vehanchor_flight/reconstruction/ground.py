@@ -202,8 +202,8 @@ def _most_common(
     Args:
         points: ``[n, 3]``, at least three.
         thickness: half of the plane's thickness.
-        whole_plane: plane whose normal the result has, within 15 degrees; None for any normal. A house
-            has walls, and the fit to a thin strip of one would be the wall.
+        whole_plane: plane whose normal the result has, within 15 degrees; None for any normal. A
+            house has walls, and the fit to a thin strip of one would be the wall.
     """
     sample = _best_sample(points, thickness, whole_plane)
     if sample is None and whole_plane is not None:

@@ -100,7 +100,14 @@ class Lens:
         return np.column_stack([slopes, np.ones(len(slopes))])
 
     def _undistorted(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Invert the distortion at pixels ``[n, 2]``: ``[n, 2]`` slopes x / z and y / z of the rays."""
+        """Invert the distortion of the lens.
+
+        Args:
+            pixels: ``[n, 2]``.
+
+        Returns:
+            ``[n, 2]`` slopes of the rays, x / z and y / z.
+        """
         matrix = np.array(
             [
                 [self.focal_x_px, 0, self.centre_x_px],

@@ -141,7 +141,7 @@ def _parts(path: Path) -> list[dict[str, Any]]:
 def _lens(camera: Mapping[str, Any]) -> Lens:
     """Make a lens from a camera.
 
-    OpenSfM divides focal lengths and offsets of the principal point by the longer side of the image.
+    OpenSfM states focal lengths and offsets of the principal point in longer sides of the image.
     """
     kind = camera.get("projection_type", "perspective")
     if kind not in _DISTORTIONS:

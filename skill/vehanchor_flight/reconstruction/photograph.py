@@ -298,7 +298,7 @@ def _distinct_cars(
 
 
 def _measure_on_ground(view: View, above_ground: ShotAboveGround) -> tuple[Witness, ...]:
-    """Measure with the rulers that use no vehicles; in a tilted view, with those that use the plane."""
+    """Measure with the rulers that use no vehicles; in a tilted view, only with the plane."""
     ruler_options = view.options.rulers
     lines = tuple(_undistorted_line(line, above_ground) for line in ruler_options.known_lengths)
     options = replace(view.options, rulers=replace(ruler_options, known_lengths=lines))
