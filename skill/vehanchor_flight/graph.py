@@ -253,9 +253,10 @@ class _Problem:
 
     def _solve(self, weights: NDArray[np.float64], sds: NDArray[np.float64]) -> None:
         """Solve the normal equations of weighted least squares."""
+        matrix = self._matrix
         precision = weights / sds**2
-        normal = self._matrix.T @ diags(precision) @ self._matrix + diags(self._prior)
-        right = self._matrix.T @ (precision * self._target) + self._prior_pull
+        normal = matrix.T @ diags(precision) @ matrix + diags(self._prior)
+        right = matrix.T @ (precision * self._target) + self._prior_pull
         self._unknowns = np.asarray(splu(normal.tocsc()).solve(right))
 
 

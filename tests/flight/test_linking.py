@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from tests.flight.ground import facts_at, features_of, ground, photograph_of, sighting_of
+from tests.flight.ground import facts_at, features_of, ground, photograph_of, vehicles_of
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
@@ -49,7 +49,7 @@ def seen() -> list[Features]:
 
 def _photograph(name: str, image: ImageFacts, lengths: NDArray[np.float64]) -> Photograph:
     return Photograph.of(
-        name, StoredPhotograph(image, sighting_of(lengths), 1.0), made_card(5.0), ScaleOptions()
+        name, StoredPhotograph(image, vehicles_of(lengths), 1.0), made_card(5.0), ScaleOptions()
     )
 
 
@@ -175,7 +175,7 @@ def test_an_overlap_with_a_copy_of_the_ground_elsewhere_is_dropped() -> None:
 
 CORNERS = np.array([(0.0, 0.0), (500.0, 0.0), (500.0, 500.0), (0.0, 500.0)])
 TILT = CameraTilt(35.0, 0.0, focal_length_px=700.0, source="metadata")
-NO_CARS = sighting_of(np.zeros(0))
+NO_CARS = vehicles_of(np.zeros(0))
 
 
 def _features_between(there: NDArray[np.float64]) -> Features:

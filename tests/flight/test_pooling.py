@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.analyses import made_card
-from tests.flight.ground import facts_at, sighting_of
+from tests.flight.ground import facts_at, vehicles_of
 from vehanchor.detection.detections import NOT_SEARCHED, Appearance, Detections
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
@@ -24,7 +24,7 @@ from vehanchor_flight.records import FlightEstimate
 def _photograph(
     lengths: NDArray[np.float64], name: str = "one", detail_share: float = 1.0
 ) -> Photograph:
-    stored = StoredPhotograph(ImageFacts(800, 600), sighting_of(lengths), detail_share)
+    stored = StoredPhotograph(ImageFacts(800, 600), vehicles_of(lengths), detail_share)
     return Photograph.of(name, stored, made_card(5.0), ScaleOptions())
 
 
@@ -184,7 +184,7 @@ def _same_scale(*facts: ImageFacts) -> FlightEstimate:
     card = made_card(5.0)
     photographs = [
         Photograph.of(
-            str(number), StoredPhotograph(each, sighting_of(FLEET), 1.0), card, ScaleOptions()
+            str(number), StoredPhotograph(each, vehicles_of(FLEET), 1.0), card, ScaleOptions()
         )
         for number, each in enumerate(facts)
     ]

@@ -315,10 +315,13 @@ def _fullest_window(width: int, height: int, cars: NDArray[np.float64]) -> Windo
         height: height of the reduced frame.
         cars: ``[n, 2]`` centres in its pixels.
     """
-    sides = _window_sides(width, height)
-    largest = np.array([width, height]) - np.array(sides)
-    corners = np.clip(np.rint(cars - np.array(sides) / 2), 0, largest)
-    windows = [Window(int(left), int(top), *sides) for left, top in corners]
+    frame_size = np.array([width, height])
+    window_width, window_height = _window_sides(width, height)
+    window_size = np.array([window_width, window_height])
+    # Each car is in the middle of a window, unless this would leave the frame.
+    corners = np.rint(cars - window_size / 2)
+    corners = np.clip(corners, 0, frame_size - window_size)
+    windows = [Window(int(left), int(top), window_width, window_height) for left, top in corners]
     n_cars = [int(_is_inside(cars, *_corners(window)).sum()) for window in windows]
     return windows[int(np.argmax(n_cars))]
 

@@ -26,6 +26,7 @@ _OPENSFM_FILES = ("reconstruction.json", "opensfm/reconstruction.json")
 _COLMAP_FOLDERS = (".", "sparse/0", "sparse", "0")
 # Where the photographs lie, relative to the files of the model.
 _IMAGE_FOLDERS = ("images", "../images", "../../images", "../../../images", ".")
+_SQUARED_ECCENTRICITY = WGS84_FLATTENING * (2 - WGS84_FLATTENING)  # Of the ellipsoid.
 _N_LATITUDE_STEPS = 6  # Each step of the iteration comes 150 times closer.
 
 
@@ -164,35 +165,44 @@ def on_earth(
     Returns:
         ``[n, 3]`` degrees, degrees and metres.
     """
-    squared_eccentricity = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
-    phi = math.radians(origin[0])
-    theta = math.radians(origin[1])
-    # Axes of the local plane, and the origin itself, in geocentric coordinates.
-    east = np.array([-math.sin(theta), math.cos(theta), 0.0])
-    up = np.array([math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)])
-    north = np.cross(up, east)
-    origin_radius = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(
-        1 - squared_eccentricity * math.sin(phi) ** 2
-    )
-    flattening = np.array([0, 0, squared_eccentricity * origin_radius * math.sin(phi)])
-    geocentric_origin = (origin_radius + origin[2]) * up - flattening
-    x, y, z = (geocentric_origin + np.asarray(points) @ np.array([east, north, up])).T
+    x, y, z = _geocentric(np.asarray(points), origin).T
     # Geodetic latitude: iterate tan(latitude) = (z + e^2 N sin(latitude)) / distance from the axis,
-    # in which N is the radius of curvature in the prime vertical.
+    # in which e is the eccentricity, and N the radius of curvature in the prime vertical.
     axis_distance = np.hypot(x, y)
-    latitude = np.full(len(x), phi)
+    latitude = np.full(len(x), math.radians(origin[0]))
     for _ in range(_N_LATITUDE_STEPS):
-        raised_z = z + squared_eccentricity * _prime_radius(latitude) * np.sin(latitude)
+        raised_z = z + _SQUARED_ECCENTRICITY * _prime_radius(latitude) * np.sin(latitude)
         latitude = np.arctan2(raised_z, axis_distance)
     radius = _prime_radius(latitude)
-    raised_z = z + squared_eccentricity * radius * np.sin(latitude)
+    raised_z = z + _SQUARED_ECCENTRICITY * radius * np.sin(latitude)
     altitude = axis_distance * np.cos(latitude) + raised_z * np.sin(latitude) - radius
     longitude = np.arctan2(y, x)
     return np.column_stack([np.degrees(latitude), np.degrees(longitude), altitude])
 
 
+def _geocentric(
+    points: NDArray[np.float64], origin: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """Convert local metres to geocentric coordinates; arguments as in ``on_earth``.
+
+    Returns:
+        ``[n, 3]`` metres: z along the axis of the Earth, x towards the meridian of Greenwich.
+    """
+    latitude = math.radians(origin[0])
+    longitude = math.radians(origin[1])
+    sine = math.sin(latitude)
+    cosine = math.cos(latitude)
+    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    up = np.array([cosine * math.cos(longitude), cosine * math.sin(longitude), sine])
+    north = np.cross(up, east)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - _SQUARED_ECCENTRICITY * sine**2)
+    # The normal of the ellipsoid meets the axis below the equatorial plane.
+    below_equator = np.array([0, 0, _SQUARED_ECCENTRICITY * radius * sine])
+    geocentric_origin = (radius + origin[2]) * up - below_equator
+    return np.asarray(geocentric_origin + points @ np.array([east, north, up]))
+
+
 def _prime_radius(latitude: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the ellipsoid's radius of curvature in the prime vertical, ``[n]`` metres."""
-    squared_eccentricity = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
-    squares = 1 - squared_eccentricity * np.sin(latitude) ** 2
+    squares = 1 - _SQUARED_ECCENTRICITY * np.sin(latitude) ** 2
     return np.asarray(WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(squares))

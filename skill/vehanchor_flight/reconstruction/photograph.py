@@ -403,6 +403,6 @@ def _select_boxes(
 
 def _undistorted_line(line: KnownLength, above_ground: ShotAboveGround) -> KnownLength:
     """Convert a line to pixels of a pinhole camera, which the ground plane assumes."""
-    ends = above_ground.shot.lens.ideal([(line.x1, line.y1), (line.x2, line.y2)])
-    (x1, y1), (x2, y2) = ends.tolist()
+    ends = [(line.x1, line.y1), (line.x2, line.y2)]
+    (x1, y1), (x2, y2) = above_ground.shot.lens.ideal(ends).tolist()
     return replace(line, x1=x1, y1=y1, x2=x2, y2=y2)
