@@ -38,7 +38,7 @@ NO_CARS = vehicles_of(np.zeros(0))
 
 
 class Station(NamedTuple):
-    """Where a photograph was taken: pixels of the ground, turn, and pixels of the ground a pixel."""
+    """Where a photograph was taken, in pixels of the ground; the scale is that of its pixels."""
 
     x: float
     y: float
