@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -56,11 +56,51 @@ def link_photographs(
     """
     positions = _positions(photographs)
     overlaps = _match_candidates(photographs, features, positions)
+    linked = _link_consistently(photographs, overlaps, positions)
+    flight_links = [
+        _flight_link(
+            overlap,
+            photographs,
+            inflation=linked.inflation,
+            dropped=linked.dropped.get(number),
+        )
+        for number, overlap in enumerate(overlaps)
+    ]
+    return linked.components, flight_links
+
+
+class _Linked(NamedTuple):
+    """Components with the overlaps that agree.
+
+    Attributes:
+        components: the largest first.
+        dropped: why an overlap is not used, by its number.
+        inflation: spread of the ratios over their own standard deviations, at least 1.
+    """
+
+    components: list[Component]
+    dropped: dict[int, str]
+    inflation: float
+
+
+def _link_consistently(
+    photographs: Sequence[Photograph],
+    overlaps: Sequence[Overlap],
+    positions: NDArray[np.float64] | None,
+) -> _Linked:
+    """Find the components, and leave out the overlaps that contradict the others.
+
+    A copy of the ground elsewhere (the same houses, a repeated pattern) can have a fitting ratio,
+    but its shift does not fit the layout. Scales and layout are then solved again without it.
+
+    Args:
+        photographs: of the flight.
+        overlaps: all that were found.
+        positions: ``[n, 2]`` metres; None if unknown.
+    """
     unaries = [_unary(photograph) for photograph in photographs]
-    # The distances of misplaced overlaps from the layout, by the number of the overlap.
+    # Distance of each misplaced overlap from the layout, by the number of the overlap.
     misplaced: dict[int, float] = {}
-    # A copy of the ground elsewhere (the same houses, a repeated pattern) can have a fitting ratio,
-    # but its shift does not fit the layout. Scales and layout are solved again without it.
     for _ in range(_MAX_SOLUTIONS):
         tried = [number for number in range(len(overlaps)) if number not in misplaced]
         links = [_link(overlaps[number], photographs) for number in tried]
@@ -81,19 +121,13 @@ def link_photographs(
         if not newly_misplaced:
             break
         misplaced |= newly_misplaced
-    residuals = dict(zip(tried, solution.residuals.tolist(), strict=True))
-    flight_links = []
-    for number, overlap in enumerate(overlaps):
-        dropped = None
-        if number in misplaced:
-            dropped = _misplaced_text(misplaced[number])
-        elif number not in used:
-            dropped = _contradicting_text(residuals[number])
-        flight_link = _flight_link(
-            overlap, photographs, inflation=solution.inflation, dropped=dropped
-        )
-        flight_links.append(flight_link)
-    return components, flight_links
+    dropped = {}
+    for number, residual in zip(tried, solution.residuals.tolist(), strict=True):
+        if number not in used:
+            dropped[number] = _contradicting_text(residual)
+    for number, distance in misplaced.items():
+        dropped[number] = _misplaced_text(distance)
+    return _Linked(components, dropped, solution.inflation)
 
 
 def _positions(photographs: Sequence[Photograph]) -> NDArray[np.float64] | None:

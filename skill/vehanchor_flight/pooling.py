@@ -243,7 +243,7 @@ def _median_detail_share(members: Sequence[Photograph]) -> float:
 
 
 def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneScalePrior | None:
-    """Pool the scene-scale priors of the photographs taken at nadir; None without any."""
+    """Pool the scene-scale priors of photographs without a known tilt; None without any."""
     densities = []
     n_tiles = 0
     for view, offset in zip(views, offsets.tolist(), strict=True):

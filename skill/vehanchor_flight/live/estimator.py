@@ -119,6 +119,7 @@ class LiveEstimator:
         if self._state is not None and self._state.silent_s > self._hold_s:
             self._state = None
         if matched is None or motion is None:
+            # The frame may show other ground.
             self._prior_moved = math.inf
             self._cars = np.zeros((0, 2))
             return False
@@ -194,10 +195,10 @@ class LiveEstimator:
         """
         low, high = _corners(window)
         is_inside = _is_inside(self._cars, low * factor, high * factor)
-        found = np.zeros((0, 2))
+        new_cars = np.zeros((0, 2))
         if analysis.vehicles is not None:
-            found = analysis.vehicles.fleet.centres
-        self._cars = np.concatenate([self._cars[~is_inside], found * factor + low * factor])
+            new_cars = analysis.vehicles.fleet.centres * factor + low * factor
+        self._cars = np.concatenate([self._cars[~is_inside], new_cars])
 
     def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
         """Make the record of a frame from the filter and the estimate of the searched window."""

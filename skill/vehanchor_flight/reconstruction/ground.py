@@ -68,10 +68,10 @@ class Plane:
 
 
 def model_plane(model: Reconstruction) -> Plane:
-    """Find the plane with most points of a model below its cameras.
+    """Find the ground of a whole model: the lowest plane with enough of its points.
 
     Raises:
-        ReconstructionError: the model has too few points, or none lie below the cameras.
+        ReconstructionError: the model has too few points.
     """
     centres = np.array([shot.centre for shot in model.shots])
     points = _thinned(model.points[np.isfinite(model.points).all(axis=1)])
