@@ -297,8 +297,9 @@ def _is_dangling(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
     Such a link always fits, so that its residual does not show its error.
     """
     ends = _ends(links)
-    degree = np.bincount(ends.ravel(), minlength=n)
-    return np.asarray((degree[ends] == 1).any(axis=1))
+    n_links = np.bincount(ends.ravel(), minlength=n)
+    has_one_link = n_links[ends] == 1
+    return np.asarray(has_one_link.any(axis=1))
 
 
 def _ends(links: Sequence[Link]) -> NDArray[np.intp]:

@@ -321,9 +321,11 @@ def _flight_link(
 
 
 def _misplaced_text(distance: float) -> str:
-    return f"its shift is {distance:.1f} photographs off the shift by the other overlaps"
+    return f"its shift differs by {distance:.1f} photographs from that of the other overlaps"
 
 
 def _contradicting_text(residual: float) -> str:
-    times = math.exp(abs(residual))
-    return f"the ratio is {times:.2g} times off the ratio by the other overlaps and rulers"
+    factor = math.exp(abs(residual))
+    return (
+        f"its ratio differs by a factor of {factor:.2g} from that of the other overlaps and rulers"
+    )

@@ -141,11 +141,10 @@ def _log_ratio_sd(
         transform: ``[2, 3]`` similarity transform from the first to the second.
     """
     # Scatter: the error of a length is that of n points over their distance from the middle.
-    errors = first @ transform[:, :2].T + transform[:, 2] - second
-    rms_error = math.sqrt(float((errors**2).sum(axis=1).mean()))
-    from_middle = second - second.mean(axis=0)
-    radius = math.sqrt(float((from_middle**2).sum(axis=1).mean()))
-    scatter_sd = rms_error / (radius * math.sqrt(2 * len(first)))
+    mapped = first @ transform[:, :2].T + transform[:, 2]
+    error = _rms(mapped - second)
+    radius = _rms(second - second.mean(axis=0))
+    scatter_sd = error / (radius * math.sqrt(2 * len(first)))
     # Shape: an affine fit has two singular values, and a tilt of the camera makes them differ.
     design = np.column_stack([first - first.mean(axis=0), np.ones(len(first))])
     affine = np.linalg.lstsq(design, second, rcond=None)[0]
@@ -153,3 +152,9 @@ def _log_ratio_sd(
     stretch = math.log(max(largest, 1e-9) / max(smallest, 1e-9))
     shape_sd = min(_SHAPE_SHARE * stretch, _MAX_SHAPE_SD)
     return math.sqrt(scatter_sd**2 + shape_sd**2 + _LOG_SD**2)
+
+
+def _rms(vectors: NDArray[np.float64]) -> float:
+    """Compute the root mean square length of vectors ``[n, 2]``."""
+    squares = (vectors**2).sum(axis=1)
+    return math.sqrt(float(squares.mean()))

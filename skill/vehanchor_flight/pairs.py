@@ -99,12 +99,14 @@ def _votes(descriptors: NDArray[np.float32], owners: NDArray[np.intp], n: int) -
         Votes by pair; the key of a pair is ``first * n + second``.
     """
     rng = np.random.default_rng(_SEED)
+    bit_values = 1 << np.arange(_N_BITS)
     votes: dict[int, int] = {}
     for _ in range(_N_TABLES):
         rotation, _ = np.linalg.qr(rng.normal(size=(_N_DIMENSIONS, _N_DIMENSIONS)))
         directions = rotation[:, :_N_BITS].astype(np.float32)
-        cells = (descriptors @ directions > 0) @ (1 << np.arange(_N_BITS))
-        keys, counts = np.unique(_pairs_in_cells(cells, owners, n), return_counts=True)
+        is_positive = descriptors @ directions > 0
+        pairs = _pairs_in_cells(is_positive @ bit_values, owners, n)
+        keys, counts = np.unique(pairs, return_counts=True)
         for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
             votes[key] = votes.get(key, 0) + count
     return votes

@@ -426,8 +426,9 @@ def _is_in_fleet(lengths: NDArray[np.float64], pooled: ScaleAnalysis) -> NDArray
     """Find lengths ``[n]``, in pixels of the reference, among those behind the pooled scale."""
     if pooled.vehicles is None or not len(pooled.vehicles.fleet.lengths):
         return np.zeros(len(lengths), dtype=bool)
-    fleet_lengths = pooled.vehicles.fleet.lengths
-    return np.asarray((lengths >= fleet_lengths.min()) & (lengths <= fleet_lengths.max()))
+    shortest = pooled.vehicles.fleet.lengths.min()
+    longest = pooled.vehicles.fleet.lengths.max()
+    return np.asarray((lengths >= shortest) & (lengths <= longest))
 
 
 def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:

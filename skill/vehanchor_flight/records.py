@@ -182,7 +182,9 @@ class ModelRuler(Record):
         ge=0, description="Number of things measured; a car in several photographs counts once."
     )
     p_right: float = Field(
-        ge=0, le=1, description="Chance that it measured what it thinks, given all rulers."
+        ge=0,
+        le=1,
+        description="Chance that it measured what it is meant to measure, given all rulers.",
     )
 
 

@@ -207,7 +207,8 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
     Args:
         frame: ``[h, w, 3]``.
     """
-    factor = min(1.0, _SHARPNESS_SIDE_PX / max(frame.shape[:2]))
+    height, width, _ = frame.shape
+    factor = min(1.0, _SHARPNESS_SIDE_PX / max(height, width))
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     if factor < 1:
         grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)

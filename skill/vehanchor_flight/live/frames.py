@@ -105,7 +105,7 @@ def open_frames(
     if is_video(source):
         return _video_frames(source, reading, every_s)
     raise ImageNotFoundError(
-        f"{source!r} is no source of frames: name a folder, a video, or the number of a camera"
+        f"{source!r} is not a source of frames: name a folder, a video, or the number of a camera"
     )
 
 

@@ -79,7 +79,7 @@ def images_of(model: Reconstruction) -> Path:
         if any((folder / shot.name).is_file() for shot in model.shots):
             return folder
     raise ReconstructionError(
-        f"no photograph of the model, as {model.shots[0].name!r}, is near {str(base)!r}: name "
+        f"no photograph of the model, such as {model.shots[0].name!r}, is near {str(base)!r}: name "
         "their folder with --images"
     )
 

@@ -192,7 +192,8 @@ class SearchedPhotograph:
         """
         detections = _select_boxes(self.view.detections, kept, lengths)
         view = replace(self.view, detections=detections)
-        return Photograph(self.name, view, conclude(view, measure_all(view, self.others)))
+        analysis = conclude(view, measure_all(view, self.others))
+        return Photograph(self.name, view, analysis)
 
 
 def search_photograph(
