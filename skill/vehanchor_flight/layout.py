@@ -84,12 +84,13 @@ def lay_out(
     steps = factors * own_feet[pairs.first] + shifts - own_feet[pairs.second]
     diagonals_in_layout = diagonals * np.exp(offsets)
     pair_diagonals = (diagonals_in_layout[pairs.first] + diagonals_in_layout[pairs.second]) / 2
+    zeros = np.zeros(len(overlaps))
     ones = np.ones(len(overlaps))
     weights = n_matches
     # Iteratively reweighted least squares: first the headings, then, with these, the positions.
     for _ in range(_STEPS):
         # heading_first = turn * heading_second; the reference has the heading 1.
-        headings = pairs.solve(turns, 0 * ones, weights=weights, reference_value=1.0)
+        headings = pairs.solve(turns, zeros, weights=weights, reference_value=1.0)
         headings /= np.maximum(np.abs(headings), 1e-9)
         # position_first - position_second = step, turned and scaled to the reference's pixels.
         steps_in_layout = headings[pairs.second] * np.exp(offsets[pairs.second]) * steps

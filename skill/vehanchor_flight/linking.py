@@ -232,20 +232,26 @@ def _component(
     """
     members = [photographs[index] for index in subgraph.members]
     reference = chief_member(members)
-    member_of = {int(index): member for member, index in enumerate(subgraph.members)}
+    # The layout counts the members, and overlaps count all photographs.
+    index_in_component = {index: k for k, index in enumerate(subgraph.members.tolist())}
     own_overlaps = {
-        number: overlap for number, overlap in overlaps.items() if overlap.first in member_of
+        number: overlap
+        for number, overlap in overlaps.items()
+        if overlap.first in index_in_component
     }
+    member_overlaps = [
+        overlap._replace(
+            first=index_in_component[overlap.first], second=index_in_component[overlap.second]
+        )
+        for overlap in own_overlaps.values()
+    ]
     offsets = subgraph.log_scales - subgraph.log_scales[reference]
     layout = lay_out(
         np.array([_foot(member) for member in members]),
         np.array([_diagonal(member) for member in members]),
         offsets,
         reference=reference,
-        overlaps=[
-            Overlap(member_of[overlap.first], member_of[overlap.second], overlap.match)
-            for overlap in own_overlaps.values()
-        ],
+        overlaps=member_overlaps,
     )
     extra: tuple[Witness, ...] = ()
     if positions is not None:

@@ -137,7 +137,12 @@ def conclude_flight(
     component_records = []
     for number, component in enumerate(components):
         members = _members(results, component)
-        pooled = pool(members, component.log_scales, component.reference, component.extra)
+        pooled = pool(
+            members,
+            component.log_scales,
+            reference=component.reference,
+            extra=component.extra,
+        )
         is_unlinked = len(component) == 1 and len(sorties) > 1 and not same_scale
         component_record = FlightComponent(
             number=number,
@@ -148,14 +153,14 @@ def conclude_flight(
         )
         component_records.append(component_record)
         rulers = _supporting_rulers(members, component, pooled)
-        for member, index in enumerate(component.members.tolist()):
+        for k, index in enumerate(component.members.tolist()):
             photographs[index] = _photograph(
-                members[member],
+                members[k],
                 component_record,
-                offset=float(component.offsets[member]),
-                log_sd=float(component.log_sds[member]),
+                offset=float(component.offsets[k]),
+                log_sd=float(component.log_sds[k]),
                 maybe_tilted=component.maybe_tilted,
-                rulers=rulers[member],
+                rulers=rulers[k],
                 sortie=sorties[index],
             )
     ordered = tuple(photographs[index] for index in range(len(results)))

@@ -80,29 +80,33 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(run: Any, o
     assert "output_unwritable" in done.stderr
 
 
-def test_json_is_the_record_of_the_file(run: Any, tmp_path: Path) -> None:
+@pytest.fixture
+def flight_record(run: Any) -> Any:
+    """Estimate all photographs with one scale; return the record that ``flight.json`` holds."""
     done = run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
-    flight = json.loads(done.stdout)
-    assert flight == json.loads((tmp_path / "flight.json").read_text())
-    names = [photograph["photograph"] for photograph in flight["photographs"]]
+    return json.loads(done.stdout)
+
+
+def test_json_is_the_record_of_the_file(flight_record: Any, tmp_path: Path) -> None:
+    assert flight_record == json.loads((tmp_path / "flight.json").read_text())
+    names = [photograph["photograph"] for photograph in flight_record["photographs"]]
     assert names == ["0.png", "1.png", "2.png", "3.png"]
     assert not (tmp_path / "flight.json.journal").exists()
 
 
-def test_a_photograph_without_cars_is_measured_with_the_flights_scale(run: Any) -> None:
-    flight = json.loads(
-        run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json").stdout
-    )
+def test_a_photograph_without_cars_is_measured_with_the_flights_scale(
+    run: Any, flight_record: Any
+) -> None:
     done = run("distance", "2.png", *LINE, "--scale", "flight.json", "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)
-    assert record["distance_m"] == pytest.approx(100 * flight["gsd_m_per_px"])
+    assert record["distance_m"] == pytest.approx(100 * flight_record["gsd_m_per_px"])
     assert record["scale_source"] == "reused"
     assert record["distance_ci95_low_m"] < 0.97 * record["distance_m"]
 
 
+@pytest.mark.usefixtures("flight_record")
 def test_the_flights_scale_is_refused_for_a_stranger(run: Any, tmp_path: Path) -> None:
-    run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
     (tmp_path / "2.png").rename(tmp_path / "other.png")
     refused = run("distance", "other.png", *LINE, "--scale", "flight.json")
     assert refused.exit_code == 2

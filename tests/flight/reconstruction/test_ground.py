@@ -17,7 +17,14 @@ from vehanchor_flight.reconstruction.ground import (
 )
 from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
 
-LENS = Lens(WIDTH_PX, HEIGHT_PX, FOCAL_PX, FOCAL_PX, WIDTH_PX / 2, HEIGHT_PX / 2)
+LENS = Lens(
+    WIDTH_PX,
+    HEIGHT_PX,
+    focal_x_px=FOCAL_PX,
+    focal_y_px=FOCAL_PX,
+    centre_x_px=WIDTH_PX / 2,
+    centre_y_px=HEIGHT_PX / 2,
+)
 
 
 def _ground() -> NDArray[np.float64]:

@@ -12,7 +12,16 @@ PIXELS = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, 600.0], [400.0, 300.0], [13
 
 
 def _lens(distortion: tuple[float, ...], *, fisheye: bool = False) -> Lens:
-    return Lens(800, 600, 700, 690, 410, 295, distortion, fisheye)
+    return Lens(
+        width_px=800,
+        height_px=600,
+        focal_x_px=700,
+        focal_y_px=690,
+        centre_x_px=410,
+        centre_y_px=295,
+        distortion=distortion,
+        fisheye=fisheye,
+    )
 
 
 def _projected(lens: Lens, rays: NDArray[np.float64]) -> NDArray[np.float64]:
