@@ -57,7 +57,9 @@ def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features
     sift = cv.SIFT_create(nfeatures=_MAX_FEATURES, contrastThreshold=_CONTRAST)
     keypoints, sift_descriptors = sift.detectAndCompute(grey, None)
     if not keypoints:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.uint8), float(factor))
+        no_points = np.zeros((0, 2))
+        no_descriptors = np.zeros((0, 128), np.uint8)
+        return Features(no_points, no_descriptors, float(factor))
     # SIFT can return more than it is asked for: several orientations of one point.
     strengths = np.array([keypoint.response for keypoint in keypoints])
     order = np.argsort(-strengths, kind="stable")[:_MAX_FEATURES]

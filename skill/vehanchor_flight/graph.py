@@ -156,9 +156,11 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
     sds = stated_sds * inflation
     # The robust loss ignored the outliers; the final fit is without them.
     residuals = problem.residuals
-    used = ~((np.abs(residuals) > _DROP_SDS * sds) & (np.abs(residuals) > _DROP_LOG))
+    errors = np.abs(residuals)
+    is_outlier = (errors > _DROP_SDS * sds) & (errors > _DROP_LOG)
+    used = ~is_outlier
     used_links = [link for link, is_used in zip(links, used, strict=True) if is_used]
-    if not used.all():
+    if is_outlier.any():
         problem = _Problem(n, used_links, unaries)
         problem.anneal(sds[used])
         residuals[used] = problem.residuals
@@ -356,15 +358,16 @@ def tilt_share(links: Sequence[Link]) -> float:
         np.geomspace(_MIN_TILT_GRADIENT, _MAX_TILT_GRADIENT, _N_TILT_GRADIENTS),
         np.arange(0.0, 2 * np.pi, _TILT_DIRECTION_STEP),
     )
-    tilts = np.column_stack(
-        [(gradients * np.cos(directions)).ravel(), (gradients * np.sin(directions)).ravel()]
-    )
+    across = gradients * np.cos(directions)
+    down = gradients * np.sin(directions)
+    tilts = np.column_stack([across.ravel(), down.ravel()])
     first = _log_scales_by_tilt(tilts, np.array([link.first_at for link in links]))
     second = _log_scales_by_tilt(tilts, np.array([link.second_at for link in links]))
     ratios = np.array([link.log_ratio for link in links])
     unexplained = ((ratios - first + second) ** 2).sum(axis=1).min()
     # Adjusted for degrees of freedom: two parameters explain a part of any ratios by chance.
-    share = 1 - float(unexplained / max(np.sum(ratios**2), 1e-9)) * (n - 1) / (n - 3)
+    unexplained_share = float(unexplained / max(np.sum(ratios**2), 1e-9))
+    share = 1 - unexplained_share * (n - 1) / (n - 3)
     return share if share >= _MIN_TILT_SHARE else 0.0
 
 

@@ -287,13 +287,15 @@ def _pooled_witness(kind: str, witnesses: Sequence[tuple[Witness, float]]) -> Wi
     gain = ruler_class(kind).pooling_gain
     assert gain is not None  # Rulers without a gain measure the pooled boxes.
     right = combined_density(densities, gain)
+    # A lack holds the witness as it would be without one doubt; its density is pooled, too.
+    lacks = [Lack(lack.reason, replace(lack.without, right=right)) for lack in first.lacks]
     return replace(
         first,
         gsd_m_per_px=quantile(right, 0.5),
         right=right,
         chance_wrong=sum(witness.chance_wrong for witness, _ in measured) / len(measured),
         n=sum(witness.n for witness, _ in measured),
-        lacks=tuple(Lack(lack.reason, replace(lack.without, right=right)) for lack in first.lacks),
+        lacks=tuple(lacks),
         # The sentence and the lines in the picture are those of a single photograph.
         said=None,
         marks=(),
@@ -305,11 +307,12 @@ def _moved(witness: Witness, offset: float) -> Witness:
     """Convert a witness to the pixels of the reference."""
     if offset == 0.0 or witness.gsd_m_per_px is None or witness.right is None:
         return witness
+    lacks = [Lack(lack.reason, _moved(lack.without, offset)) for lack in witness.lacks]
     return replace(
         witness,
         gsd_m_per_px=witness.gsd_m_per_px * math.exp(-offset),
         right=shifted(witness.right, offset),
-        lacks=tuple(Lack(lack.reason, _moved(lack.without, offset)) for lack in witness.lacks),
+        lacks=tuple(lacks),
         said=None,
         marks=(),
     )
