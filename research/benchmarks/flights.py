@@ -26,7 +26,12 @@ from vehanchor.options import ScaleOptions
 from vehanchor_flight.components import single_component
 from vehanchor_flight.estimate import conclude, search_flight
 from vehanchor_flight.inputs import InputPhotograph
-from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, per_photograph_witnesses
+from vehanchor_flight.photograph import (
+    Photograph,
+    StoredPhotograph,
+    chief_member,
+    per_photograph_witnesses,
+)
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
 
