@@ -26,7 +26,12 @@ from vehanchor.options import ScaleOptions
 from vehanchor_flight.components import single_component
 from vehanchor_flight.estimate import conclude, search_flight
 from vehanchor_flight.inputs import InputPhotograph
-from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, of_photographs
+from vehanchor_flight.photograph import (
+    Photograph,
+    StoredPhotograph,
+    chief_member,
+    per_photograph_witnesses,
+)
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
 
@@ -266,7 +271,7 @@ def without_vehicles(photograph: Photograph) -> Photograph:
         photograph.view.image,
         bare,
         detail_share=1.0,
-        others=of_photographs(photograph.analysis.witnesses),
+        others=per_photograph_witnesses(photograph.analysis.witnesses),
     )
     return Photograph.of(
         photograph.name, again, photograph.view.card, photograph.view.options, photograph.features

@@ -41,33 +41,34 @@ if TYPE_CHECKING:
     from vehanchor_flight.features import Features
     from vehanchor_flight.records import FlightEstimate
 
-_REDUCED_PX = 32
-_READ_PX = 512  # long side that is read, at least
-_MOST_DIFFERENT = 3.0  # grey levels on average, a choice: JPEG and resampling change about 1
-_SAME_SHAPE = 0.01  # relative, of copies
+_REDUCED_SIDE_PX = 32  # Side of the copy by which two sizes of a photograph are recognised.
+_MIN_READ_PX = 512  # The longer side is read with at least this many pixels.
+# Mean difference of two copies, in grey levels, is at most this: our choice. JPEG and resampling
+# cause about 1.
+_MAX_COPY_DIFFERENCE = 3.0
+_ASPECT_TOLERANCE = 0.01  # Relative difference between the aspect ratios of two copies.
 
 
 def conclude(
     results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool
 ) -> FlightEstimate:
     """Make the record of searched photographs; without ``same_scale`` they need features."""
-    places = [place for place, result in enumerate(results) if isinstance(result, Photograph)]
+    indices = [index for index, result in enumerate(results) if isinstance(result, Photograph)]
     members = [result for result in results if isinstance(result, Photograph)]
     if same_scale:
-        return conclude_flight(
-            results, [single_component(places, chief_member(members))], card, same_scale=True
-        )
-    linked, links = link_photographs(
-        members, [each.features for each in members if each.features is not None]
-    )
+        component = single_component(indices, chief_member(members))
+        return conclude_flight(results, [component], card, same_scale=True)
+    features = [member.features for member in members if member.features is not None]
+    linked, links = link_photographs(members, features)
+    # Linking counts the usable photographs only; the record counts all.
     components = [
-        replace(component, members=np.asarray(places)[component.members]) for component in linked
+        replace(component, members=np.asarray(indices)[component.members]) for component in linked
     ]
     return conclude_flight(results, components, card, same_scale=False, links=links)
 
 
 def search_flight(
-    taken: Iterable[InputPhotograph],
+    inputs: Iterable[InputPhotograph],
     detector: Detector,
     options: ScaleOptions,
     *,
@@ -78,8 +79,8 @@ def search_flight(
     """Search the photographs one by one.
 
     Args:
-        taken: the photographs, one held at a time.
-        detector: finds the vehicles. The progress of its runtime gets (photographs done,
+        inputs: the photographs, one held at a time.
+        detector: finds the vehicles. The progress of its runtime receives (photographs done,
             photographs in all); both numbers are the same for a video, whose length is unknown.
         options: all options of the method.
         featured: whether to find the features that link overlapping photographs.
@@ -87,67 +88,77 @@ def search_flight(
         lines: lines of known length by photograph.
 
     Returns:
-        Each photograph with its own analysis, or its error; of several sizes of one, the largest.
+        Each photograph with its own analysis, or its error. Of several sizes of one photograph,
+        only the largest counts.
 
     Raises:
         ImageError: no photograph is given, or none can be used.
     """
-    tell = detector.runtime.tell
-    silent = detector.under(replace(detector.runtime, progress=None))
-    found: list[Photograph | Failure] = []
-    total = len(taken) if isinstance(taken, Sized) else 0
-    for done, each in enumerate(taken):
-        name, image, _ = each
-        tell(done, max(total, done))
-        key = journal_key(each)
-        known = journal.get(key) if journal is not None and key is not None else None
+    report_progress = detector.runtime.tell
+    silent_detector = detector.under(replace(detector.runtime, progress=None))
+    results: list[Photograph | Failure] = []
+    n_photographs = len(inputs) if isinstance(inputs, Sized) else 0
+    for n_done, photograph in enumerate(inputs):
+        report_progress(n_done, max(n_photographs, n_done))
+        own_options = options
+        key = journal_key(photograph)
+        stored = None
+        if journal is not None and key is not None:
+            stored = journal.get(key)
         try:
-            own = (
-                with_lines_of(options, lines, image)
-                if lines and isinstance(image, str | os.PathLike)
-                else options
+            if lines and isinstance(photograph.image, str | os.PathLike):
+                own_options = with_lines_of(options, lines, photograph.image)
+            result, features = _search(
+                photograph, silent_detector, options=own_options, stored=stored, featured=featured
             )
-            result, features = _search(each, silent, own, known, featured=featured)
         except VehAnchorError as error:
-            found.append(Failure(name, error))
+            results.append(Failure(photograph.name, error))
             continue
-        if known is None and journal is not None and key is not None and key == journal_key(each):
+        if (
+            journal is not None
+            and stored is None
+            and key is not None
+            # A file that was replaced during its search has another key now.
+            and key == journal_key(photograph)
+        ):
             journal.add(key, result)
-        found.append(Photograph.of(name, result, detector.card, own, features))
-    tell(len(found), len(found))
-    if not found:
+        results.append(Photograph.of(photograph.name, result, detector.card, own_options, features))
+    report_progress(len(results), len(results))
+    if not results:
         raise ImageError("no photograph given: name at least one")
-    failures = [each for each in found if isinstance(each, Failure)]
-    if len(failures) == len(found):
+    failures = [result for result in results if isinstance(result, Failure)]
+    if len(failures) == len(results):
         raise failures[0].error
-    return without_copies(found)
+    return without_copies(results)
 
 
 def _search(
-    taken: InputPhotograph,
+    photograph: InputPhotograph,
     detector: Detector,
     options: ScaleOptions,
-    known: StoredPhotograph | None,
+    stored: StoredPhotograph | None,
     *,
     featured: bool,
 ) -> tuple[StoredPhotograph, Features | None]:
-    """Search one photograph and find its features; a known photograph needs its features only."""
-    if known is not None and not featured:
-        return known, None
-    # a video's frames are RGB
-    reading = options.reading if taken.film is None else replace(options.reading, bgr=False)
-    with open_raster(taken.image, reading) as raster:
+    """Search one photograph and find its features; a stored one needs its features only."""
+    if stored is not None and not featured:
+        return stored, None
+    reading = options.reading
+    if photograph.film is not None:
+        # The option ``bgr`` describes the caller's arrays; frames of a video are RGB.
+        reading = replace(reading, bgr=False)
+    with open_raster(photograph.image, reading) as raster:
         features = find_features(raster) if featured else None
-        if known is not None:
-            return known, features
+        if stored is not None:
+            return stored, features
         view = search_raster(raster, detector, options)
-        kept = StoredPhotograph.of(view, analyse_view(view))
-        return replace(kept, reduced=reduced_picture(raster)), features
+        result = StoredPhotograph.of(view, analyse_view(view))
+        return replace(result, reduced=reduced_picture(raster)), features
 
 
 def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
     """Reduce an image to ``[32, 32]`` grey levels."""
-    factor = max(1, max(raster.width_px, raster.height_px) // _READ_PX)
+    factor = max(1, max(raster.width_px, raster.height_px) // _MIN_READ_PX)
     whole = Window(
         0,
         0,
@@ -155,40 +166,48 @@ def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
         height_px=max(1, raster.height_px // factor),
     )
     grey = cv2.cvtColor(read_preview(raster, whole, factor), cv2.COLOR_RGB2GRAY)
-    return np.asarray(
-        cv2.resize(grey, (_REDUCED_PX, _REDUCED_PX), interpolation=cv2.INTER_AREA), np.uint8
-    )
+    side = (_REDUCED_SIDE_PX, _REDUCED_SIDE_PX)
+    return np.asarray(cv2.resize(grey, side, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def without_copies(found: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
-    """Keep the largest of several sizes of a photograph; the others become failures that name it."""
-    kept = list(found)
-    photographs = [
-        (place, each) for place, each in enumerate(found) if isinstance(each, Photograph)
-    ]
-    largest: list[Photograph] = []
-    for place, each in sorted(photographs, key=lambda one: -one[1].view.image.width_px):
-        original = next((other for other in largest if _is_copy(each, other)), None)
+def without_copies(results: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
+    """Keep the largest of several sizes of a photograph; the others become failures."""
+    remaining = list(results)
+    originals: list[Photograph] = []
+    for index, photograph in _widest_first(results):
+        original = next((other for other in originals if _is_copy(photograph, other)), None)
         if original is None:
-            largest.append(each)
+            originals.append(photograph)
         else:
             error = ImageError(f"it is a smaller copy of {original.name!r}, which counts once")
-            kept[place] = Failure(each.name, error)
-    return kept
+            remaining[index] = Failure(photograph.name, error)
+    return remaining
+
+
+def _widest_first(results: Sequence[Photograph | Failure]) -> list[tuple[int, Photograph]]:
+    """List the photographs with their indices; those of equal width keep their order."""
+    photographs = [
+        (index, result) for index, result in enumerate(results) if isinstance(result, Photograph)
+    ]
+    return sorted(photographs, key=lambda indexed: -indexed[1].view.image.width_px)
 
 
 def _is_copy(small: Photograph, large: Photograph) -> bool:
-    one = small.view.image
-    other = large.view.image
-    shape = one.width_px * other.height_px / (one.height_px * other.width_px)
-    if (
-        one.width_px == other.width_px
-        or abs(shape - 1) > _SAME_SHAPE
-        or small.reduced is None
-        or large.reduced is None
-    ):
+    """Check whether two photographs of different size have one shape and show the same."""
+    if small.reduced is None or large.reduced is None:
         return False
-    return float(np.abs(small.reduced.astype(float) - large.reduced).mean()) <= _MOST_DIFFERENT
+    small_image = small.view.image
+    large_image = large.view.image
+    if small_image.width_px == large_image.width_px:
+        return False
+    # Quotient of the aspect ratios.
+    aspect = (small_image.width_px * large_image.height_px) / (
+        small_image.height_px * large_image.width_px
+    )
+    if abs(aspect - 1) > _ASPECT_TOLERANCE:
+        return False
+    difference = np.abs(small.reduced.astype(float) - large.reduced).mean()
+    return bool(difference <= _MAX_COPY_DIFFERENCE)
 
 
 def check_options(options: ScaleOptions) -> None:
@@ -206,14 +225,20 @@ def check_options(options: ScaleOptions) -> None:
     options.by_hand.check_single()
 
 
-def journal_key(taken: InputPhotograph) -> Key | None:
-    """Make the journal key of a photograph from its name and the state of its file; None without a file."""
-    file = taken.image if taken.film is None else taken.film
-    return (taken.name, *Source.of(file)) if isinstance(file, str | os.PathLike) else None
+def journal_key(photograph: InputPhotograph) -> Key | None:
+    """Make the journal key of a photograph from its name and the state of its file.
+
+    Returns:
+        The key; None for a photograph without a file.
+    """
+    file = photograph.image if photograph.film is None else photograph.film
+    if not isinstance(file, str | os.PathLike):
+        return None
+    return (photograph.name, *Source.of(file))
 
 
 @contextmanager
-def resumed(
+def resumable_journal(
     path: str | os.PathLike[str] | None,
     detector: Detector,
     options: ScaleOptions,
@@ -234,29 +259,35 @@ def resumed(
         The journal, which stays if the block raises; None without one.
 
     Raises:
-        InvalidParameterError: the journal has results of other options, or the file is no journal.
+        InvalidParameterError: the journal has results of other options, or the file is not a
+            journal.
         OutputError: it cannot be read or written.
     """
     if path is None:
         yield None
         return
-    choices = asdict(options)
-    del choices["frame"]
-    if lines:
-        choices["lines_of"] = {name: [asdict(line) for line in own] for name, own in lines.items()}
-    if model_sha256:
-        choices["reconstruction"] = model_sha256
-    networks = networks_sha256(detector.card)
     settings = {
         "vehanchor": version("vehanchor"),
-        "networks_sha256": networks,
+        "networks_sha256": networks_sha256(detector.card),
         "flight": 1,
-        **choices,
+        **asdict(options),
     }
-    remedy = "move the file away, or name another"
+    del settings["frame"]
+    if lines:
+        settings["lines_of"] = {
+            photograph: [asdict(line) for line in own_lines]
+            for photograph, own_lines in lines.items()
+        }
+    if model_sha256:
+        settings["reconstruction"] = model_sha256
     codec = photograph_codec()
     with Journal(
-        Path(path), settings, dump=codec.dump, load=codec.load, sole=True, remedy=remedy
+        Path(path),
+        settings,
+        dump=codec.dump,
+        load=codec.load,
+        sole=True,
+        remedy="move the file away, or name another",
     ) as journal:
         yield journal
         journal.remove()

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-_LONG_SIDE_PX = 1100  # of the reduced copy: a quarter of the side for 12 Mpx
-_MOST_FEATURES = 1200
-_ROWS_A_READ = 256  # of the reduced copy
-_CONTRAST = 0.02  # half of SIFT's default: fields and water have little contrast
+_LONG_SIDE_PX = 1100  # Of the reduced copy: a quarter of the side of 12 Mpx.
+_MAX_FEATURES = 1200
+_STRIP_ROWS = 256  # Rows of the reduced copy that are read at a time.
+_CONTRAST = 0.02  # Half of SIFT's default: fields and water have little contrast.
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,20 +52,35 @@ def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features
         At most 1,200.
     """
     factor = max(1, math.ceil(max(raster.width_px, raster.height_px) / long_side_px))
+    grey = _reduced_grey(raster, factor)
+    cv: Any = cv2  # The stubs of OpenCV lack SIFT.
+    sift = cv.SIFT_create(nfeatures=_MAX_FEATURES, contrastThreshold=_CONTRAST)
+    keypoints, sift_descriptors = sift.detectAndCompute(grey, None)
+    if not keypoints:
+        no_points = np.zeros((0, 2))
+        no_descriptors = np.zeros((0, 128), np.uint8)
+        return Features(no_points, no_descriptors, float(factor))
+    # SIFT can return more than it is asked for: several orientations of one point.
+    strengths = np.array([keypoint.response for keypoint in keypoints])
+    order = np.argsort(-strengths, kind="stable")[:_MAX_FEATURES]
+    reduced_points = np.array([keypoints[index].pt for index in order], dtype=np.float64)
+    # OpenCV counts from the centre of the first pixel, the photograph from its corner.
+    points = (reduced_points + 0.5) * factor
+    # RootSIFT (Arandjelovic and Zisserman, 2012) matches better than SIFT.
+    histograms = np.asarray(sift_descriptors, dtype=np.float64)[order]
+    shares = histograms / np.maximum(histograms.sum(axis=1, keepdims=True), 1e-9)
+    descriptors = np.rint(255 * np.sqrt(shares)).astype(np.uint8)
+    return Features(points, descriptors, float(factor))
+
+
+def _reduced_grey(raster: Raster, factor: int) -> NDArray[np.uint8]:
+    """Read a reduced copy of an image in grey levels, strip by strip."""
     width = raster.width_px // factor
     height = raster.height_px // factor
     grey = np.empty((height, width), np.uint8)
-    for top in range(0, height, _ROWS_A_READ):
-        rows = min(_ROWS_A_READ, height - top)
-        strip = read_reduced_window(raster, Window(0, top, width_px=width, height_px=rows), factor)
+    for top in range(0, height, _STRIP_ROWS):
+        rows = min(_STRIP_ROWS, height - top)
+        window = Window(0, top, width_px=width, height_px=rows)
+        strip = read_reduced_window(raster, window, factor)
         grey[top : top + rows] = cv2.cvtColor(strip, cv2.COLOR_RGB2GRAY)
-    cv: Any = cv2  # its stubs lack SIFT
-    sift = cv.SIFT_create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)
-    found, described = sift.detectAndCompute(grey, None)
-    if not found:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.uint8), float(factor))
-    order = np.argsort([-point.response for point in found], kind="stable")[:_MOST_FEATURES]
-    points = np.array([found[place].pt for place in order], dtype=np.float64)
-    raw = np.asarray(described, dtype=np.float64)[order]
-    roots = np.sqrt(raw / np.maximum(raw.sum(axis=1, keepdims=True), 1e-9))
-    return Features((points + 0.5) * factor, np.rint(255 * roots).astype(np.uint8), float(factor))
+    return grey

@@ -1,15 +1,20 @@
-"""Graph of a flight: log scales of photographs from ratios of overlapping ones and from each one's own evidence.
+"""Graph of a flight: scales from the ratios of overlapping photographs and from their own evidence.
 
-    minimise  sum over links rho((x_i + g_i p_ij - x_j - g_j p_ji - r_ij) / s_ij)  +  sum rho((x_i -
-    u_i) / t_i)
-              +  sum (g_i / t)^2
+The fit minimises the sum of three terms:
 
-x_i is the log scale at the centre of a photograph and g_i its gradient. The gradient is needed
-because a tilt of a few degrees changes the scale from edge to edge, and photographs overlap at
-their edges (at p_ij). rho is the Geman-McClure loss, which ignores outliers. Graduated
-non-convexity goes from the square loss to rho; each step is a sparse least-squares problem, so that
-the result does not depend on a start. The flight's own residuals give the real spread of the
-ratios, with relief and tilt.
+    links:         rho((x_i + g_i p_ij - x_j - g_j p_ji - r_ij) / s_ij)
+    own evidence:  rho((x_i - u_i) / t_i)
+    gradients:     (g_i / t_g)^2
+
+x_i is the log scale at the centre of photograph i, and g_i its gradient. r_ij is the measured log
+ratio of the scales of i and j, and u_i the log scale by the photograph's own evidence; s_ij, t_i
+and t_g are standard deviations. The gradient is needed because a tilt of a few degrees changes the
+scale from edge to edge, and photographs overlap at their edges (at p_ij).
+
+rho is the Geman-McClure loss, which ignores outliers. Graduated non-convexity (Yang et al.,
+"Graduated Non-Convexity for Robust Spatial Perception", 2020) goes from the square loss to rho.
+Each step is a sparse least-squares problem, so that the result does not depend on a start. The
+flight's own residuals give the real spread of the ratios, which includes relief and tilt.
 """
 
 from __future__ import annotations
@@ -27,22 +32,29 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_REACH = 3.0  # standard deviations, scale of the robust loss
-# a link that is off by more than both is dropped
+_REACH = 3.0  # Scale of the robust loss, in standard deviations.
+# A link is dropped if it is off by more than both.
 _DROP_SDS = 4.0
 _DROP_LOG = 0.12
-_ANNEAL = 1.4
-_STEPS = 40
-_MOST_INFLATION = 8.0
-_GRADIENT_SD = 0.05  # log of scale from the centre to the edge: a tilt of two to five degrees
-_LOOSE_SD = 3.0  # of a photograph without evidence: keeps the problem regular
-_MAD_PER_SD = 0.6745
-_LEAST_TILT_PHOTOGRAPHS = 4
-_LEAST_TILT_SHARE = 0.5
-# half of the longer side over the focal length, times the tangent of 10 to 52 degrees
-_TILT_GRADIENTS = 0.12, 0.9
-# of a point to the camera's foot, over the centre's: keeps away from the horizon
-_LEAST_NEARNESS = 0.15
+_ANNEALING_FACTOR = 1.4
+_MAX_STEPS = 40
+_N_INFLATIONS = 2  # The spread of the ratios is estimated again with the spread found first.
+_MAX_INFLATION = 8.0
+_GRADIENT_SD = 0.05  # Log of scale from the centre to the edge: a tilt of two to five degrees.
+_LOOSE_SD = 3.0  # Of a photograph without evidence: keeps the problem regular.
+_FIT_PRIOR = (
+    1e-3  # Share of the loose prior that the fit uses, so that it does not pull the scales.
+)
+_MAD_PER_SD = 0.6745  # Median absolute value of a normal distribution over its deviation.
+_MIN_TILT_PHOTOGRAPHS = 4
+_MIN_TILT_SHARE = 0.5
+# Half of the longer side over the focal length, times the tangent of 10 to 52 degrees.
+_MIN_TILT_GRADIENT = 0.12
+_MAX_TILT_GRADIENT = 0.9
+_N_TILT_GRADIENTS = 16
+_TILT_DIRECTION_STEP = np.pi / 18
+# Nearness is inverse depth, that of a point over that of the centre; at the horizon it is 0.
+_MIN_NEARNESS = 0.15
 
 
 class Link(NamedTuple):
@@ -93,9 +105,13 @@ class Subgraph:
     covariance: NDArray[np.float64]
 
     def sds_from(self, reference: int) -> NDArray[np.float64]:
-        """Compute ``[m]`` standard deviations of the members' log scales relative to the reference."""
-        own = np.diag(self.covariance)
-        variance = own + own[reference] - 2 * self.covariance[reference]
+        """Compute the errors of the members' log scales relative to that of the reference.
+
+        Returns:
+            ``[m]`` standard deviations.
+        """
+        variances = np.diag(self.covariance)
+        variance = variances + variances[reference] - 2 * self.covariance[reference]
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -126,134 +142,198 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
     Returns:
         Components of links that agree, each with its scales, and the residuals of all links.
     """
-    declared_sds = np.array([link.log_sd for link in links], dtype=np.float64)
+    stated_sds = np.array([link.log_sd for link in links], dtype=np.float64)
     problem = _Problem(n, links, unaries)
-    alone = _at_an_end(n, links)
+    # The residuals show whether the ratios scatter more than their matches state.
+    in_loop = ~_is_dangling(n, links)
     inflation = 1.0
-    for _ in range(2):
-        problem.anneal(declared_sds * inflation)
-        looped = np.abs(problem.residuals[~alone]) / declared_sds[~alone]
-        if len(looped):
-            inflation = float(np.clip(np.median(looped) / _MAD_PER_SD, 1.0, _MOST_INFLATION))
-    sds = declared_sds * inflation
-    used = ~(
-        (np.abs(problem.residuals) > _DROP_SDS * sds) & (np.abs(problem.residuals) > _DROP_LOG)
-    )
+    for _ in range(_N_INFLATIONS):
+        problem.anneal(stated_sds * inflation)
+        scaled = np.abs(problem.residuals[in_loop]) / stated_sds[in_loop]
+        if len(scaled):
+            spread = np.median(scaled) / _MAD_PER_SD
+            inflation = float(np.clip(spread, 1.0, _MAX_INFLATION))
+    sds = stated_sds * inflation
+    # The robust loss ignored the outliers; the final fit is without them.
     residuals = problem.residuals
-    kept = [link for link, chosen in zip(links, used, strict=True) if chosen]
-    if not used.all():
-        problem = _Problem(n, kept, unaries)
+    errors = np.abs(residuals)
+    is_outlier = (errors > _DROP_SDS * sds) & (errors > _DROP_LOG)
+    used = ~is_outlier
+    used_links = [link for link, is_used in zip(links, used, strict=True) if is_used]
+    if is_outlier.any():
+        problem = _Problem(n, used_links, unaries)
         problem.anneal(sds[used])
-        residuals = np.where(used, 0.0, residuals)
         residuals[used] = problem.residuals
-    components = _components(n, kept, sds[used], problem)
+    components = _components(n, used_links, sds=sds[used], problem=problem)
     return Solution(components, residuals, used=used, inflation=inflation)
 
 
 class _Problem:
-    """Robust sparse least-squares problem; unknowns are ``[n]`` log scales, then ``[n, 2]`` gradients."""
+    """Robust sparse least-squares problem.
+
+    Its unknowns are ``[n]`` log scales, then ``[n, 2]`` gradients; its equations are those of the
+    links, then those of the photographs' own evidence.
+    """
 
     def __init__(self, n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> None:
         self._n = n
         self._n_links = len(links)
-        known = [(place, unary) for place, unary in enumerate(unaries) if unary is not None]
-        self._matrix = _equations(n, links, [place for place, _ in known])
-        said = [unary.log_scale for _, unary in known]
-        self._target = np.concatenate([[link.log_ratio for link in links], said])
-        self._own_sds = np.array([unary.log_sd for _, unary in known], dtype=np.float64)
-        middle = float(np.median(said)) if said else 0.0
-        self._prior = np.r_[np.full(n, 1e-3 / _LOOSE_SD**2), np.full(2 * n, 1 / _GRADIENT_SD**2)]
-        self._prior_pull = np.r_[np.full(n, middle * 1e-3 / _LOOSE_SD**2), np.zeros(2 * n)]
-        self._found = np.zeros(3 * n)
+        evident = [index for index, unary in enumerate(unaries) if unary is not None]
+        evidence = [unary for unary in unaries if unary is not None]
+        self._matrix = _equations(n, links, evident)
+        log_ratios = [link.log_ratio for link in links]
+        log_scales = [unary.log_scale for unary in evidence]
+        self._target = np.concatenate([log_ratios, log_scales])
+        self._own_sds = np.array([unary.log_sd for unary in evidence], dtype=np.float64)
+        # A weak prior at the middle of the evidence keeps components without evidence regular.
+        middle = float(np.median(log_scales)) if log_scales else 0.0
+        scale_precision = np.full(n, _FIT_PRIOR / _LOOSE_SD**2)
+        gradient_precision = np.full(2 * n, 1 / _GRADIENT_SD**2)
+        self._prior = np.concatenate([scale_precision, gradient_precision])
+        scale_pull = np.full(n, middle * _FIT_PRIOR / _LOOSE_SD**2)
+        self._prior_pull = np.concatenate([scale_pull, np.zeros(2 * n)])
+        self._unknowns = np.zeros(3 * n)
 
     @property
     def scales(self) -> NDArray[np.float64]:
         """``[n]`` log scales."""
-        return np.asarray(self._found[: self._n])
+        return np.asarray(self._unknowns[: self._n])
 
     @property
     def residuals(self) -> NDArray[np.float64]:
         """``[l]`` measured less fitted log ratio of each link."""
-        return np.asarray((self._target - self._matrix @ self._found)[: self._n_links])
+        return np.asarray((self._target - self._matrix @ self._unknowns)[: self._n_links])
 
     def anneal(self, link_sds: NDArray[np.float64]) -> None:
-        """Solve, in steps from the square loss to the robust loss."""
+        """Solve, in steps from the square loss to the robust loss.
+
+        Args:
+            link_sds: ``[l]`` standard deviations of the links' log ratios.
+        """
         sds = np.concatenate([link_sds, self._own_sds])
         self._solve(np.ones(len(sds)), sds)
         if not len(sds):
             return
-        mu = max(1.0, 2 * float(np.max(self._off(sds) ** 2)) / _REACH**2)
-        for _ in range(_STEPS):
-            self._solve((mu * _REACH**2 / (self._off(sds) ** 2 + mu * _REACH**2)) ** 2, sds)
+        # Graduated non-convexity: the surrogate loss is nearly convex for a large mu, and it is the
+        # Geman-McClure loss for mu = 1. The weights are those of Yang et al. (2020), section IV.
+        largest = float(np.max(self._scaled_residuals(sds) ** 2))
+        mu = max(1.0, 2 * largest / _REACH**2)
+        for _ in range(_MAX_STEPS):
+            squares = self._scaled_residuals(sds) ** 2
+            weights = (mu * _REACH**2 / (squares + mu * _REACH**2)) ** 2
+            self._solve(weights, sds)
             if mu == 1.0:
                 break
-            mu = max(1.0, mu / _ANNEAL)
+            mu = max(1.0, mu / _ANNEALING_FACTOR)
 
     def information(
         self, members: NDArray[np.intp], link_sds: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Compute ``[3 m, 3 m]``, the inverse covariance of the members' unknowns."""
-        sds = np.concatenate([link_sds, self._own_sds])
-        which = np.r_[members, self._n + 2 * members, self._n + 2 * members + 1]
-        own = self._matrix.tocsc()[:, which]
-        whole = (own.T @ diags(1 / sds**2) @ own).toarray()
-        m = len(members)
-        return np.asarray(
-            whole
-            + np.diag(np.r_[np.full(m, 1 / _LOOSE_SD**2), np.full(2 * m, 1 / _GRADIENT_SD**2)])
-        )
+        """Compute the inverse covariance of some photographs' unknowns.
 
-    def _off(self, sds: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.abs(self._matrix @ self._found - self._target) / sds)
+        Args:
+            members: ``[m]`` indices of the photographs.
+            link_sds: ``[l]`` standard deviations of the links' log ratios.
+
+        Returns:
+            ``[3 m, 3 m]``, log scales first, then the gradients in x, then those in y.
+        """
+        sds = np.concatenate([link_sds, self._own_sds])
+        gradients_x = self._n + 2 * members
+        columns = np.concatenate([members, gradients_x, gradients_x + 1])
+        equations = self._matrix.tocsc()[:, columns]
+        measured = (equations.T @ diags(1 / sds**2) @ equations).toarray()
+        m = len(members)
+        scale_precision = np.full(m, 1 / _LOOSE_SD**2)
+        gradient_precision = np.full(2 * m, 1 / _GRADIENT_SD**2)
+        prior = np.diag(np.concatenate([scale_precision, gradient_precision]))
+        return np.asarray(measured + prior)
+
+    def _scaled_residuals(self, sds: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the residuals of all equations, in standard deviations."""
+        return np.asarray(np.abs(self._matrix @ self._unknowns - self._target) / sds)
 
     def _solve(self, weights: NDArray[np.float64], sds: NDArray[np.float64]) -> None:
+        """Solve the normal equations of weighted least squares."""
+        matrix = self._matrix
         precision = weights / sds**2
-        normal = self._matrix.T @ diags(precision) @ self._matrix + diags(self._prior)
-        right = self._matrix.T @ (precision * self._target) + self._prior_pull
-        self._found = np.asarray(splu(normal.tocsc()).solve(right))
+        normal = matrix.T @ diags(precision) @ matrix + diags(self._prior)
+        right = matrix.T @ (precision * self._target) + self._prior_pull
+        self._unknowns = np.asarray(splu(normal.tocsc()).solve(right))
 
 
-def _equations(n: int, links: Sequence[Link], known: Sequence[int]) -> Any:
-    """Make the sparse design matrix ``[links + known, 3 n]`` of links and own evidence."""
-    rows = []
-    columns = []
-    values = []
+def _equations(n: int, links: Sequence[Link], evident: Sequence[int]) -> Any:
+    """Make the sparse design matrix of a problem.
+
+    Args:
+        n: number of photographs.
+        links: between them.
+        evident: indices of the photographs with own evidence.
+
+    Returns:
+        ``[links + evident, 3 n]``, in the form of compressed rows.
+    """
+    rows: list[int] = []
+    columns: list[int] = []
+    values: list[float] = []
+    # The equation of a link: x_i + g_i p_ij - x_j - g_j p_ji = r_ij.
     for row, link in enumerate(links):
-        for sign, place, at in (
-            (1.0, link.first, link.first_at),
-            (-1.0, link.second, link.second_at),
-        ):
-            rows += [row] * 3
-            columns += [place, n + 2 * place, n + 2 * place + 1]
-            values += [sign, sign * at[0], sign * at[1]]
-    rows += [len(links) + each for each in range(len(known))]
-    columns += known
-    values += [1.0] * len(known)
-    return coo_matrix((values, (rows, columns)), shape=(len(links) + len(known), 3 * n)).tocsr()
+        ends = ((1.0, link.first, link.first_at), (-1.0, link.second, link.second_at))
+        for sign, index, (x, y) in ends:
+            gradient = n + 2 * index
+            rows += [row, row, row]
+            columns += [index, gradient, gradient + 1]
+            values += [sign, sign * x, sign * y]
+    # The equation of own evidence: x_i = u_i.
+    for row, index in enumerate(evident, start=len(links)):
+        rows.append(row)
+        columns.append(index)
+        values.append(1.0)
+    shape = (len(links) + len(evident), 3 * n)
+    return coo_matrix((values, (rows, columns)), shape=shape).tocsr()
 
 
-def _at_an_end(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
-    """Find ``[l]`` links to a photograph without another link: they always fit, so they tell nothing of errors."""
-    ends = np.array([(link.first, link.second) for link in links], dtype=np.intp).reshape(-1, 2)
-    degree = np.bincount(ends.ravel(), minlength=n)
-    return np.asarray((degree[ends[:, 0]] == 1) | (degree[ends[:, 1]] == 1))
+def _is_dangling(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
+    """Find ``[l]`` links to a photograph without another link.
+
+    Such a link always fits, so that its residual does not show its error.
+    """
+    ends = _ends(links)
+    n_links = np.bincount(ends.ravel(), minlength=n)
+    has_one_link = n_links[ends] == 1
+    return np.asarray(has_one_link.any(axis=1))
+
+
+def _ends(links: Sequence[Link]) -> NDArray[np.intp]:
+    """Return the ``[l, 2]`` indices of both photographs of each link."""
+    ends = [(link.first, link.second) for link in links]
+    return np.array(ends, dtype=np.intp).reshape(-1, 2)
 
 
 def _components(
     n: int, links: Sequence[Link], sds: NDArray[np.float64], problem: _Problem
 ) -> tuple[Subgraph, ...]:
-    ends = np.array([(link.first, link.second) for link in links], dtype=np.intp).reshape(-1, 2)
-    ties = csr_matrix((sds, (ends[:, 0], ends[:, 1])), shape=(n, n))
-    count, labels = connected_components(ties, directed=False)
-    found = []
+    """Divide the photographs into linked ones, each with scales and their covariance.
+
+    Args:
+        n: number of photographs.
+        links: those in use.
+        sds: ``[l]`` standard deviations of their log ratios.
+        problem: solved for these links.
+    """
+    ends = _ends(links)
+    adjacency = csr_matrix((sds, (ends[:, 0], ends[:, 1])), shape=(n, n))
+    count, labels = connected_components(adjacency, directed=False)
+    subgraphs = []
     for label in range(count):
         members = np.flatnonzero(labels == label)
         m = len(members)
-        covariance = np.asarray(
-            np.linalg.inv(problem.information(members, sds))[:m, :m], dtype=np.float64
-        )
-        found.append(Subgraph(members, problem.scales[members], covariance))
-    return tuple(sorted(found, key=lambda each: (-len(each.members), int(each.members[0]))))
+        # The inverse of the whole information integrates over the gradients.
+        whole = np.linalg.inv(problem.information(members, sds))
+        covariance = np.asarray(whole[:m, :m], dtype=np.float64)
+        subgraphs.append(Subgraph(members, problem.scales[members], covariance))
+    subgraphs.sort(key=lambda subgraph: (-len(subgraph.members), int(subgraph.members[0])))
+    return tuple(subgraphs)
 
 
 def tilt_share(links: Sequence[Link]) -> float:
@@ -270,20 +350,38 @@ def tilt_share(links: Sequence[Link]) -> float:
         0..1; 0 for fewer than four photographs, and if no tilt above ten degrees explains at least
         half.
     """
-    n = len({end for link in links for end in (link.first, link.second)})
-    if n < _LEAST_TILT_PHOTOGRAPHS:
+    n = len({index for link in links for index in (link.first, link.second)})
+    if n < _MIN_TILT_PHOTOGRAPHS:
         return 0.0
-    ratios = np.array([link.log_ratio for link in links])
-    ends = [
-        np.array([link.first_at for link in links]),
-        np.array([link.second_at for link in links]),
-    ]
-    sizes, turns = np.meshgrid(
-        np.geomspace(*_TILT_GRADIENTS, 16), np.arange(0.0, 2 * np.pi, np.pi / 18)
+    # Search a grid of q, by size and direction, for the tilt that fits the ratios best.
+    gradients, directions = np.meshgrid(
+        np.geomspace(_MIN_TILT_GRADIENT, _MAX_TILT_GRADIENT, _N_TILT_GRADIENTS),
+        np.arange(0.0, 2 * np.pi, _TILT_DIRECTION_STEP),
     )
-    tilts = np.column_stack([(sizes * np.cos(turns)).ravel(), (sizes * np.sin(turns)).ravel()])
-    first, second = (-1.5 * np.log(np.maximum(1 - tilts @ at.T, _LEAST_NEARNESS)) for at in ends)
-    left = ((ratios - first + second) ** 2).sum(axis=1).min()
-    # less what two parameters fit by chance
-    share = 1 - float(left / max(np.sum(ratios**2), 1e-9)) * (n - 1) / (n - 3)
-    return share if share >= _LEAST_TILT_SHARE else 0.0
+    across = gradients * np.cos(directions)
+    down = gradients * np.sin(directions)
+    tilts = np.column_stack([across.ravel(), down.ravel()])
+    first = _log_scales_by_tilt(tilts, np.array([link.first_at for link in links]))
+    second = _log_scales_by_tilt(tilts, np.array([link.second_at for link in links]))
+    ratios = np.array([link.log_ratio for link in links])
+    unexplained = ((ratios - first + second) ** 2).sum(axis=1).min()
+    # Adjusted for degrees of freedom: two parameters explain a part of any ratios by chance.
+    unexplained_share = float(unexplained / max(np.sum(ratios**2), 1e-9))
+    share = 1 - unexplained_share * (n - 1) / (n - 3)
+    return share if share >= _MIN_TILT_SHARE else 0.0
+
+
+def _log_scales_by_tilt(
+    tilts: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute log scales at points, over that of the centre, for many tilts.
+
+    Args:
+        tilts: ``[t, 2]`` q, see ``tilt_share``.
+        points: ``[l, 2]`` from the centre.
+
+    Returns:
+        ``[t, l]`` natural logs.
+    """
+    nearness = np.maximum(1 - tilts @ points.T, _MIN_NEARNESS)
+    return np.asarray(-1.5 * np.log(nearness))

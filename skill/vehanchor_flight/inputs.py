@@ -29,25 +29,30 @@ class InputPhotograph(NamedTuple):
 
 
 def check_many(images: Any) -> None:
-    """Check that several photographs are given, and not one whose characters, bytes or rows would be taken for many.
+    """Check that the images are a collection of photographs.
+
+    Iterating over a single photograph would take its characters, bytes or rows for many.
 
     Raises:
         InvalidParameterError: the images are a path, bytes, an array, or no collection.
     """
-    one = isinstance(images, str | bytes | os.PathLike | InputPhotograph) or hasattr(
-        images, "__array__"
+    is_single = isinstance(images, str | bytes | os.PathLike | InputPhotograph)
+    if hasattr(images, "__array__"):
+        is_single = True
+    if isinstance(images, Iterable) and not is_single:
+        return
+    shown = f"a {type(images).__name__}"
+    if isinstance(images, str | os.PathLike):
+        shown = repr(images)
+    raise InvalidParameterError(
+        f"images is {shown}: give a list of photographs; vehanchor.find_images makes one of "
+        "a folder or a pattern"
     )
-    if one or not isinstance(images, Iterable):
-        shown = (
-            repr(images) if isinstance(images, str | os.PathLike) else f"a {type(images).__name__}"
-        )
-        raise InvalidParameterError(
-            f"images is {shown}: give a list of photographs; vehanchor.find_images makes one of "
-            "a folder or a pattern"
-        )
 
 
-def named(images: Iterable[ImageSource | InputPhotograph]) -> Iterator[InputPhotograph]:
+def name_photographs(
+    images: Iterable[ImageSource | InputPhotograph],
+) -> Iterator[InputPhotograph]:
     """Name photographs: paths by themselves, others by their number from 1.
 
     Args:
@@ -59,19 +64,19 @@ def named(images: Iterable[ImageSource | InputPhotograph]) -> Iterator[InputPhot
     Raises:
         InvalidParameterError: two have the same name.
     """
-    seen: set[str] = set()
+    names: set[str] = set()
     for number, image in enumerate(images, start=1):
         if isinstance(image, InputPhotograph):
-            taken = image
+            photograph = image
         elif isinstance(image, str | os.PathLike):
-            taken = InputPhotograph(
-                os.fspath(image).encode("utf-8", "backslashreplace").decode(), image
-            )
+            # A file name may hold bytes that are not UTF-8, and records are UTF-8.
+            name = os.fspath(image).encode("utf-8", "backslashreplace").decode()
+            photograph = InputPhotograph(name, image)
         else:
-            taken = InputPhotograph(f"#{number}", image)
-        if taken.name in seen:
+            photograph = InputPhotograph(f"#{number}", image)
+        if photograph.name in names:
             raise InvalidParameterError(
-                f"the photograph {taken.name!r} is given twice: give each once"
+                f"the photograph {photograph.name!r} is given twice: give each once"
             )
-        seen.add(taken.name)
-        yield taken
+        names.add(photograph.name)
+        yield photograph

@@ -1,4 +1,8 @@
-"""Layout of a component: places of its cameras in the pixels of one photograph."""
+"""Layout of a component: places of its cameras in the pixels of one photograph.
+
+Points are complex numbers: x to the right is the real part, y down is the imaginary part. A
+similarity transform is then ``factor * point + shift``, and the argument of the factor is a turn.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +19,12 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.matching import Overlap
 
-_STEPS = 8  # of the reweighted least squares
-_HEADING_REACH = 0.15  # of a unit vector: turns beyond lose weight
-# of a photograph's diagonal: shifts beyond lose weight; walls and roofs cause smaller ones
-_PLACE_REACH = 0.1
+_STEPS = 8  # Of the reweighted least squares.
+_HEADING_REACH = 0.15  # Turns that are farther off lose weight; in lengths of a unit vector.
+# Shifts that are farther off lose weight; in diagonals of a photograph. Walls and roofs cause
+# smaller errors.
+_SHIFT_REACH = 0.1
+_REFERENCE_WEIGHT = 1e6  # Of the equation that fixes the reference, over all others together.
 
 
 class Layout(NamedTuple):
@@ -42,7 +48,9 @@ def lay_out(
     reference: int,
     overlaps: Sequence[Overlap],
 ) -> Layout:
-    """Lay out the photographs of a component by their overlaps; single wrong overlaps have little weight.
+    """Lay out the photographs of a component by their overlaps.
+
+    Single wrong overlaps have little weight.
 
     Args:
         feet: ``[m, 2]`` x, y below each camera in the photograph's own pixels; at nadir its centre.
@@ -54,75 +62,95 @@ def lay_out(
     Returns:
         The layout.
     """
-    m = len(feet)
     if not overlaps:
-        return Layout(np.zeros(m, np.complex128), np.zeros(0))
-    first, second = np.array([(each.first, each.second) for each in overlaps]).T
-    weight = np.array([each.match.n for each in overlaps], dtype=np.float64)
-    turns = np.array([each.match.turn[0] + 1j * each.match.turn[1] for each in overlaps])
-    factor = turns[:, 0]
-    shift = turns[:, 2]
-    # a_first = a_second * turn, rotations only: the graph of scales gives better lengths
-    unit = factor / np.abs(factor)
-    own = feet[:, 0] + 1j * feet[:, 1]
-    across = diagonals * np.exp(offsets)
-    reach = (across[first] + across[second]) / 2
-    ones = np.ones(len(overlaps))
-    trust = weight
-    for _ in range(_STEPS):
-        headings = _tied(
-            m,
-            first,
-            second=second,
-            of_second=unit,
-            target=0 * ones,
-            weight=trust,
-            reference=reference,
-            fixed=1.0,
-        )
-        headings /= np.maximum(np.abs(headings), 1e-9)
-        apart = (
-            headings[second] * np.exp(offsets[second]) * (factor * own[first] + shift - own[second])
-        )
-        laid = _tied(
-            m,
-            first,
-            second=second,
-            of_second=ones,
-            target=apart,
-            weight=trust,
-            reference=reference,
-            fixed=0.0,
-        )
-        turned = np.abs(headings[first] - unit * headings[second])
-        off = np.abs(laid[first] - laid[second] - apart) / reach
-        trust = (
-            weight / ((1 + (turned / _HEADING_REACH) ** 2) * (1 + (off / _PLACE_REACH) ** 2)) ** 2
-        )
-    return Layout(laid, off)
-
-
-def _tied(
-    m: int,
-    first: NDArray[np.intp],
-    second: NDArray[np.intp],
-    of_second: NDArray[np.complex128] | NDArray[np.float64],
-    target: NDArray[np.complex128] | NDArray[np.float64],
-    weight: NDArray[np.float64],
-    reference: int,
-    fixed: float,
-) -> NDArray[np.complex128]:
-    """Solve ``v[first] - of_second * v[second] = target`` by least squares; the reference is fixed."""
-    rows = np.arange(len(first))
-    held = 1e6 * float(weight.sum())
-    values = np.concatenate(
-        [np.ones(len(first), np.complex128), -of_second.astype(np.complex128), [1.0]]
+        return Layout(np.zeros(len(feet), np.complex128), np.zeros(0))
+    pairs = _Pairs(
+        n=len(feet),
+        first=np.array([overlap.first for overlap in overlaps]),
+        second=np.array([overlap.second for overlap in overlaps]),
+        reference=reference,
     )
-    matrix = coo_matrix(
-        (values, (np.r_[rows, rows, len(first)], np.r_[first, second, reference])),
-        shape=(len(first) + 1, m),
-    ).tocsr()
-    weights = diags(np.r_[weight, held])
-    adjoint = matrix.conj().T
-    right = adjoint @ (weights @ np.r_[target.astype(np.complex128), fixed])
-    return np.asarray(splu((adjoint @ weights @ matrix).tocsc()).solve(right))
+    n_matches = np.array([overlap.match.n for overlap in overlaps], dtype=np.float64)
+    # Each overlap maps pixels of its first photograph to those of its second.
+    transforms = np.array(
+        [overlap.match.turn[0] + 1j * overlap.match.turn[1] for overlap in overlaps]
+    )
+    factors = transforms[:, 0]
+    shifts = transforms[:, 2]
+    # Rotations only: the graph of scales gives better lengths than single overlaps.
+    turns = factors / np.abs(factors)
+    own_feet = feet[:, 0] + 1j * feet[:, 1]
+    # The first camera's foot, seen from that of the second, in pixels of the second.
+    steps = factors * own_feet[pairs.first] + shifts - own_feet[pairs.second]
+    diagonals_in_layout = diagonals * np.exp(offsets)
+    pair_diagonals = (diagonals_in_layout[pairs.first] + diagonals_in_layout[pairs.second]) / 2
+    zeros = np.zeros(len(overlaps))
+    ones = np.ones(len(overlaps))
+    weights = n_matches
+    # Iteratively reweighted least squares: first the headings, then, with these, the positions.
+    for _ in range(_STEPS):
+        # heading_first = turn * heading_second; the reference has the heading 1.
+        headings = pairs.solve(turns, zeros, weights=weights, reference_value=1.0)
+        headings /= np.maximum(np.abs(headings), 1e-9)
+        # position_first - position_second = step, turned and scaled to the reference's pixels.
+        steps_in_layout = headings[pairs.second] * np.exp(offsets[pairs.second]) * steps
+        positions = pairs.solve(ones, steps_in_layout, weights=weights, reference_value=0.0)
+        heading_errors = np.abs(headings[pairs.first] - turns * headings[pairs.second])
+        shift_errors = np.abs(positions[pairs.first] - positions[pairs.second] - steps_in_layout)
+        off = shift_errors / pair_diagonals
+        # Weights of the Geman-McClure loss, one factor for turns and one for shifts.
+        heading_penalty = 1 + (heading_errors / _HEADING_REACH) ** 2
+        shift_penalty = 1 + (off / _SHIFT_REACH) ** 2
+        weights = n_matches / (heading_penalty * shift_penalty) ** 2
+    return Layout(positions, off)
+
+
+class _Pairs(NamedTuple):
+    """Pairs of photographs whose values are tied by linear equations.
+
+    Attributes:
+        n: number of photographs.
+        first: ``[s]`` index of one photograph of each pair.
+        second: ``[s]`` index of the other.
+        reference: index of the photograph of known value.
+    """
+
+    n: int
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    reference: int
+
+    def solve(
+        self,
+        factors: NDArray[np.complex128] | NDArray[np.float64],
+        targets: NDArray[np.complex128] | NDArray[np.float64],
+        weights: NDArray[np.float64],
+        reference_value: float,
+    ) -> NDArray[np.complex128]:
+        """Solve ``v[first] - factor * v[second] = target`` by weighted least squares.
+
+        Args:
+            factors: ``[s]``.
+            targets: ``[s]``.
+            weights: ``[s]``.
+            reference_value: value of the reference.
+
+        Returns:
+            ``[n]`` values of the photographs.
+        """
+        n_pairs = len(self.first)
+        pair_rows = np.arange(n_pairs)
+        # One row for each pair, with two values, and a last row that fixes the reference.
+        rows = np.concatenate([pair_rows, pair_rows, [n_pairs]])
+        columns = np.concatenate([self.first, self.second, [self.reference]])
+        minus_factors = -factors.astype(np.complex128)
+        values = np.concatenate([np.ones(n_pairs, np.complex128), minus_factors, [1.0]])
+        shape = (n_pairs + 1, self.n)
+        matrix = coo_matrix((values, (rows, columns)), shape=shape).tocsr()
+        reference_weight = _REFERENCE_WEIGHT * float(weights.sum())
+        diagonal = diags(np.append(weights, reference_weight))
+        right = np.append(targets.astype(np.complex128), reference_value)
+        # Normal equations of complex least squares.
+        adjoint = matrix.conj().T
+        normal = (adjoint @ diagonal @ matrix).tocsc()
+        return np.asarray(splu(normal).solve(adjoint @ (diagonal @ right)))

@@ -1,10 +1,14 @@
-"""Linking of photographs: overlaps, ratios of scales, and the components that they form."""
+"""Linking of photographs: overlaps, ratios of scales, and the components that they form.
+
+Candidate pairs are matched; each match gives a ratio of two scales. The graph of these ratios gives
+the scales (``graph``), and the layout checks where the overlaps place the cameras (``layout``).
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,19 +24,21 @@ from vehanchor_flight.photograph import chief_member
 from vehanchor_flight.records import FlightLink
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from vehanchor_flight.components import Component
+    from vehanchor.scale.posterior import Witness
     from vehanchor_flight.features import Features
     from vehanchor_flight.graph import Subgraph
+    from vehanchor_flight.layout import Layout
     from vehanchor_flight.photograph import Photograph
 
-# of a photograph's diagonal: an overlap whose shift is further off is dropped
-_MOST_MISPLACED = 0.3
-_MOST_SOLUTIONS = 4
-_LEAST_UNARY_SD = 0.06  # of a photograph's own evidence, without errors common to the flight
+# An overlap is dropped if its shift is farther off than this, in diagonals of a photograph.
+_MAX_MISPLACED = 0.3
+_MAX_SOLUTIONS = 4  # Each further solution leaves out the overlaps that the last one misplaced.
+# A photograph's own evidence is never more exact, without errors common to the flight.
+_MIN_UNARY_SD = 0.06
 
 
 def link_photographs(
@@ -48,180 +54,284 @@ def link_photographs(
     Returns:
         Components with indices of photographs, the largest first, and all overlaps.
     """
-    rulers = photographs[0].view.options.rulers
-    places = (
-        places_of([each.view.image for each in photographs])
-        if uses(rulers, Positions.kind)
-        else None
-    )
-    found = _matches(photographs, features, places)
-    unaries = [_unary(each) for each in photographs]
+    positions = _positions(photographs)
+    overlaps = _match_candidates(photographs, features, positions)
+    linked = _link_consistently(photographs, overlaps, positions)
+    flight_links = [
+        _flight_link(
+            overlap,
+            photographs,
+            inflation=linked.inflation,
+            dropped=linked.dropped.get(number),
+        )
+        for number, overlap in enumerate(overlaps)
+    ]
+    return linked.components, flight_links
+
+
+class _Linked(NamedTuple):
+    """Components with the overlaps that agree.
+
+    Attributes:
+        components: the largest first.
+        dropped: why an overlap is not used, by its number.
+        inflation: spread of the ratios over their own standard deviations, at least 1.
+    """
+
+    components: list[Component]
+    dropped: dict[int, str]
+    inflation: float
+
+
+def _link_consistently(
+    photographs: Sequence[Photograph],
+    overlaps: Sequence[Overlap],
+    positions: NDArray[np.float64] | None,
+) -> _Linked:
+    """Find the components, and leave out the overlaps that contradict the others.
+
+    A copy of the ground elsewhere (the same houses, a repeated pattern) can have a fitting ratio,
+    but its shift does not fit the layout. Scales and layout are then solved again without it.
+
+    Args:
+        photographs: of the flight.
+        overlaps: all that were found.
+        positions: ``[n, 2]`` metres; None if unknown.
+    """
+    unaries = [_unary(photograph) for photograph in photographs]
+    # Distance of each misplaced overlap from the layout, by the number of the overlap.
     misplaced: dict[int, float] = {}
-    for _ in range(_MOST_SOLUTIONS):
-        kept = [number for number in range(len(found)) if number not in misplaced]
-        solution = solve(
-            len(photographs), [_link(found[number], photographs) for number in kept], unaries
-        )
-        used = [number for number, agrees in zip(kept, solution.used, strict=True) if agrees]
+    for _ in range(_MAX_SOLUTIONS):
+        tried = [number for number in range(len(overlaps)) if number not in misplaced]
+        links = [_link(overlaps[number], photographs) for number in tried]
+        solution = solve(len(photographs), links, unaries)
+        used = {
+            number: overlaps[number]
+            for number, is_used in zip(tried, solution.used, strict=True)
+            if is_used
+        }
         components: list[Component] = []
-        wrong: dict[int, float] = {}
+        newly_misplaced: dict[int, float] = {}
         for subgraph in solution.components:
-            inside = set(subgraph.members.tolist())
-            numbers = [number for number in used if found[number].first in inside]
-            component, off = _component(
-                subgraph, photographs, found=[found[number] for number in numbers], places=places
-            )
+            component, distances = _component(subgraph, photographs, used, positions)
             components.append(component)
-            wrong |= {
-                number: far
-                for number, far in zip(numbers, off.tolist(), strict=True)
-                if far > _MOST_MISPLACED
-            }
-        if not wrong:
+            for number, distance in distances.items():
+                if distance > _MAX_MISPLACED:
+                    newly_misplaced[number] = distance
+        if not newly_misplaced:
             break
-        misplaced |= wrong
-    off_ratio = dict(zip(kept, solution.residuals.tolist(), strict=True))
-    links = []
-    for number, (first, second, matched) in enumerate(found):
-        dropped = None
-        if number in misplaced:
-            dropped = (
-                f"its shift is {misplaced[number]:.1f} photographs off the shift by the "
-                "other overlaps"
-            )
-        elif number not in used:
-            times = math.exp(abs(off_ratio[number]))
-            dropped = (
-                f"the ratio is {times:.2g} times off the ratio by the other overlaps and rulers"
-            )
-        links.append(
-            FlightLink(
-                first=photographs[first].name,
-                second=photographs[second].name,
-                ratio=math.exp(matched.log_ratio),
-                ratio_log_sd=matched.log_sd * solution.inflation,
-                n_matches=matched.n,
-                dropped=dropped,
-            )
-        )
-    return components, links
+        misplaced |= newly_misplaced
+    dropped = {}
+    for number, residual in zip(tried, solution.residuals.tolist(), strict=True):
+        if number not in used:
+            dropped[number] = _contradicting_text(residual)
+    for number, distance in misplaced.items():
+        dropped[number] = _misplaced_text(distance)
+    return _Linked(components, dropped, solution.inflation)
 
 
-def _matches(
+def _positions(photographs: Sequence[Photograph]) -> NDArray[np.float64] | None:
+    """Read the cameras' positions, ``[n, 2]`` metres; None if unknown, or not to be used."""
+    rulers = photographs[0].view.options.rulers
+    if not uses(rulers, Positions.kind):
+        return None
+    return places_of([photograph.view.image for photograph in photographs])
+
+
+def _match_candidates(
     photographs: Sequence[Photograph],
     features: Sequence[Features],
-    places: NDArray[np.float64] | None,
+    positions: NDArray[np.float64] | None,
 ) -> list[Overlap]:
     """Match the candidate pairs, on the ground plane of tilted photographs."""
-    pairs = candidate_pairs(features, places)
-    above = [
+    rectified = [
         _rectified(photograph, own) for photograph, own in zip(photographs, features, strict=True)
     ]
-    return [
-        Overlap(first, second, found)
-        for first, second in pairs
-        if (found := match(above[first], above[second]))
-    ]
+    overlaps = []
+    for first, second in candidate_pairs(features, positions):
+        matched = match(rectified[first], rectified[second])
+        if matched is not None:
+            overlaps.append(Overlap(first, second, matched))
+    return overlaps
 
 
 def _rectified(photograph: Photograph, features: Features) -> Features:
     """Move the features of a tilted photograph to a nadir view with the scale of its centre."""
-    view = photograph.view
-    if view.tilt is None or not len(features):
+    plane = photograph.view.plane
+    if plane is None or not len(features):
         return features
-    return replace(
-        features,
-        points=view.tilt.plane(view.image).from_above(features.points) + _centre(photograph),
-    )
+    points = plane.from_above(features.points) + _centre(photograph)
+    return replace(features, points=points)
 
 
 def _centre(photograph: Photograph) -> NDArray[np.float64]:
-    return np.array([photograph.view.image.width_px, photograph.view.image.height_px]) / 2
+    image = photograph.view.image
+    return np.array([image.width_px, image.height_px]) / 2
 
 
 def _foot(photograph: Photograph) -> NDArray[np.float64]:
-    """Find the point below the camera, where its position lies, in the pixels of the rectified features."""
-    view = photograph.view
-    return _centre(photograph) + (0.0 if view.tilt is None else view.tilt.plane(view.image).foot)
+    """Find the point below the camera, in the pixels of the rectified features.
+
+    The metadata's position is that of this point.
+    """
+    plane = photograph.view.plane
+    if plane is None:
+        return _centre(photograph)
+    return _centre(photograph) + plane.foot
 
 
 def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
-    first, second, matched = overlap
+    """Make the link of an overlap for the graph of scales."""
+    matched = overlap.match
     return Link(
-        first,
-        second,
+        overlap.first,
+        overlap.second,
         log_ratio=matched.log_ratio,
         log_sd=matched.log_sd,
-        first_at=_from_centre(photographs[first], matched.first_at),
-        second_at=_from_centre(photographs[second], matched.second_at),
+        first_at=_from_centre(photographs[overlap.first], matched.first_at),
+        second_at=_from_centre(photographs[overlap.second], matched.second_at),
     )
 
 
-def _from_centre(photograph: Photograph, at: NDArray[np.float64]) -> tuple[float, float]:
+def _from_centre(photograph: Photograph, point: NDArray[np.float64]) -> tuple[float, float]:
+    """Convert pixels to a position from the centre; 1 is half of the longer side."""
     centre = _centre(photograph)
-    x, y = ((at - centre) / centre.max()).tolist()
+    x, y = ((point - centre) / centre.max()).tolist()
     return x, y
 
 
 def _unary(photograph: Photograph) -> Unary | None:
     """Compute a photograph's own evidence, without errors common to the flight."""
     estimate = photograph.analysis.estimate
+    gsd = estimate.gsd_m_per_px
     low = estimate.gsd_ci95_low_m_per_px
     high = estimate.gsd_ci95_high_m_per_px
-    if estimate.gsd_m_per_px is None or not low or not high:
+    if gsd is None or not low or not high:
         return None
-    return Unary(
-        math.log(estimate.gsd_m_per_px), max(math.log(high / low) / (2 * Z95), _LEAST_UNARY_SD)
-    )
-
-
-def _sds_by_tilt(
-    photographs: Sequence[Photograph], offsets: NDArray[np.float64], links: Sequence[Link]
-) -> NDArray[np.float64]:
-    """Compute ``[n]`` standard deviations of offsets that an unknown tilt of the camera explains as well as a climb.
-
-    The evidence of all photographs was carried by these offsets, so that their mean square adds to
-    each.
-    """
-    unknown = np.array([_tilt_unknown(each) for each in photographs])
-    share = tilt_share(links) if unknown.any() else 0.0
-    return np.asarray(share * unknown * np.sqrt(offsets**2 + np.mean(offsets**2)))
-
-
-def _tilt_unknown(photograph: Photograph) -> bool:
-    view = photograph.view
-    camera = view.image.camera if view.options.rulers.metadata else None
-    return view.tilt is None and (camera is None or camera.off_nadir_deg is None)
+    log_sd = math.log(high / low) / (2 * Z95)
+    return Unary(math.log(gsd), max(log_sd, _MIN_UNARY_SD))
 
 
 def _component(
     subgraph: Subgraph,
     photographs: Sequence[Photograph],
-    found: Sequence[Overlap],
-    places: NDArray[np.float64] | None,
-) -> tuple[Component, NDArray[np.float64]]:
-    """Make a component, and the distance of each overlap's shift to its layout."""
-    members = subgraph.members
-    own = [photographs[place] for place in members]
-    reference = chief_member(own)
-    at = {int(place): local for local, place in enumerate(members)}
-    inside = [Overlap(at[first], at[second], matched) for first, second, matched in found]
-    feet = np.array([_foot(each) for each in own])
-    diagonals = np.array(
-        [math.hypot(each.view.image.width_px, each.view.image.height_px) for each in own]
-    )
+    overlaps: Mapping[int, Overlap],
+    positions: NDArray[np.float64] | None,
+) -> tuple[Component, dict[int, float]]:
+    """Make a component, and compare its overlaps with its layout.
+
+    Args:
+        subgraph: linked photographs with their scales.
+        photographs: all photographs of the flight.
+        overlaps: overlaps in use, by number, of all components.
+        positions: ``[n, 2]`` metres; None if unknown.
+
+    Returns:
+        The component, and the distance of each overlap's shift from the shift in the layout, by
+        number, in diagonals of a photograph.
+    """
+    members = [photographs[index] for index in subgraph.members]
+    reference = chief_member(members)
+    # The layout counts the members, and overlaps count all photographs.
+    index_in_component = {index: k for k, index in enumerate(subgraph.members.tolist())}
+    own_overlaps = {
+        number: overlap
+        for number, overlap in overlaps.items()
+        if overlap.first in index_in_component
+    }
+    member_overlaps = [
+        overlap._replace(
+            first=index_in_component[overlap.first], second=index_in_component[overlap.second]
+        )
+        for overlap in own_overlaps.values()
+    ]
     offsets = subgraph.log_scales - subgraph.log_scales[reference]
-    layout, off = lay_out(feet, diagonals, offsets, reference, inside)
-    extra = None
-    if places is not None:
-        extra = baseline(layout, places[members], float(own[reference].view.image.width_px))
-    by_tilt = _sds_by_tilt(own, offsets, [_link(each, photographs) for each in found])
-    component = Component(
-        members,
-        subgraph.log_scales,
-        log_sds=np.hypot(subgraph.sds_from(reference), by_tilt),
+    layout = lay_out(
+        np.array([_foot(member) for member in members]),
+        np.array([_diagonal(member) for member in members]),
+        offsets,
         reference=reference,
-        extra=() if extra is None else (extra,),
-        maybe_tilted=bool(by_tilt.any()),
+        overlaps=member_overlaps,
     )
-    return component, off
+    extra: tuple[Witness, ...] = ()
+    if positions is not None:
+        extra = _positions_witness(layout, positions[subgraph.members], members[reference])
+    links = [_link(overlap, photographs) for overlap in own_overlaps.values()]
+    tilt_sds = _sds_by_tilt(members, offsets, links)
+    component = Component(
+        subgraph.members,
+        subgraph.log_scales,
+        log_sds=np.hypot(subgraph.sds_from(reference), tilt_sds),
+        reference=reference,
+        extra=extra,
+        maybe_tilted=bool(tilt_sds.any()),
+    )
+    return component, dict(zip(own_overlaps, layout.off.tolist(), strict=True))
+
+
+def _diagonal(photograph: Photograph) -> float:
+    image = photograph.view.image
+    return math.hypot(image.width_px, image.height_px)
+
+
+def _positions_witness(
+    layout: Layout, positions: NDArray[np.float64], reference: Photograph
+) -> tuple[Witness, ...]:
+    """Compare the layout in pixels with positions in metres; no witness if they do not match."""
+    witness = baseline(layout.feet, positions, float(reference.view.image.width_px))
+    return () if witness is None else (witness,)
+
+
+def _sds_by_tilt(
+    photographs: Sequence[Photograph], offsets: NDArray[np.float64], links: Sequence[Link]
+) -> NDArray[np.float64]:
+    """Compute the errors of offsets that an unknown tilt explains as well as a climb.
+
+    Args:
+        photographs: of one component.
+        offsets: ``[n]`` logs of their metres per pixel over the reference's.
+        links: between them.
+
+    Returns:
+        ``[n]`` standard deviations; 0 for a photograph of known tilt.
+    """
+    is_unknown = np.array([_is_tilt_unknown(photograph) for photograph in photographs])
+    if not is_unknown.any():
+        return np.zeros(len(photographs))
+    # Each photograph has the error of its own offset. The pooled evidence, which was converted by
+    # the offsets of all photographs, adds their mean square.
+    sds = tilt_share(links) * np.sqrt(offsets**2 + np.mean(offsets**2))
+    return np.where(is_unknown, sds, 0.0)
+
+
+def _is_tilt_unknown(photograph: Photograph) -> bool:
+    view = photograph.view
+    if view.tilt is not None:
+        return False
+    camera = view.image.camera if view.options.rulers.metadata else None
+    return camera is None or camera.off_nadir_deg is None
+
+
+def _flight_link(
+    overlap: Overlap, photographs: Sequence[Photograph], inflation: float, dropped: str | None
+) -> FlightLink:
+    """Make the record of an overlap."""
+    return FlightLink(
+        first=photographs[overlap.first].name,
+        second=photographs[overlap.second].name,
+        ratio=math.exp(overlap.match.log_ratio),
+        ratio_log_sd=overlap.match.log_sd * inflation,
+        n_matches=overlap.match.n,
+        dropped=dropped,
+    )
+
+
+def _misplaced_text(distance: float) -> str:
+    return f"its shift differs by {distance:.1f} photographs from that of the other overlaps"
+
+
+def _contradicting_text(residual: float) -> str:
+    factor = math.exp(abs(residual))
+    return (
+        f"its ratio differs by a factor of {factor:.2g} from that of the other overlaps and rulers"
+    )

@@ -13,16 +13,18 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.features import Features
 
-_LEAST_INLIERS = 14
-_LEAST_INLIER_SHARE = 0.12
-_SECOND_BEST = 0.9  # highest ratio of the distances to the best and the second-best match
-_TOLERANCE_PX = 4.0  # of the reduced copies: displacement by relief and lens
-_CONFIDENCE = 0.999
-_TRIALS = 2000
-_WIDEST_RATIO = 6.0
-_LOG_SD = 0.01  # relief, lens, slight tilt
-_DIGITS = 9  # of the fit; the digits behind them depend on threads and memory layout
-_SHAPE_SHARE = 0.25  # of the difference between the scales along and across, a sign of tilt
+_MIN_INLIERS = 14
+_MIN_INLIER_SHARE = 0.12
+_MAX_DISTANCE_RATIO = 0.9  # Lowe's ratio test: best match over second-best match.
+_TOLERANCE_PX = 4.0  # Of the reduced copies: displacement by relief and lens.
+_RANSAC_CONFIDENCE = 0.999
+_MAX_RANSAC_TRIALS = 2000
+_MAX_SCALE_RATIO = 6.0
+_LOG_SD = 0.01  # Error of the log ratio by relief, lens and slight tilt.
+_DIGITS = 9  # Of the fit; further digits depend on threads and memory layout.
+_SHAPE_SHARE = 0.25  # Of the difference between the scales along and across, a sign of tilt.
+_MAX_SHAPE_SD = 0.2
+_DESCRIPTOR_LENGTH = 255.0  # Norm of RootSIFT descriptors, stored as uint8.
 
 
 class Match(NamedTuple):
@@ -64,69 +66,95 @@ def match(first: Features, second: Features) -> Match | None:
         The match; None if too few points agree.
     """
     pairs = _nearest(first.descriptors, second.descriptors)
-    if len(pairs) < _LEAST_INLIERS:
+    if len(pairs) < _MIN_INLIERS:
         return None
-    here = first.points[pairs[:, 0]]
-    there = second.points[pairs[:, 1]]
-    tolerance = _TOLERANCE_PX * second.pixel
-    found, inside = cv2.estimateAffinePartial2D(
-        here,
-        there,
+    first_points = first.points[pairs[:, 0]]
+    second_points = second.points[pairs[:, 1]]
+    # RANSAC ignores pairs of different things that look alike.
+    fitted, inlier_column = cv2.estimateAffinePartial2D(
+        first_points,
+        second_points,
         method=cv2.RANSAC,
-        ransacReprojThreshold=tolerance,
-        maxIters=_TRIALS,
-        confidence=_CONFIDENCE,
+        ransacReprojThreshold=_TOLERANCE_PX * second.pixel,
+        maxIters=_MAX_RANSAC_TRIALS,
+        confidence=_RANSAC_CONFIDENCE,
     )
-    if found is None:
+    if fitted is None:
         return None
-    inlier = inside.ravel().astype(bool)
-    n = int(inlier.sum())
-    if n < _LEAST_INLIERS or n < _LEAST_INLIER_SHARE * len(pairs):
+    is_inlier = inlier_column.ravel().astype(bool)
+    n_inliers = int(is_inlier.sum())
+    if n_inliers < _MIN_INLIERS or n_inliers < _MIN_INLIER_SHARE * len(pairs):
         return None
-    turn: NDArray[np.float64] = np.asarray(found, dtype=np.float64).round(_DIGITS)
-    scale = math.hypot(turn[0, 0], turn[1, 0])
-    if not 1 / _WIDEST_RATIO <= scale <= _WIDEST_RATIO:
+    transform: NDArray[np.float64] = np.asarray(fitted, dtype=np.float64).round(_DIGITS)
+    ratio = math.hypot(transform[0, 0], transform[1, 0])
+    if not 1 / _MAX_SCALE_RATIO <= ratio <= _MAX_SCALE_RATIO:
         return None
-    here = here[inlier]
-    there = there[inlier]
-    log_sd = round(_spread(here, there, turn), _DIGITS)
+    first_points = first_points[is_inlier]
+    second_points = second_points[is_inlier]
+    log_sd = round(_log_ratio_sd(first_points, second_points, transform), _DIGITS)
     return Match(
-        math.log(scale),
+        math.log(ratio),
         log_sd,
-        n=n,
-        turn=turn,
-        first_at=here.mean(axis=0),
-        second_at=there.mean(axis=0),
+        n=n_inliers,
+        turn=transform,
+        first_at=first_points.mean(axis=0),
+        second_at=second_points.mean(axis=0),
     )
 
 
 def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """Find ``[m, 2]`` pairs of mutual best matches that pass the ratio test."""
+    """Find mutual best matches that pass the ratio test.
+
+    Args:
+        first: ``[n, 128]`` descriptors of one photograph.
+        second: ``[m, 128]`` descriptors of the other.
+
+    Returns:
+        ``[k, 2]`` pairs of indices.
+    """
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), np.intp)
-    here = first.astype(np.float32)
-    there = second.astype(np.float32)
-    closeness = here @ there.T  # RootSIFT descriptors have unit length
-    best = closeness.argmax(axis=1)
-    rows = np.arange(len(here))
-    mutual = closeness.argmax(axis=0)[best] == rows
-    length = 255.0**2
-    nearest = closeness[rows, best]
-    closeness[rows, best] = -math.inf
-    near = np.maximum(2 * (length - nearest), 0.0)
-    next_near = np.maximum(2 * (length - closeness.max(axis=1)), 1e-6)
-    chosen = np.flatnonzero(mutual & (near <= _SECOND_BEST**2 * next_near))
-    return np.column_stack([chosen, best[chosen]])
+    # All descriptors have one length L, so that their squared distance is 2 (L^2 - product).
+    products = first.astype(np.float32) @ second.astype(np.float32).T
+    rows = np.arange(len(first))
+    best = products.argmax(axis=1)
+    is_mutual = products.argmax(axis=0)[best] == rows
+    best_products = products[rows, best]
+    products[rows, best] = -math.inf
+    second_best_products = products.max(axis=1)
+    squared_length = _DESCRIPTOR_LENGTH**2
+    best_distances = np.maximum(2 * (squared_length - best_products), 0.0)
+    second_best_distances = np.maximum(2 * (squared_length - second_best_products), 1e-6)
+    is_distinct = best_distances <= _MAX_DISTANCE_RATIO**2 * second_best_distances
+    matched = np.flatnonzero(is_mutual & is_distinct)
+    return np.column_stack([matched, best[matched]])
 
 
-def _spread(
-    here: NDArray[np.float64], there: NDArray[np.float64], turn: NDArray[np.float64]
+def _log_ratio_sd(
+    first: NDArray[np.float64], second: NDArray[np.float64], transform: NDArray[np.float64]
 ) -> float:
-    """Compute the standard deviation of the log ratio: by scatter of the points, their shape, and relief."""
-    off = here @ turn[:, :2].T + turn[:, 2] - there
-    radius = math.sqrt(float(((there - there.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    by_points = math.sqrt(float((off**2).sum(axis=1).mean())) / (radius * math.sqrt(2 * len(here)))
-    flat = np.column_stack([here - here.mean(axis=0), np.ones(len(here))])
-    stretch = np.linalg.svd(np.linalg.lstsq(flat, there, rcond=None)[0][:2], compute_uv=False)
-    by_shape = _SHAPE_SHARE * math.log(max(stretch[0], 1e-9) / max(stretch[1], 1e-9))
-    return math.sqrt(by_points**2 + min(by_shape, 0.2) ** 2 + _LOG_SD**2)
+    """Compute the standard deviation of the log ratio of two photographs' scales.
+
+    Args:
+        first: ``[n, 2]`` matched points in one photograph.
+        second: ``[n, 2]`` the same points in the other.
+        transform: ``[2, 3]`` similarity transform from the first to the second.
+    """
+    # Scatter: the error of a length is that of n points over their distance from the middle.
+    mapped = first @ transform[:, :2].T + transform[:, 2]
+    error = _rms(mapped - second)
+    radius = _rms(second - second.mean(axis=0))
+    scatter_sd = error / (radius * math.sqrt(2 * len(first)))
+    # Shape: an affine fit has two singular values, and a tilt of the camera makes them differ.
+    design = np.column_stack([first - first.mean(axis=0), np.ones(len(first))])
+    affine = np.linalg.lstsq(design, second, rcond=None)[0]
+    largest, smallest = np.linalg.svd(affine[:2], compute_uv=False)
+    stretch = math.log(max(largest, 1e-9) / max(smallest, 1e-9))
+    shape_sd = min(_SHAPE_SHARE * stretch, _MAX_SHAPE_SD)
+    return math.sqrt(scatter_sd**2 + shape_sd**2 + _LOG_SD**2)
+
+
+def _rms(vectors: NDArray[np.float64]) -> float:
+    """Compute the root mean square length of vectors ``[n, 2]``."""
+    squares = (vectors**2).sum(axis=1)
+    return math.sqrt(float(squares.mean()))

@@ -1,8 +1,8 @@
-"""Candidate pairs of overlapping photographs: their number grows linearly with the number of photographs.
+"""Candidate pairs of overlapping photographs.
 
 Candidates come from features in the same cells of a hash, from neighbours by position, and from
 neighbours in the order of exposure. Each source gives a bounded number of candidates per
-photograph.
+photograph, so that their number grows linearly with the number of photographs.
 """
 
 from __future__ import annotations
@@ -18,36 +18,37 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.features import Features
 
-_VOTERS = 200  # voting features per photograph
-_DIMENSIONS = 24
-_BITS = 18
-_TABLES = 6
-_MOST_IN_CELL = 24  # a fuller cell tells nothing: grass, gravel
-_BY_LOOK = 8
-_BY_PLACE = 6
-_BY_ORDER = 2
-_LEAST_VOTES = 3
+_N_VOTERS = 200  # Features of a photograph that vote, the strongest.
+_N_DIMENSIONS = 24
+_N_BITS = 18
+_N_TABLES = 6
+_MAX_IN_CELL = 24  # A fuller cell holds what is everywhere, such as grass or gravel.
+_N_BY_APPEARANCE = 8
+_N_BY_POSITION = 6
+_N_BY_ORDER = 2
+_MIN_VOTES = 3
 _SEED = 20261121
 
 
 def candidate_pairs(
-    features: Sequence[Features], places: NDArray[np.float64] | None = None
+    features: Sequence[Features], positions: NDArray[np.float64] | None = None
 ) -> list[tuple[int, int]]:
     """List the pairs of photographs to match.
 
     Args:
         features: of each photograph, in the order in which they were taken.
-        places: ``[n, 2]`` metres east and north, NaN for unknown positions; None if all are
+        positions: ``[n, 2]`` metres east and north, NaN for unknown positions; None if all are
             unknown.
 
     Returns:
         Sorted pairs of indices, the lower first.
     """
     n = len(features)
-    pairs = {(first, first + step) for step in range(1, _BY_ORDER + 1) for first in range(n - step)}
-    pairs |= _by_appearance(features)
-    if places is not None:
-        pairs |= _by_place(places)
+    pairs = _by_appearance(features)
+    for step in range(1, _N_BY_ORDER + 1):
+        pairs |= {(first, first + step) for first in range(n - step)}
+    if positions is not None:
+        pairs |= _by_position(positions)
     return sorted(pairs)
 
 
@@ -55,70 +56,115 @@ def _by_appearance(features: Sequence[Features]) -> set[tuple[int, int]]:
     """Find the pairs whose features share cells most often."""
     n = len(features)
     owners = np.concatenate(
-        [np.full(min(len(each), _VOTERS), place) for place, each in enumerate(features)]
+        [np.full(min(len(own), _N_VOTERS), index) for index, own in enumerate(features)]
     )
     if n < 2 or len(owners) < 2:
         return set()
-    described = np.concatenate([each.descriptors[:_VOTERS] for each in features]).astype(np.float32)
-    described -= described.mean(axis=0)
-    _, axes = np.linalg.eigh(described.T @ described)
-    reduced = described @ axes[:, -_DIMENSIONS:]
-    rng = np.random.default_rng(_SEED)
-    votes: dict[int, int] = {}
-    for _ in range(_TABLES):
-        turn = np.linalg.qr(rng.normal(size=(_DIMENSIONS, _DIMENSIONS)))[0][:, :_BITS].astype(
-            np.float32
-        )
-        cells = (reduced @ turn > 0) @ (1 << np.arange(_BITS))
-        keys, counts = np.unique(_sharing(cells, owners, n), return_counts=True)
-        for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
-            votes[key] = votes.get(key, 0) + count
+    votes = _votes(_principal_components(features), owners, n)
+    # Both photographs of a pair name each other, with the most votes first.
     named: dict[int, list[tuple[int, int]]] = {}
     for key, count in votes.items():
         first, second = divmod(key, n)
-        if count >= _LEAST_VOTES:
+        if count >= _MIN_VOTES:
             named.setdefault(first, []).append((-count, second))
             named.setdefault(second, []).append((-count, first))
-    return {
-        (min(place, other), max(place, other))
-        for place, others in named.items()
-        for _, other in sorted(others)[:_BY_LOOK]
-    }
+    pairs = set()
+    for index, others in named.items():
+        for _, other in sorted(others)[:_N_BY_APPEARANCE]:
+            pairs.add((min(index, other), max(index, other)))
+    return pairs
 
 
-def _sharing(cells: NDArray[np.int64], owners: NDArray[np.intp], n: int) -> NDArray[np.int64]:
-    """List keys ``first * n + second`` of pairs of photographs, one for each cell that they share."""
+def _principal_components(features: Sequence[Features]) -> NDArray[np.float32]:
+    """Reduce the voters' descriptors to the dimensions in which they differ most, ``[v, d]``."""
+    voters = [own.descriptors[:_N_VOTERS] for own in features]
+    descriptors = np.concatenate(voters).astype(np.float32)
+    descriptors -= descriptors.mean(axis=0)
+    _, axes = np.linalg.eigh(descriptors.T @ descriptors)
+    return np.asarray(descriptors @ axes[:, -_N_DIMENSIONS:])
+
+
+def _votes(descriptors: NDArray[np.float32], owners: NDArray[np.intp], n: int) -> dict[int, int]:
+    """Count the cells that photographs share, by locality-sensitive hashing.
+
+    The cell of a descriptor is given by its signs in random directions. Similar descriptors often
+    share a cell, and several tables find those that a single one separates.
+
+    Args:
+        descriptors: ``[v, d]`` voters.
+        owners: ``[v]`` index of each voter's photograph.
+        n: number of photographs.
+
+    Returns:
+        Votes by pair; the key of a pair is ``first * n + second``.
+    """
+    rng = np.random.default_rng(_SEED)
+    bit_values = 1 << np.arange(_N_BITS)
+    votes: dict[int, int] = {}
+    for _ in range(_N_TABLES):
+        rotation, _ = np.linalg.qr(rng.normal(size=(_N_DIMENSIONS, _N_DIMENSIONS)))
+        directions = rotation[:, :_N_BITS].astype(np.float32)
+        is_positive = descriptors @ directions > 0
+        pairs = _pairs_in_cells(is_positive @ bit_values, owners, n)
+        keys, counts = np.unique(pairs, return_counts=True)
+        for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
+            votes[key] = votes.get(key, 0) + count
+    return votes
+
+
+def _pairs_in_cells(
+    cells: NDArray[np.int64], owners: NDArray[np.intp], n: int
+) -> NDArray[np.int64]:
+    """List the pairs of photographs that share a cell, once for each shared cell.
+
+    Args:
+        cells: ``[v]`` cell of each voter.
+        owners: ``[v]`` index of each voter's photograph.
+        n: number of photographs.
+
+    Returns:
+        Keys ``first * n + second``.
+    """
     order = np.lexsort((owners, cells))
     cells = cells[order]
     owners = owners[order]
-    # each photograph once per cell
-    fresh = np.r_[True, (cells[1:] != cells[:-1]) | (owners[1:] != owners[:-1])]
-    cells = cells[fresh]
-    owners = owners[fresh]
-    starts = np.flatnonzero(np.r_[True, cells[1:] != cells[:-1]])
-    sizes = np.diff(np.r_[starts, len(cells)])
-    size_of = np.repeat(sizes, sizes)
-    cells = cells[size_of <= _MOST_IN_CELL]
-    owners = owners[size_of <= _MOST_IN_CELL]
+    # A photograph counts once in a cell.
+    is_new_cell = cells[1:] != cells[:-1]
+    is_new = np.append(True, is_new_cell | (owners[1:] != owners[:-1]))
+    cells = cells[is_new]
+    owners = owners[is_new]
+    # Leave out full cells.
+    starts = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))
+    sizes = np.diff(np.append(starts, len(cells)))
+    is_small = np.repeat(sizes, sizes) <= _MAX_IN_CELL
+    cells = cells[is_small]
+    owners = owners[is_small]
+    # Members of a cell are neighbours now: compare each voter with the next, the next but one, ...
     keys = [np.zeros(0, np.int64)]
-    for step in range(1, min(_MOST_IN_CELL, len(cells))):
-        same = cells[step:] == cells[:-step]
-        if not same.any():
+    for step in range(1, min(_MAX_IN_CELL, len(cells))):
+        is_same = cells[step:] == cells[:-step]
+        if not is_same.any():
             break
-        keys.append(owners[:-step][same].astype(np.int64) * n + owners[step:][same])
+        first = owners[:-step][is_same].astype(np.int64)
+        second = owners[step:][is_same]
+        keys.append(first * n + second)
     return np.concatenate(keys)
 
 
-def _by_place(places: NDArray[np.float64]) -> set[tuple[int, int]]:
+def _by_position(positions: NDArray[np.float64]) -> set[tuple[int, int]]:
+    """Find the pairs of nearest neighbours."""
     from scipy.spatial import cKDTree
 
-    known = np.flatnonzero(np.isfinite(places).all(axis=1))
+    known = np.flatnonzero(np.isfinite(positions).all(axis=1))
     if len(known) < 2:
         return set()
-    _, near = cKDTree(places[known]).query(places[known], k=min(_BY_PLACE + 1, len(known)))
-    return {
-        (int(min(known[place], known[other])), int(max(known[place], known[other])))
-        for place, others in enumerate(near)
-        for other in others
-        if other != place
-    }
+    # The nearest neighbour of a position is the position itself.
+    n_neighbours = min(_N_BY_POSITION + 1, len(known))
+    _, neighbours = cKDTree(positions[known]).query(positions[known], k=n_neighbours)
+    pairs = set()
+    for own, others in enumerate(neighbours):
+        for other in others:
+            if other != own:
+                first, second = sorted((int(known[own]), int(known[other])))
+                pairs.add((first, second))
+    return pairs

@@ -1,4 +1,4 @@
-"""Results kept of each photograph of a flight; its pixels are not kept."""
+"""Photographs of a flight after their search: results and evidence, without the pixels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vehanchor.rulers.ruler import View
 from vehanchor.storage.codec import Codec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -37,8 +37,8 @@ class StoredPhotograph:
         image: facts of the image.
         detections: result of the search, in pixels of the image.
         detail_share: share of the pixels' resolution at which there is detail around its vehicles.
-        others: witnesses of the rulers that measure each photograph, with the tilt; None if they
-            have not measured.
+        others: witnesses of the rulers that measure photographs one by one, in view of the tilt;
+            None if they have not measured.
         prior: the scene-scale prior; None without one.
         tilt: of the camera; None at nadir.
         reduced: the image in a few grey levels, ``[32, 32]``; None if it was not kept.
@@ -55,14 +55,18 @@ class StoredPhotograph:
     @classmethod
     def of(cls, view: View, analysis: ScaleAnalysis) -> StoredPhotograph:
         """Take the intermediate results of an analysis."""
-        others = of_photographs(analysis.witnesses)
         return cls(
-            view.image, view.detections, analysis.detail_share, others, view.prior, view.tilt
+            view.image,
+            view.detections,
+            detail_share=analysis.detail_share,
+            others=per_photograph_witnesses(analysis.witnesses),
+            prior=view.prior,
+            tilt=view.tilt,
         )
 
 
 def photograph_codec() -> Codec:
-    """Codec of ``StoredPhotograph`` for journals."""
+    """Make the codec of ``StoredPhotograph`` for journals."""
     return Codec((*STORED_CLASSES, StoredPhotograph), FORMER_NAMES)
 
 
@@ -85,31 +89,43 @@ class Photograph:
     reduced: NDArray[np.uint8] | None = None
 
     @property
-    def measured(self) -> Detections:
+    def rectified_detections(self) -> Detections:
         """Its detections, rectified in a tilted view."""
         vehicles = self.analysis.vehicles
-        return self.view.detections if vehicles is None else vehicles.fleet.detections
+        if vehicles is None:
+            return self.view.detections
+        return vehicles.fleet.detections
 
     @classmethod
     def of(
         cls,
         name: str,
-        kept: StoredPhotograph,
+        stored: StoredPhotograph,
         card: DetectorCard,
         options: ScaleOptions,
         features: Features | None = None,
     ) -> Photograph:
         """Analyse the search result of a photograph."""
         view = View(
-            kept.image,
-            kept.detections,
+            stored.image,
+            stored.detections,
             card=card,
             options=options,
-            measure_detail_share=lambda _centres, _scale: kept.detail_share,
-            prior=kept.prior,
-            tilt=kept.tilt,
+            measure_detail_share=constant_detail_share(stored.detail_share),
+            prior=stored.prior,
+            tilt=stored.tilt,
         )
-        return cls(name, view, analyse_view(view, kept.others), features, kept.reduced)
+        analysis = analyse_view(view, stored.others)
+        return cls(name, view, analysis=analysis, features=features, reduced=stored.reduced)
+
+
+def constant_detail_share(share: float) -> Callable[[NDArray[np.float64], float], float]:
+    """Make a function for ``View.measure_detail_share`` that returns a known share."""
+
+    def detail_share(_centres: NDArray[np.float64], _gsd_m_per_px: float) -> float:
+        return share
+
+    return detail_share
 
 
 def chief_member(members: Sequence[Photograph]) -> int:
@@ -117,6 +133,11 @@ def chief_member(members: Sequence[Photograph]) -> int:
     return int(np.argmax([member.analysis.estimate.n_vehicles or 0 for member in members]))
 
 
-def of_photographs(witnesses: Iterable[Witness]) -> tuple[Witness, ...]:
-    """Select the witnesses of rulers that measure each photograph, not the boxes of all together."""
-    return tuple(each for each in witnesses if ruler_class(each.kind).pooling_gain is not None)
+def per_photograph_witnesses(witnesses: Iterable[Witness]) -> tuple[Witness, ...]:
+    """Select the witnesses of rulers that measure photographs one by one.
+
+    The other rulers measure the boxes of all photographs together.
+    """
+    return tuple(
+        witness for witness in witnesses if ruler_class(witness.kind).pooling_gain is not None
+    )

@@ -1,7 +1,15 @@
-"""Pooling: boxes and densities of many photographs, converted to the pixels of one of them.
+"""Pooling: one scale from the evidence of many photographs whose ratios of scales are known.
 
-If the ratios of the scales are known, the boxes of all photographs vote for one scale. Errors of
-photographs of one flight are correlated, so that n densities of a ruler count as fewer than n.
+One photograph is the reference. All that the other photographs measured is converted to the pixels
+of the reference. Then the rulers and the posterior of a single photograph decide on the scale:
+
+* Vehicles: the boxes of all photographs vote together for one scale (``pooled_detections``).
+* Any other ruler, and the scene-scale prior: the densities of the photographs are shifted to the
+  reference and multiplied (``combined_density``). The errors of photographs of one flight are
+  correlated, so that n densities count as fewer than n.
+
+Scales are natural logs of metres per pixel. The *offset* of a photograph is its log scale less that
+of the reference: one of its pixels is as long on the ground as ``exp(offset)`` of the reference's.
 """
 
 from __future__ import annotations
@@ -23,7 +31,7 @@ from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.witnesses import expected_scale, measure_all
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
-from vehanchor_flight.photograph import of_photographs
+from vehanchor_flight.photograph import constant_detail_share, per_photograph_witnesses
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -34,7 +42,8 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor_flight.photograph import Photograph
 
-_LEAST = 1e-12
+_MIN_PROBABILITY = 1e-12  # Keeps the log of a density finite.
+
 AnyRemark = TypeVar("AnyRemark", bound=Remark)
 
 
@@ -55,37 +64,67 @@ def pool(
     Returns:
         The analysis, as if all evidence were from the reference.
     """
-    added = tuple(extra)
-    if len(members) == 1 and not added:
+    flight_witnesses = tuple(extra)
+    if len(members) == 1 and not flight_witnesses:
         return members[0].analysis
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
-    chief = members[reference].view
-    detail_share = _detail_share(members)
-    others = (*_pooled_others(members, offsets), *added)
-    view = View(  # no tilt: the boxes are rectified
-        _facts(members, reference),
-        pooled_detections([member.measured for member in members], offsets),
-        card=chief.card,
-        options=chief.options,
-        measure_detail_share=lambda _centres, _scale: detail_share,
+    witnesses = (*_pooled_witnesses(members, offsets), *flight_witnesses)
+    view = _pooled_view(members, offsets, reference=reference, witnesses=witnesses)
+    pooled = conclude(view, measure_all(view, witnesses))
+    return _with_tilt_of(members[reference], pooled)
+
+
+def _pooled_view(
+    members: Sequence[Photograph],
+    offsets: NDArray[np.float64],
+    reference: int,
+    witnesses: Sequence[Witness],
+) -> View:
+    """Make the input of the rulers: the reference, with boxes and priors of all photographs.
+
+    Args:
+        members: the photographs.
+        offsets: ``[n]`` logs of each photograph's metres per pixel over the reference's.
+        reference: index of the reference.
+        witnesses: pooled evidence of the rulers that use no vehicles.
+    """
+    own_view = members[reference].view
+    detections = [member.rectified_detections for member in members]
+    # In an oblique view, the other rulers help to distinguish whole cars from parts of cars.
+    expected = None
+    if own_view.tilt is not None:
+        expected = expected_scale(witnesses)
+    # The view has no tilt, because the boxes of oblique photographs are rectified already.
+    return View(
+        _facts_with_all_notices(members, reference),
+        pooled_detections(detections, offsets),
+        card=own_view.card,
+        options=own_view.options,
+        measure_detail_share=constant_detail_share(_median_detail_share(members)),
         prior=_pooled_prior([member.view for member in members], offsets),
-        expected=None if chief.tilt is None else expected_scale(others),
+        expected=expected,
     )
-    pooled = conclude(view, measure_all(view, others))
-    own = members[reference].analysis.estimate
-    if own.tilt is None or chief.tilt is None:
+
+
+def _with_tilt_of(photograph: Photograph, pooled: ScaleAnalysis) -> ScaleAnalysis:
+    """Add the reference's tilt, which the pooled view lacks, to the pooled record."""
+    camera_tilt = photograph.view.tilt
+    own = photograph.analysis.estimate
+    if own.tilt is None or camera_tilt is None:
         return pooled
-    tilt = with_scale(own.tilt, own, pooled.estimate.gsd_m_per_px)
-    plane = KnownPlane.model_validate(chief.tilt, from_attributes=True)
-    scale = pooled.estimate.scale and pooled.estimate.scale.model_copy(update={"plane": plane})
-    return replace(
-        pooled, estimate=pooled.estimate.model_copy(update={"tilt": tilt, "scale": scale})
-    )
+    estimate = pooled.estimate
+    tilt = with_scale(own.tilt, own, estimate.gsd_m_per_px)
+    scale = estimate.scale
+    if scale is not None:
+        plane = KnownPlane.model_validate(camera_tilt, from_attributes=True)
+        scale = scale.model_copy(update={"plane": plane})
+    estimate = estimate.model_copy(update={"tilt": tilt, "scale": scale})
+    return replace(pooled, estimate=estimate)
 
 
 def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> Detections:
-    """Pool boxes in the order of ``Detections``: boxes with looks first, then by score.
+    """Pool the boxes of photographs, in the order that ``Detections`` requires.
 
     Args:
         detections: of the photographs.
@@ -95,48 +134,80 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         Boxes with sizes in pixels of the reference; their positions have no meaning.
     """
     factors = np.exp(np.asarray(offsets, dtype=np.float64))
-    scores = np.concatenate([each.scores for each in detections])
-    looked = [0 if each.appearance is None else len(each.appearance) for each in detections]
-    known = np.concatenate(
-        [np.arange(len(each.boxes)) < n for each, n in zip(detections, looked, strict=True)]
-    )
-    order = np.lexsort((-scores, ~known))
-    boxes = np.concatenate(
-        [each.boxes * [k, k, k, k, 1.0] for each, k in zip(detections, factors, strict=True)],
-        dtype=np.float64,
-    )
-    scaled = any(each.reductions is not None for each in detections)
-    scales = [
-        (np.ones(len(each.boxes)) if each.reductions is None else each.reductions) / k
-        for each, k in zip(detections, factors, strict=True)
-    ]
-    appearance = [each.appearance for each in detections if each.appearance is not None]
-    place = (np.cumsum(known) - 1)[order[: int(known.sum())]]  # among boxes with looks
-    ends = (each.stopped_because for each in detections if each.stopped_because is not None)
+    boxes = []
+    reductions = []
+    for part, factor in zip(detections, factors, strict=True):
+        # Four lengths scale with the pixels of the reference; the angle does not.
+        boxes.append(part.boxes * [factor, factor, factor, factor, 1.0])
+        # The length at which the detector saw a box is length times reduction, and must not change.
+        reductions.append(_reductions(part) / factor)
+    scores = np.concatenate([part.scores for part in detections])
+    has_appearance = np.concatenate([_has_appearance(part) for part in detections])
+    # Detections begins with the boxes that have an appearance; within each group, scores fall.
+    order = np.lexsort((-scores, ~has_appearance))
+    pooled_reductions = None
+    if any(part.reductions is not None for part in detections):
+        pooled_reductions = np.concatenate(reductions)[order]
+    stops = [part.stopped_because for part in detections if part.stopped_because is not None]
     return Detections(
-        boxes[order],
+        np.concatenate(boxes, dtype=np.float64)[order],
         scores[order],
-        n_tiles=sum(each.n_tiles for each in detections),
-        n_capped_tiles=sum(each.n_capped_tiles for each in detections),
-        reductions=np.concatenate(scales)[order] if scaled else None,
-        appearance=Appearance.joined(appearance).take(place) if appearance else None,
-        n_tiles_total=sum(each.n_tiles_total or each.n_tiles for each in detections),
-        n_skipped=sum(each.n_skipped for each in detections),
-        stopped_because=next(ends, None),
+        n_tiles=sum(part.n_tiles for part in detections),
+        n_capped_tiles=sum(part.n_capped_tiles for part in detections),
+        reductions=pooled_reductions,
+        appearance=_pooled_appearance(detections, has_appearance, order),
+        n_tiles_total=sum(part.n_tiles_total or part.n_tiles for part in detections),
+        n_skipped=sum(part.n_skipped for part in detections),
+        stopped_because=stops[0] if stops else None,
         stretch=_pooled_stretch(detections),
     )
 
 
-def _pooled_stretch(detections: Sequence[Detections]) -> float | None:
-    """Average the photographs' preferences for narrower or wider images by their vehicles; None if none has one."""
-    known = [
-        (each.stretch, len(each.boxes))
-        for each in detections
-        if each.stretch is not None and len(each.boxes)
-    ]
-    if not known:
+def _reductions(detections: Detections) -> NDArray[np.float64]:
+    """Return the reductions ``[n]`` in which boxes were found; 1 in a search at full resolution."""
+    if detections.reductions is None:
+        return np.ones(len(detections.boxes))
+    return detections.reductions
+
+
+def _has_appearance(detections: Detections) -> NDArray[np.bool_]:
+    """Find the boxes ``[n]`` with an appearance: the first ones of a photograph."""
+    n_with = 0 if detections.appearance is None else len(detections.appearance)
+    return np.arange(len(detections.boxes)) < n_with
+
+
+def _pooled_appearance(
+    detections: Sequence[Detections], has_appearance: NDArray[np.bool_], order: NDArray[np.intp]
+) -> Appearance | None:
+    """Join the appearances of all photographs; None without any.
+
+    Args:
+        detections: of the photographs.
+        has_appearance: ``[n]``, of their concatenated boxes.
+        order: ``[n]``, which sorts the concatenated boxes; those with an appearance come first.
+    """
+    appearances = [part.appearance for part in detections if part.appearance is not None]
+    if not appearances:
         return None
-    stretches, counts = np.array(known, dtype=np.float64).T
+    # An appearance's row is the number of boxes with an appearance before its own box.
+    rows = np.cumsum(has_appearance) - 1
+    n_with = int(has_appearance.sum())
+    return Appearance.joined(appearances).take(rows[order[:n_with]])
+
+
+def _pooled_stretch(detections: Sequence[Detections]) -> float | None:
+    """Average the stretches of the photographs by their vehicles; None if none has one.
+
+    ``Detections.stretch`` states whether the vehicles look too wide or too high.
+    """
+    stretches = []
+    counts = []
+    for part in detections:
+        if part.stretch is not None and len(part.boxes):
+            stretches.append(part.stretch)
+            counts.append(len(part.boxes))
+    if not stretches:
+        return None
     return float(np.average(stretches, weights=counts))
 
 
@@ -150,75 +221,82 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
     Returns:
         ``[g]`` probabilities.
     """
-    mean = np.mean([np.log(np.maximum(density, _LEAST)) for density in densities], axis=0)
-    total = mean * len(densities) ** gain
-    combined = np.exp(total - total.max())
+    # The geometric mean of the densities counts once, whatever n. Its power n ** gain is between
+    # this mean (gain 0) and the product of n independent densities (gain 1).
+    logs = [np.log(np.maximum(density, _MIN_PROBABILITY)) for density in densities]
+    combined_logs = np.mean(logs, axis=0) * len(densities) ** gain
+    combined = np.exp(combined_logs - combined_logs.max())
     return np.asarray(combined / combined.sum())
 
 
-def _detail_share(members: Sequence[Photograph]) -> float:
-    """Compute the median share of resolution with detail, weighted by the photographs' numbers of vehicles."""
-    counts = np.array(
-        [member.analysis.estimate.n_vehicles or 0 for member in members], dtype=np.float64
-    )
+def _median_detail_share(members: Sequence[Photograph]) -> float:
+    """Compute the median share of resolution with detail, weighted by numbers of vehicles."""
+    n_vehicles = [member.analysis.estimate.n_vehicles or 0 for member in members]
+    counts = np.array(n_vehicles, dtype=np.float64)
     if not counts.any():
         return 1.0
-    values = np.array([member.analysis.detail_share for member in members])
-    order = np.argsort(values, kind="stable")
-    return float(values[order][np.searchsorted(np.cumsum(counts[order]), counts.sum() / 2)])
+    shares = np.array([member.analysis.detail_share for member in members])
+    # Weighted median: the first share up to which half of all vehicles lie.
+    order = np.argsort(shares, kind="stable")
+    middle = np.searchsorted(np.cumsum(counts[order]), counts.sum() / 2)
+    return float(shares[order][middle])
 
 
 def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneScalePrior | None:
-    """Pool the scene-scale priors of the photographs taken at nadir."""
-    priors = [
-        (view.prior, float(offset))
-        for view, offset in zip(views, offsets, strict=True)
-        if view.prior is not None and view.tilt is None
-    ]
-    if not priors:
+    """Pool the scene-scale priors of photographs without a known tilt; None without any."""
+    densities = []
+    n_tiles = 0
+    for view, offset in zip(views, offsets.tolist(), strict=True):
+        if view.prior is not None and view.tilt is None:
+            densities.append(shifted(view.prior.density, offset))
+            n_tiles += view.prior.n_tiles
+    if not densities:
         return None
-    density = combined_density(
-        [shifted(prior.density, offset) for prior, offset in priors], SceneScale.pooling_gain
-    )
-    return SceneScalePrior(density, sum(prior.n_tiles for prior, _ in priors))
+    return SceneScalePrior(combined_density(densities, SceneScale.pooling_gain), n_tiles)
 
 
-def _pooled_others(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
-    """Pool the witnesses of each ruler that measures each photograph."""
-    others = [of_photographs(member.analysis.witnesses) for member in members]
-    kinds = dict.fromkeys(other.kind for own in others for other in own)
-    pooled = []
-    for kind in kinds:
-        found = [
-            (other, float(offset))
-            for own, offset in zip(others, offsets, strict=True)
-            for other in own
-            if other.kind == kind
-        ]
-        pooled.append(_pooled_witness(kind, found))
-    return pooled
+def _pooled_witnesses(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
+    """Pool the witnesses of each ruler that measures photographs one by one."""
+    by_kind: dict[str, list[tuple[Witness, float]]] = {}
+    for member, offset in zip(members, offsets.tolist(), strict=True):
+        for witness in per_photograph_witnesses(member.analysis.witnesses):
+            by_kind.setdefault(witness.kind, []).append((witness, offset))
+    return [_pooled_witness(kind, witnesses) for kind, witnesses in by_kind.items()]
 
 
-def _pooled_witness(kind: str, found: Sequence[tuple[Witness, float]]) -> Witness:
-    """Pool one ruler's witnesses; their shared errors are those of the first."""
-    notices = _distinct(notice for other, _ in found for notice in other.notices)
-    heard = [(other, offset) for other, offset in found if other.found]
-    if not heard:
+def _pooled_witness(kind: str, witnesses: Sequence[tuple[Witness, float]]) -> Witness:
+    """Pool the witnesses of one ruler.
+
+    Args:
+        kind: of the ruler.
+        witnesses: of the photographs, each with the offset of its photograph.
+
+    Returns:
+        One witness. The errors that it shares with other rulers are those of the first photograph.
+    """
+    notices = _first_of_each_code(notice for witness, _ in witnesses for notice in witness.notices)
+    measured = [(witness, offset) for witness, offset in witnesses if witness.found]
+    if not measured:
         return Witness(kind, n=0, notices=notices)
-    first = heard[0][0]
-    if len(heard) == 1:
-        return replace(_moved(*heard[0]), notices=notices)
-    densities = [shifted(other.right, offset) for other, offset in heard if other.right is not None]
+    first, first_offset = measured[0]
+    if len(measured) == 1:
+        return replace(_moved(first, first_offset), notices=notices)
+    densities = [
+        shifted(witness.right, offset) for witness, offset in measured if witness.right is not None
+    ]
     gain = ruler_class(kind).pooling_gain
-    assert gain is not None
+    assert gain is not None  # Rulers without a gain measure the pooled boxes.
     right = combined_density(densities, gain)
+    # A lack holds the witness as it would be without one doubt; its density is pooled, too.
+    lacks = [Lack(lack.reason, replace(lack.without, right=right)) for lack in first.lacks]
     return replace(
         first,
         gsd_m_per_px=quantile(right, 0.5),
         right=right,
-        chance_wrong=sum(other.chance_wrong for other, _ in heard) / len(heard),
-        n=sum(other.n for other, _ in heard),
-        lacks=tuple(Lack(each.reason, replace(each.without, right=right)) for each in first.lacks),
+        chance_wrong=sum(witness.chance_wrong for witness, _ in measured) / len(measured),
+        n=sum(witness.n for witness, _ in measured),
+        lacks=tuple(lacks),
+        # The sentence and the lines in the picture are those of a single photograph.
         statement=None,
         marks=(),
         notices=notices,
@@ -226,26 +304,31 @@ def _pooled_witness(kind: str, found: Sequence[tuple[Witness, float]]) -> Witnes
 
 
 def _moved(witness: Witness, offset: float) -> Witness:
-    """Convert a witness to the pixels of another photograph."""
+    """Convert a witness to the pixels of the reference."""
     if offset == 0.0 or witness.gsd_m_per_px is None or witness.right is None:
         return witness
-    right = shifted(witness.right, offset)
-    lacks = tuple(Lack(each.reason, _moved(each.without, offset)) for each in witness.lacks)
-    moved_gsd = witness.gsd_m_per_px * math.exp(-offset)
+    lacks = [Lack(lack.reason, _moved(lack.without, offset)) for lack in witness.lacks]
     return replace(
-        witness, gsd_m_per_px=moved_gsd, right=right, lacks=lacks, statement=None, marks=()
+        witness,
+        gsd_m_per_px=witness.gsd_m_per_px * math.exp(-offset),
+        right=shifted(witness.right, offset),
+        lacks=tuple(lacks),
+        statement=None,
+        marks=(),
     )
 
 
-def _facts(members: Sequence[Photograph], reference: int) -> ImageFacts:
-    """Take the facts of the reference, with the notices of all photographs."""
-    notices = _distinct(notice for member in members for notice in member.view.image.notices)
+def _facts_with_all_notices(members: Sequence[Photograph], reference: int) -> ImageFacts:
+    """Return the facts of the reference, with the notices of all photographs."""
+    notices = _first_of_each_code(
+        notice for member in members for notice in member.view.image.notices
+    )
     return members[reference].view.image._replace(notices=notices)
 
 
-def _distinct(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:
+def _first_of_each_code(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:
     """Keep the first notice of each code: photographs of one camera have the same notices."""
-    first: dict[str, AnyRemark] = {}
+    by_code: dict[str, AnyRemark] = {}
     for notice in notices:
-        first.setdefault(notice.code, notice)
-    return tuple(first.values())
+        by_code.setdefault(notice.code, notice)
+    return tuple(by_code.values())

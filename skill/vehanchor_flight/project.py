@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
 
 
-SCALE = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
-_OF_FLIGHT = (*SCALE, "status", "confidence", "scale", "reason")
+SCALE_FIELDS = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
+_FLIGHT_FIELDS = (*SCALE_FIELDS, "status", "confidence", "scale", "reason")
 
 
 def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> GsdEstimate:
@@ -29,22 +29,24 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
     Raises:
         ValueError: the photograph could not be read and has no record.
     """
-    if photograph.own is None or photograph.component is None:
+    own = photograph.own
+    if own is None or photograph.component is None:
         raise ValueError(f"{photograph.photograph} could not be read: it has no record")
     pooled = flight.components[photograph.component].pooled
+    # The rulers of the component are in pixels of its reference.
     ratio = 1.0
     if photograph.gsd_m_per_px is not None and pooled.gsd_m_per_px is not None:
         ratio = photograph.gsd_m_per_px / pooled.gsd_m_per_px
-    own_tilt = photograph.own.tilt
-    return photograph.own.model_copy(
-        update={
-            **{name: getattr(photograph, name) for name in _OF_FLIGHT},
-            "leading_ruler": pooled.leading_ruler,
-            "rulers": tuple(_in_pixels(ruler, ratio) for ruler in pooled.rulers),
-            "tilt": own_tilt and with_scale(own_tilt, photograph.own, photograph.gsd_m_per_px),
-        }
-    )
+    tilt = own.tilt
+    if tilt is not None:
+        tilt = with_scale(tilt, own, photograph.gsd_m_per_px)
+    changes = {name: getattr(photograph, name) for name in _FLIGHT_FIELDS}
+    changes["leading_ruler"] = pooled.leading_ruler
+    changes["rulers"] = tuple(_scaled(ruler, ratio) for ruler in pooled.rulers)
+    changes["tilt"] = tilt
+    return own.model_copy(update=changes)
 
 
-def _in_pixels(ruler: RulerScale, ratio: float) -> RulerScale:
-    return ruler.model_copy(update={name: getattr(ruler, name) * ratio for name in SCALE})
+def _scaled(ruler: RulerScale, ratio: float) -> RulerScale:
+    """Multiply a ruler's scale and interval."""
+    return ruler.model_copy(update={name: getattr(ruler, name) * ratio for name in SCALE_FIELDS})

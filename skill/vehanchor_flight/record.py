@@ -19,9 +19,9 @@ from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95
-from vehanchor_flight.photograph import of_photographs
+from vehanchor_flight.photograph import per_photograph_witnesses
 from vehanchor_flight.pooling import pool
-from vehanchor_flight.project import SCALE
+from vehanchor_flight.project import SCALE_FIELDS
 from vehanchor_flight.records import FlightComponent, FlightEstimate, FlightPhotograph, FlightRuler
 
 if TYPE_CHECKING:
@@ -33,13 +33,15 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.errors import VehAnchorError
     from vehanchor.imagery.facts import ImageFacts
+    from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.records import GsdEstimate, Reason, Status
     from vehanchor_flight.components import Component
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
 
-_MOST_RULERS = 4  # listed per photograph
-# between two photographs of one camera: longer than a change of battery
+_MAX_RULERS = 4  # Listed for each photograph.
+# A longer pause between two photographs of one camera begins a sortie; a change of battery is
+# shorter.
 _PAUSE = timedelta(minutes=20)
 _EXIF_TIME = "%Y:%m:%d %H:%M:%S"
 
@@ -58,11 +60,53 @@ class Failure:
 
 
 class _Support(NamedTuple):
-    """Ruler that was measured in a member of a component."""
+    """Ruler that was measured in a member of a component.
+
+    Attributes:
+        ruler: its kind.
+        member: index of the member.
+        strength: weight of its evidence, to compare members.
+    """
 
     ruler: str
     member: int
     strength: float
+
+
+class _CarriedScale(NamedTuple):
+    """Scale of a component, converted to the pixels of one of its photographs.
+
+    Attributes:
+        gsd_m_per_px: metres per pixel; None without a scale.
+        low: lower end of the 95 % interval; None without one.
+        high: upper end of it; None without one.
+        confidence: chance of an error below 20 %.
+    """
+
+    gsd_m_per_px: float | None
+    low: float | None
+    high: float | None
+    confidence: float
+
+
+class _Exposure(NamedTuple):
+    """Time and camera of a photograph; exposures sort by camera, then by time.
+
+    Attributes:
+        camera: make and model.
+        taken: local time; ``datetime.min`` if unknown.
+        photograph: its index.
+    """
+
+    camera: tuple[str, str]
+    taken: datetime
+    photograph: int
+
+    def begins_sortie(self, before: _Exposure) -> bool:
+        """Check whether a sortie begins between the exposure before and this one."""
+        if self.camera != before.camera:
+            return True
+        return before.taken > datetime.min and self.taken - before.taken > _PAUSE
 
 
 def conclude_flight(
@@ -86,56 +130,76 @@ def conclude_flight(
         The record.
     """
     sorties = _sorties(results)
-    photographs: dict[int, FlightPhotograph] = {
-        place: _failed(each) for place, each in enumerate(results) if isinstance(each, Failure)
-    }
-    pooled_components = []
+    photographs: dict[int, FlightPhotograph] = {}
+    for index, result in enumerate(results):
+        if isinstance(result, Failure):
+            photographs[index] = _failed(result)
+    component_records = []
     for number, component in enumerate(components):
-        members = [
-            found for place in component.members if not isinstance(found := results[place], Failure)
-        ]
-        pooled = pool(members, component.log_scales, component.reference, component.extra)
-        estimate = pooled.estimate
-        advice = _component_advice(
-            estimate, unlinked=len(component) == 1 < len(sorties) and not same_scale
+        members = _members(results, component)
+        pooled = pool(
+            members,
+            component.log_scales,
+            reference=component.reference,
+            extra=component.extra,
         )
-        of_component = FlightComponent(
+        is_unlinked = len(component) == 1 and len(sorties) > 1 and not same_scale
+        component_record = FlightComponent(
             number=number,
             n_photographs=len(component),
             reference=members[component.reference].name,
-            pooled=estimate,
-            advice=advice,
+            pooled=pooled.estimate,
+            advice=_component_advice(pooled.estimate, unlinked=is_unlinked),
         )
-        pooled_components.append(of_component)
+        component_records.append(component_record)
         rulers = _supporting_rulers(members, component, pooled)
-        for place, at in enumerate(component.members):
-            record = _photograph(members[place], component, place, of_component, rulers[place])
-            photographs[int(at)] = record.model_copy(update={"sortie": sorties[int(at)]})
-    ordered = tuple(photographs[place] for place in range(len(results)))
-    whole = pooled_components[0].pooled if same_scale else None
-    scale: dict[str, Any] = {name: getattr(whole, name, None) for name in SCALE}
+        for k, index in enumerate(component.members.tolist()):
+            photographs[index] = _photograph(
+                members[k],
+                component_record,
+                offset=float(component.offsets[k]),
+                log_sd=float(component.log_sds[k]),
+                maybe_tilted=component.maybe_tilted,
+                rulers=rulers[k],
+                sortie=sorties[index],
+            )
+    ordered = tuple(photographs[index] for index in range(len(results)))
+    common: GsdEstimate | None = None
+    warnings: tuple[Notice, ...] = ()
+    if same_scale:
+        common = component_records[0].pooled
+        warnings = (*common.warnings, *_several_sorties(sorties.values()))
+    scale: dict[str, Any] = {name: getattr(common, name, None) for name in SCALE_FIELDS}
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
         **scale,
-        confidence=min(each.confidence for each in ordered if each.confidence is not None),
-        n_vehicles=sum(each.pooled.n_vehicles or 0 for each in pooled_components),
+        confidence=min(record.confidence for record in ordered if record.confidence is not None),
+        n_vehicles=sum(record.pooled.n_vehicles or 0 for record in component_records),
         photographs=ordered,
-        components=tuple(pooled_components),
+        components=tuple(component_records),
         links=tuple(links),
         model=card.name,
         model_sha256=card.sha256,
-        warnings=(*whole.warnings, *_several_sorties(sorties.values())) if whole else (),
+        warnings=warnings,
     )
+
+
+def _members(results: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
+    """Return the photographs of a component, which are all usable."""
+    members = [results[index] for index in component.members]
+    return [member for member in members if not isinstance(member, Failure)]
 
 
 def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
     """Number the sorties of the usable photographs, by index of the photograph."""
-    usable = [
-        (place, result) for place, result in enumerate(results) if not isinstance(result, Failure)
-    ]
-    numbers = number_sorties([result.view.image for _, result in usable])
-    return {place: number for (place, _), number in zip(usable, numbers, strict=True)}
+    indices = []
+    images = []
+    for index, result in enumerate(results):
+        if not isinstance(result, Failure):
+            indices.append(index)
+            images.append(result.view.image)
+    return dict(zip(indices, number_sorties(images), strict=True))
 
 
 def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
@@ -150,29 +214,34 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
     Returns:
         The number of each photograph's sortie, from 0 on, in the order of the photographs.
     """
-    places = []
-    for place, image in enumerate(images):
-        camera = image.camera
-        kind = ("", "") if camera is None else (camera.make, camera.model)
-        places.append((kind, _taken_at(image) or datetime.min, place))
-    places.sort()
-    found = {places[0][2]: 0} if places else {}
+    if not images:
+        return []
+    exposures = sorted(_exposure(image, index) for index, image in enumerate(images))
     sortie = 0
-    for (kind_before, before, _), (kind, taken, place) in pairwise(places):
-        sortie += kind != kind_before or (before > datetime.min and taken - before > _PAUSE)
-        found[place] = sortie
+    sortie_of = {exposures[0].photograph: sortie}
+    for before, exposure in pairwise(exposures):
+        if exposure.begins_sortie(before):
+            sortie += 1
+        sortie_of[exposure.photograph] = sortie
+    # Number the sorties again, in the order in which the photographs show them first.
     numbers: dict[int, int] = {}
-    return [numbers.setdefault(found[place], len(numbers)) for place in range(len(images))]
+    return [numbers.setdefault(sortie_of[index], len(numbers)) for index in range(len(images))]
 
 
-def _taken_at(image: ImageFacts) -> datetime | None:
-    """Read the camera's local time of a photograph; None without a valid one."""
+def _exposure(image: ImageFacts, index: int) -> _Exposure:
+    """Read camera and time of a photograph."""
+    camera = image.camera
+    if camera is None:
+        return _Exposure(("", ""), datetime.min, index)
+    return _Exposure((camera.make, camera.model), _taken_at(camera), index)
+
+
+def _taken_at(camera: CameraMetadata) -> datetime:
+    """Read the camera's local time of a photograph; ``datetime.min`` without a valid one."""
     try:
-        return (
-            None if image.camera is None else datetime.strptime(image.camera.taken_at, _EXIF_TIME)
-        )
+        return datetime.strptime(camera.taken_at, _EXIF_TIME)
     except ValueError:
-        return None
+        return datetime.min
 
 
 def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
@@ -183,8 +252,8 @@ def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
     counts = " and ".join(str(sizes[number]) for number in sorted(sizes))
     message = (
         f"By camera and time, these are {len(sizes)} sorties of {counts} photographs. Pool them "
-        "only if all have the "
-        "same scale; otherwise give each sortie alone, or leave out same_scale."
+        "only if all have the same scale; otherwise give each sortie alone, or leave out "
+        "same_scale."
     )
     return (Notice(code=NoticeCode.SEVERAL_SORTIES, message=message),)
 
@@ -200,72 +269,105 @@ def _failed(failure: Failure) -> FlightPhotograph:
 
 def _photograph(
     photograph: Photograph,
-    component: Component,
-    place: int,
-    record: FlightComponent,
+    component: FlightComponent,
+    *,
+    offset: float,
+    log_sd: float,
+    maybe_tilted: bool,
     rulers: tuple[FlightRuler, ...],
+    sortie: int,
 ) -> FlightPhotograph:
-    """Convert the scale of a component to one of its photographs."""
-    pooled = record.pooled
-    advice = record.advice
-    reason: Reason | None = pooled.reason
-    gsd = low = high = None
+    """Make the record of a photograph from the scale of its component.
+
+    Args:
+        photograph: with its own analysis.
+        component: record of the component.
+        offset: log of its metres per pixel over those of the component's reference.
+        log_sd: standard deviation of the offset.
+        maybe_tilted: whether the offset may be that of a tilted camera.
+        rulers: which support its scale.
+        sortie: its number.
+    """
+    pooled = component.pooled
+    carried = _carried_scale(pooled, offset, log_sd)
     status = pooled.status
-    confidence = pooled.confidence
-    if pooled.gsd_m_per_px is not None:
-        gsd = pooled.gsd_m_per_px * math.exp(component.offsets[place])
-        carried = Z95 * float(component.log_sds[place])
-        if pooled.gsd_ci95_low_m_per_px and pooled.gsd_ci95_high_m_per_px:
-            down = math.log(pooled.gsd_m_per_px / pooled.gsd_ci95_low_m_per_px)
-            up = math.log(pooled.gsd_ci95_high_m_per_px / pooled.gsd_m_per_px)
-            low = gsd * math.exp(-math.hypot(down, carried))
-            high = gsd * math.exp(math.hypot(up, carried))
-            confidence = _carried_chance(confidence, math.log(high / low), up + down)
-        if status == "ok" and confidence < USABLE_CHANCE:
-            status = "low_confidence"
-            reason = "imprecise"
-            advice = _carried_advice(maybe_tilted=component.maybe_tilted)
+    reason: Reason | None = pooled.reason
+    advice = component.advice
+    # The component's scale is usable, but not after the links to this photograph.
+    if status == "ok" and carried.confidence < USABLE_CHANCE:
+        status = "low_confidence"
+        reason = "imprecise"
+        advice = _carried_advice(maybe_tilted=maybe_tilted)
+    interval = None
+    if carried.low is not None and carried.high is not None:
+        interval = (carried.low, carried.high)
     return FlightPhotograph(
         photograph=photograph.name,
         status=status,
-        gsd_m_per_px=gsd,
-        gsd_ci95_low_m_per_px=low,
-        gsd_ci95_high_m_per_px=high,
-        confidence=confidence,
+        gsd_m_per_px=carried.gsd_m_per_px,
+        gsd_ci95_low_m_per_px=carried.low,
+        gsd_ci95_high_m_per_px=carried.high,
+        confidence=carried.confidence,
         reason=reason,
         advice=advice,
-        component=record.number,
+        sortie=sortie,
+        component=component.number,
         supported_by=rulers,
         scale=make_known_scale(
             photograph.view,
-            gsd,
-            interval=None if low is None or high is None else (low, high),
-            confidence=confidence,
+            carried.gsd_m_per_px,
+            interval=interval,
+            confidence=carried.confidence,
         ),
         own=photograph.analysis.estimate,
     )
 
 
-def _carried_chance(chance: float, width: float, pooled_width: float) -> float:
-    """Lower a component's chance by the error of the links to a photograph: the interval's log width grows.
+def _carried_scale(pooled: GsdEstimate, offset: float, log_sd: float) -> _CarriedScale:
+    """Convert the scale of a component to a photograph, with the error of the links to it.
 
     Args:
-        chance: of the component.
-        width: of the photograph's interval.
-        pooled_width: of the component's interval.
+        pooled: scale of the component's reference.
+        offset: log of the photograph's metres per pixel over those of the reference.
+        log_sd: standard deviation of the offset.
     """
-    tolerance = 2 * Z95 * math.log1p(TOLERANCE)  # within 20 %, in widths of a normal
-    within, pooled_within = (
-        math.erf(tolerance / max(each, 1e-9) / math.sqrt(2)) for each in (width, pooled_width)
-    )
-    return chance * min(1.0, within / pooled_within)
+    pooled_gsd = pooled.gsd_m_per_px
+    pooled_low = pooled.gsd_ci95_low_m_per_px
+    pooled_high = pooled.gsd_ci95_high_m_per_px
+    if pooled_gsd is None:
+        return _CarriedScale(None, low=None, high=None, confidence=pooled.confidence)
+    gsd = pooled_gsd * math.exp(offset)
+    if not pooled_low or not pooled_high:
+        return _CarriedScale(gsd, low=None, high=None, confidence=pooled.confidence)
+    # The error of the links is independent of that of the pooled scale: on each side, both reaches
+    # of the interval add in quadrature, in logs.
+    link_reach = Z95 * log_sd
+    reach_down = math.log(pooled_gsd / pooled_low)
+    reach_up = math.log(pooled_high / pooled_gsd)
+    low = gsd * math.exp(-math.hypot(reach_down, link_reach))
+    high = gsd * math.exp(math.hypot(reach_up, link_reach))
+    # The confidence falls as the chance of an error below 20 % does in a wider normal distribution.
+    within = _chance_within_tolerance(math.log(high / low))
+    pooled_within = _chance_within_tolerance(reach_up + reach_down)
+    confidence = pooled.confidence * min(1.0, within / pooled_within)
+    return _CarriedScale(gsd, low=low, high=high, confidence=confidence)
+
+
+def _chance_within_tolerance(log_width: float) -> float:
+    """Compute the chance of an error below 20 %, of a lognormal scale.
+
+    Args:
+        log_width: width of its 95 % interval, in logs: 2 ``Z95`` standard deviations.
+    """
+    tolerance = 2 * Z95 * math.log1p(TOLERANCE)
+    return math.erf(tolerance / max(log_width, 1e-9) / math.sqrt(2))
 
 
 def _status(photographs: Sequence[FlightPhotograph]) -> Status:
-    said = [each.status for each in photographs if each.status != "error"]
-    if all(status == "no_scale" for status in said):
+    statuses = {record.status for record in photographs if record.status != "error"}
+    if statuses <= {"no_scale"}:
         return "no_scale"
-    return "ok" if all(status == "ok" for status in said) else "low_confidence"
+    return "ok" if statuses == {"ok"} else "low_confidence"
 
 
 def _supporting_rulers(
@@ -273,28 +375,38 @@ def _supporting_rulers(
 ) -> list[tuple[FlightRuler, ...]]:
     """List each member's supporting rulers: its own, then those of the strongest member."""
     measured = _supports(members, component, pooled)
-    of_flight = [each for each in component.extra if each.found]
-    common = [
-        _Support(each.kind, place, 1.0 - each.chance_wrong)
-        for each in of_flight
-        for place in range(len(members))
-    ]
-    supports = measured + common
+    of_flight = _supports_of_flight(component)
+    supports = measured + of_flight
     if not supports:
         return [()] * len(members)
-    chances = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
-    supports.sort(key=lambda each: (-chances.get(each.ruler, 0.0), -each.strength))
-    strongest = max(measured or common, key=lambda each: each.strength).member
-    named = []
-    for place in range(len(members)):
-        own = [each for each in supports if each.member == place]
-        others = [each for each in supports if each.member == strongest != place]
-        chosen = [
-            FlightRuler(ruler=each.ruler, photograph=members[each.member].name)
-            for each in own + others
+    strongest = max(measured or of_flight, key=lambda support: support.strength).member
+    # Rulers that are probably right come first, and of one ruler the strongest photograph.
+    p_right = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
+    supports.sort(key=lambda support: (-p_right.get(support.ruler, 0.0), -support.strength))
+    rulers_of_members = []
+    for member in range(len(members)):
+        own = [support for support in supports if support.member == member]
+        others = []
+        if member != strongest:
+            others = [support for support in supports if support.member == strongest]
+        rulers = [
+            FlightRuler(ruler=support.ruler, photograph=members[support.member].name)
+            for support in (own + others)[:_MAX_RULERS]
         ]
-        named.append(tuple(chosen[:_MOST_RULERS]))
-    return named
+        rulers_of_members.append(tuple(rulers))
+    return rulers_of_members
+
+
+def _supports_of_flight(component: Component) -> list[_Support]:
+    """List the rulers that only a flight has: they support each member alike."""
+    supports = []
+    for witness in component.extra:
+        if witness.found:
+            strength = 1.0 - witness.chance_wrong
+            supports += [
+                _Support(witness.kind, member, strength) for member in range(len(component))
+            ]
+    return supports
 
 
 def _supports(
@@ -302,25 +414,26 @@ def _supports(
 ) -> list[_Support]:
     """List the rulers that support the component's scale, with the photograph of each."""
     supports = []
-    vehicles = pooled.vehicles
-    lengths = np.zeros(0) if vehicles is None else vehicles.fleet.lengths
-    for place, member in enumerate(members):
-        detections = member.measured
-        own = detections.boxes[:, 2] * math.exp(component.offsets[place])
-        among: NDArray[np.bool_] = (
-            (own >= lengths.min()) & (own <= lengths.max())
-            if len(lengths)
-            else np.zeros(len(own), dtype=bool)
-        )
-        strength = float((detections.scores[among] ** 2).sum())
+    for index, member in enumerate(members):
+        detections = member.rectified_detections
+        lengths = detections.boxes[:, 2] * math.exp(component.offsets[index])
+        scores = detections.scores[_is_in_fleet(lengths, pooled)]
+        strength = float((scores**2).sum())
         if strength > 0:
-            supports.append(_Support(Vehicles.kind, place, strength))
-        supports += [
-            _Support(other.kind, place, 1.0 - other.chance_wrong)
-            for other in of_photographs(member.analysis.witnesses)
-            if other.found and other.sets_scale
-        ]
+            supports.append(_Support(Vehicles.kind, index, strength))
+        for witness in per_photograph_witnesses(member.analysis.witnesses):
+            if witness.found and witness.sets_scale:
+                supports.append(_Support(witness.kind, index, 1.0 - witness.chance_wrong))
     return supports
+
+
+def _is_in_fleet(lengths: NDArray[np.float64], pooled: ScaleAnalysis) -> NDArray[np.bool_]:
+    """Find lengths ``[n]``, in pixels of the reference, among those behind the pooled scale."""
+    if pooled.vehicles is None or not len(pooled.vehicles.fleet.lengths):
+        return np.zeros(len(lengths), dtype=bool)
+    shortest = pooled.vehicles.fleet.lengths.min()
+    longest = pooled.vehicles.fleet.lengths.max()
+    return np.asarray((lengths >= shortest) & (lengths <= longest))
 
 
 def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
@@ -342,25 +455,22 @@ def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
 
 
 def _carried_advice(*, maybe_tilted: bool) -> str:
-    """Give the advice for a photograph whose scale comes from another one, with too wide an interval.
+    """Give the advice for a photograph whose scale comes from others and is too uncertain.
 
     Args:
         maybe_tilted: whether the ratios of the scales may be those of a tilted camera.
     """
     if maybe_tilted:
-        return _sentence(
-            Advice(
-                "the overlaps fit a tilted camera as well as one that climbs",
-                "give photographs with the camera's angle in their metadata, or taken straight "
-                "down",
-            )
+        advice = Advice(
+            "the overlaps fit a tilted camera as well as one that climbs",
+            "give photographs with the camera's angle in their metadata, or taken straight down",
         )
-    return _sentence(
-        Advice(
+    else:
+        advice = Advice(
             "its rulers are in other photographs, and the overlaps in between widen the interval",
             "add photographs between them, or give the height",
         )
-    )
+    return _sentence(advice)
 
 
 def _sentence(advice: Advice) -> str:

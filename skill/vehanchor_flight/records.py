@@ -28,8 +28,7 @@ class FlightPhotograph(Record):
     photograph: str = Field(description="The photograph, as the caller named it.")
     status: Status | Literal["error"] = Field(
         description="ok: right within 20 % in at least 9 of 10 such photographs. "
-        "low_confidence: do not act on the "
-        "scale. no_scale: no scale. error: unreadable."
+        "low_confidence: do not act on the scale. no_scale: no scale. error: unreadable."
     )
     gsd_m_per_px: float | None = Field(
         default=None, description="Metres per pixel of this photograph, by all evidence."
@@ -137,14 +136,14 @@ class FlightEstimate(Record):
 
 
 class LiveScale(Record):
-    """Scale of one frame by all frames so far; advisory, and no input for a flight controller's estimator."""
+    """Scale of one frame by all frames so far; advisory, and not for a flight controller."""
 
     frame: str = Field(description="The file of the frame.")
     at_s: float = Field(description="Time of the frame, seconds since the first.")
     status: Status = Field(
         description="ok: the chance of an error below 20 % is at least 0.9, and the last "
-        "vehicles agree. "
-        "low_confidence: the scale is a hint. no_scale: no vehicles, or none for too long."
+        "vehicles agree. low_confidence: the scale is a hint. no_scale: no vehicles, or none for "
+        "too long."
     )
     gsd_m_per_px: float | None = Field(
         description="Metres per pixel of this frame; null without a scale."
@@ -183,7 +182,9 @@ class ModelRuler(Record):
         ge=0, description="Number of things measured; a car in several photographs counts once."
     )
     p_right: float = Field(
-        ge=0, le=1, description="Chance that it measured what it thinks, given all rulers."
+        ge=0,
+        le=1,
+        description="Chance that it measured what it is meant to measure, given all rulers.",
     )
 
 
@@ -193,9 +194,8 @@ class ModelPhotograph(Record):
     photograph: str = Field(description="Name of the photograph in the model.")
     status: Literal["used", "unclear", "outlier", "nothing", "error"] = Field(
         description="used: carries the factor. unclear: its own interval spans more than a "
-        "factor of 2. outlier: its "
-        "own interval and the model's do not meet. nothing: nothing of known size. error: not "
-        "measured."
+        "factor of 2. outlier: its own interval and the model's do not meet. nothing: nothing of "
+        "known size. error: not measured."
     )
     factor: float | None = Field(
         default=None, description="The factor by this photograph alone; null without one."

@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.engine import Engine
 from vehanchor.rulers.known_length_table import lines_in
-from vehanchor_flight.estimate import check_options, conclude, resumed, search_flight
-from vehanchor_flight.inputs import check_many, named
+from vehanchor_flight.estimate import (
+    check_options,
+    conclude,
+    resumable_journal,
+    search_flight,
+)
+from vehanchor_flight.inputs import check_many, name_photographs
 from vehanchor_flight.live.estimator import LiveEstimator
 from vehanchor_flight.live.frames import open_frames
 from vehanchor_flight.reconstruction.estimate import (
@@ -69,20 +74,28 @@ def estimate_flight(
         OutputError: the journal cannot be written.
         VehAnchorError: as ``vehanchor.estimate_gsd``.
     """
-    check_many(images)  # before a model is loaded
-    paths = (
-        [each for each in images if isinstance(each, str | os.PathLike)]
-        if isinstance(images, Sequence)
-        else []
-    )
+    # A model takes seconds to load: refuse the images first.
+    check_many(images)
+    paths: list[str | os.PathLike[str]] = []
+    if isinstance(images, Sequence):
+        paths = [image for image in images if isinstance(image, str | os.PathLike)]
     lines = lines_in(known_lengths_table, paths)
-    called, chosen = (engine or Engine()).for_call(options, keywords)
-    check_options(chosen)
-    detector = checked_detector(called.detector, chosen)
-    taken = list(named(images)) if isinstance(images, Sequence) else named(images)
-    with resumed(journal, detector, chosen, lines) as kept:
+    engine = engine or Engine()
+    call_engine, call_options = engine.for_call(options, keywords)
+    check_options(call_options)
+    detector = checked_detector(call_engine.detector, call_options)
+    inputs: Iterable[InputPhotograph] = name_photographs(images)
+    if isinstance(images, Sequence):
+        # Refuse repeated names before the search; an iterator is read during the search only.
+        inputs = list(inputs)
+    with resumable_journal(journal, detector, call_options, lines) as open_journal:
         results = search_flight(
-            taken, detector, chosen, featured=not same_scale, journal=kept, lines=lines
+            inputs,
+            detector,
+            call_options,
+            featured=not same_scale,
+            journal=open_journal,
+            lines=lines,
         )
         return conclude(results, detector.card, same_scale=same_scale)
 
@@ -101,7 +114,7 @@ def rescale(
 
     Args:
         model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, a ``reconstruction.json``, or
-            what ``read_model`` read.
+            a model that ``read_model`` returned.
         options: as in ``vehanchor.estimate_gsd``. Metadata is not used: positions and heights in it
             may have made the wrong size.
         engine: holds the models; None for the bundled ones.
@@ -119,20 +132,26 @@ def rescale(
         OutputError: the journal cannot be written.
         VehAnchorError: as ``vehanchor.estimate_gsd``.
     """
-    called, chosen = (engine or Engine()).for_call(options, keywords)
-    read = model if isinstance(model, Reconstruction) else read_model(model)
-    folder = images_of(read) if images is None else Path(images)
-    detector = checked_detector(called.detector, chosen)
-    chosen = replace(chosen, rulers=replace(chosen.rulers, metadata=False))
-    lines = lines_in(known_lengths_table, photograph_files(read, folder))
-    with resumed(journal, detector, chosen, lines, model_sha256=model_sha256(read)) as kept:
-        return conclude_model(
-            read,
-            search_model(
-                read, folder, detector=detector, options=chosen, lines=lines, journal=kept
-            ),
+    engine = engine or Engine()
+    call_engine, call_options = engine.for_call(options, keywords)
+    reconstruction = model if isinstance(model, Reconstruction) else read_model(model)
+    folder = images_of(reconstruction) if images is None else Path(images)
+    detector = checked_detector(call_engine.detector, call_options)
+    rulers = replace(call_options.rulers, metadata=False)
+    call_options = replace(call_options, rulers=rulers)
+    lines = lines_in(known_lengths_table, photograph_files(reconstruction, folder))
+    with resumable_journal(
+        journal, detector, call_options, lines, model_sha256=model_sha256(reconstruction)
+    ) as open_journal:
+        results = search_model(
+            reconstruction,
             folder,
+            detector=detector,
+            options=call_options,
+            lines=lines,
+            journal=open_journal,
         )
+        return conclude_model(reconstruction, results, folder)
 
 
 def live_scales(
@@ -146,9 +165,9 @@ def live_scales(
     tell: Callable[[str], None] = lambda _sentence: None,
     **keywords: Any,
 ) -> Iterator[LiveScale]:
-    """Estimate the scale of each frame of a running camera, advisory.
+    """Estimate the scale of each frame of a running camera; the scales are advisory.
 
-    The newest frame wins: no queue grows while a record is used. A video gives every frame.
+    The newest frame wins: no queue grows while the caller uses a record. A video skips no frame.
 
     Args:
         source: folder that fills, video file, or number of a camera.
@@ -158,8 +177,8 @@ def live_scales(
         every_s: for a video, seconds between frames.
         hold_s: seconds without vehicles after which there is no scale.
         idle_s: seconds without a new frame that end a folder or a camera; None for never.
-        tell: receives a sentence on each frame that cannot be read, and on each loss and return of
-            the camera.
+        tell: receives a sentence about each frame that cannot be read, and about each loss and
+            return of the camera.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
@@ -170,7 +189,9 @@ def live_scales(
         InvalidParameterError: the seconds are invalid, or an option is.
         ModelError: a model cannot be used.
     """
-    called, chosen = (engine or Engine()).for_call(options, keywords)
+    engine = engine or Engine()
+    call_engine, call_options = engine.for_call(options, keywords)
     name = str(source) if isinstance(source, int) else os.fspath(source)
-    frames = open_frames(name, chosen.reading, every_s=every_s, idle_s=idle_s, tell=tell)
-    return map(LiveEstimator(called.detector, chosen, hold_s=hold_s).estimate, frames)
+    frames = open_frames(name, call_options.reading, every_s=every_s, idle_s=idle_s, tell=tell)
+    estimator = LiveEstimator(call_engine.detector, call_options, hold_s=hold_s)
+    return map(estimator.estimate, frames)

@@ -7,7 +7,7 @@ import os
 import threading
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -24,18 +24,36 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm"})
-_TRIALS = 5  # frames compared for one photograph
+_N_TRIALS = 5  # Frames that are compared for one photograph.
 _SHARPNESS_SIDE_PX = 640
 _MOV_ATOMS = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
-_PACKET_BYTES = 188  # of an MPEG transport stream; cameras put four bytes before each
+_MATROSKA_SIGNATURE = b"\x1a\x45\xdf\xa3"
+# Each packet of an MPEG transport stream begins with this byte; cameras put four bytes before it.
+_PACKET_SYNC = b"G"
+_PACKET_BYTES = 188
+_CAMERA_PREFIX_BYTES = 4
 _HEAD_BYTES = 256
-# OpenCV reads FFmpeg's options from the environment only
+# OpenCV reads FFmpeg's options from the environment only.
 _OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-_opening = threading.Lock()
+_environment_lock = threading.Lock()
+
+
+class _SharpFrame(NamedTuple):
+    """Candidate for a photograph.
+
+    Attributes:
+        sharpness: see ``sharpness``.
+        number: of the frame in the video.
+        pixels: ``[h, w, 3]`` uint8 BGR.
+    """
+
+    sharpness: float
+    number: int
+    pixels: NDArray[np.uint8]
 
 
 def is_video(path: str) -> bool:
-    """Tell whether a file name has a video suffix."""
+    """Check whether a file name has a video suffix."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
@@ -46,7 +64,7 @@ def sample_video(
 
     The sharpest of five frames of each interval is kept. One frame is held in memory at a time.
     FFmpeg may use only the demuxer of the file's signature, and only this file: a playlist that
-    names other files is no video.
+    names other files is not a video.
 
     Args:
         path: path of the video.
@@ -72,26 +90,44 @@ def sample_video(
         if not 0 < rate < 1e4:
             raise _unreadable(path)
         _check_frame(film, limits or ImageLimits())
-        stretch = max(1, round(step_s * rate))
-        wanted = {round(k * stretch / _TRIALS) for k in range(_TRIALS)}
-        best: tuple[float, int, NDArray[np.uint8]] | None = None
+        interval = max(1, round(step_s * rate))
+        trials = {round(trial * interval / _N_TRIALS) for trial in range(_N_TRIALS)}
+        sharpest: _SharpFrame | None = None
         number = 0
+        # All frames are grabbed one after the other; only the trials are converted to pixels.
         while film.grab():
-            if number % stretch == 0 and best is not None:
-                yield _taken(path, best, rate)
-                best = None
-            if number % stretch in wanted:
-                known, frame = film.retrieve()
-                if known:
-                    seen = np.asarray(frame, dtype=np.uint8)
-                    sharp = sharpness(seen)
-                    if best is None or sharp > best[0]:
-                        best = sharp, number, seen
+            position = number % interval
+            if position == 0 and sharpest is not None:
+                yield _photograph(path, sharpest, rate)
+                sharpest = None
+            if position in trials:
+                candidate = _retrieve(film, number)
+                if candidate is not None and (
+                    sharpest is None or candidate.sharpness > sharpest.sharpness
+                ):
+                    sharpest = candidate
             number += 1
-        if best is not None:
-            yield _taken(path, best, rate)
+        if sharpest is not None:
+            yield _photograph(path, sharpest, rate)
         if number == 0:
             raise ImageDecodeError(f"the video {path!r} has no readable frame")
+
+
+def _retrieve(film: cv2.VideoCapture, number: int) -> _SharpFrame | None:
+    """Convert the frame that was grabbed last to pixels; None if it is damaged."""
+    is_readable, frame = film.retrieve()
+    if not is_readable:
+        return None
+    pixels = np.asarray(frame, dtype=np.uint8)
+    return _SharpFrame(sharpness(pixels), number, pixels)
+
+
+def _photograph(path: str, frame: _SharpFrame, rate: float) -> InputPhotograph:
+    """Make a photograph of a frame, in RGB, named by the video and its time."""
+    # As many digits as give each frame another name.
+    digits = max(2, math.ceil(math.log10(max(rate, 1.0))))
+    name = f"{path} at {frame.number / rate:.{digits}f} s"
+    return InputPhotograph(name, np.ascontiguousarray(frame.pixels[:, :, ::-1]), film=path)
 
 
 @contextmanager
@@ -104,11 +140,12 @@ def opened_video(path: str) -> Iterator[cv2.VideoCapture]:
     demuxer = _demuxer(Path(path))
     if demuxer is None:
         raise _unreadable(path)
-    with _opening:
+    # The environment belongs to the process: one thread at a time may change it.
+    with _environment_lock:
         before = os.environ.get(_OPTIONS)
         os.environ[_OPTIONS] = f"protocol_whitelist;file|format_whitelist;{demuxer}"
         try:
-            # a relative path may name a protocol
+            # A relative path may name a protocol.
             film = cv2.VideoCapture(str(Path(path).absolute()), cv2.CAP_FFMPEG)
         finally:
             del os.environ[_OPTIONS]
@@ -123,7 +160,7 @@ def opened_video(path: str) -> Iterator[cv2.VideoCapture]:
 
 
 def _demuxer(path: Path) -> str | None:
-    """Name FFmpeg's demuxer for a file by its first bytes; None if it is no known video."""
+    """Name FFmpeg's demuxer for a file by its first bytes; None for an unknown format."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
@@ -131,22 +168,29 @@ def _demuxer(path: Path) -> str | None:
         raise ImageDecodeError(f"cannot read the video {str(path)!r}: {error.strerror}") from error
     if head[4:8] in _MOV_ATOMS:
         return "mov"
-    if head.startswith(b"\x1a\x45\xdf\xa3"):
+    if head.startswith(_MATROSKA_SIGNATURE):
         return "matroska"
     if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
         return "avi"
-    packets = ((0, _PACKET_BYTES), (4, 2 * 4 + _PACKET_BYTES))
-    return "mpegts" if any(head[i : i + 1] == head[j : j + 1] == b"G" for i, j in packets) else None
+    if _is_transport_stream(head) or _is_transport_stream(head, _CAMERA_PREFIX_BYTES):
+        return "mpegts"
+    return None
+
+
+def _is_transport_stream(head: bytes, prefix: int = 0) -> bool:
+    """Check whether two packets of MPEG-TS follow each other, each after ``prefix`` bytes."""
+    second = prefix + _PACKET_BYTES + prefix
+    return head[prefix : prefix + 1] == head[second : second + 1] == _PACKET_SYNC
 
 
 def _check_frame(film: cv2.VideoCapture, limits: ImageLimits) -> None:
+    """Check the declared size of the frames, before one is decoded."""
     width = int(film.get(cv2.CAP_PROP_FRAME_WIDTH))
     height = int(film.get(cv2.CAP_PROP_FRAME_HEIGHT))
     if width * height > limits.max_pixels:
         raise ImageTooLargeError(
             f"the video declares frames of {width} x {height} px, the limit is "
-            f"{limits.max_pixels} pixels "
-            "(--max-megapixels, ImageLimits.max_pixels)"
+            f"{limits.max_pixels} pixels (--max-megapixels, ImageLimits.max_pixels)"
         )
     check_side(width, height)
 
@@ -163,16 +207,9 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
     Args:
         frame: ``[h, w, 3]``.
     """
-    factor = min(1.0, _SHARPNESS_SIDE_PX / max(frame.shape[:2]))
+    height, width, _ = frame.shape
+    factor = min(1.0, _SHARPNESS_SIDE_PX / max(height, width))
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     if factor < 1:
         grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(grey, cv2.CV_64F).var())
-
-
-def _taken(path: str, best: tuple[float, int, NDArray[np.uint8]], rate: float) -> InputPhotograph:
-    _, number, frame = best
-    digits = max(2, math.ceil(math.log10(max(rate, 1.0))))  # unique names
-    return InputPhotograph(
-        f"{path} at {number / rate:.{digits}f} s", np.ascontiguousarray(frame[:, :, ::-1]), path
-    )

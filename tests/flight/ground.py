@@ -21,15 +21,17 @@ _METRES_A_DEGREE = 111_195.0
 
 
 def ground(side_px: int = 1600, seed: int = 5) -> NDArray[np.uint8]:
-    """Grey patches of all sizes, ``[side, side, 3]``."""
+    """Make grey patches of all sizes, ``[side, side, 3]``."""
     rng = np.random.default_rng(seed)
     image = np.full((side_px, side_px), 110.0, np.float32)
     for _ in range(2600):
-        x, y = rng.integers(0, side_px, 2)
-        size = rng.uniform(4, 40, 2)
-        box = ((float(x), float(y)), (float(size[0]), float(size[1])), float(rng.uniform(0, 180)))
-        cv2.fillPoly(image, [cv2.boxPoints(box).astype(np.int32)], float(rng.uniform(20, 235)))
-    grey = np.clip(image + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+        x, y = rng.integers(0, side_px, 2).tolist()
+        width, height = rng.uniform(4, 40, 2).tolist()
+        box = ((float(x), float(y)), (width, height), float(rng.uniform(0, 180)))
+        corners = cv2.boxPoints(box).astype(np.int32)
+        cv2.fillPoly(image, [corners], float(rng.uniform(20, 235)))
+    noisy = image + rng.normal(0, 3, image.shape)
+    grey = np.clip(noisy, 0, 255).astype(np.uint8)
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 
@@ -42,41 +44,41 @@ def photograph_of(
     scale: float = 1.0,
     side_px: int = 500,
 ) -> NDArray[np.uint8]:
-    """The ground around (x, y): ``scale`` pixels of the ground a pixel, turned."""
+    """Photograph the ground around (x, y): ``scale`` pixels of the ground a pixel, turned."""
     move = np.array(cv2.getRotationMatrix2D((x, y), turn_deg, 1 / scale), dtype=np.float64)
     move[:, 2] += side_px / 2 - np.array([x, y])
-    flags = cv2.INTER_AREA if scale > 1 else cv2.INTER_LINEAR
-    blurred = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
-    return np.asarray(
-        cv2.warpAffine(blurred, move, (side_px, side_px), flags=flags), dtype=np.uint8
-    )
+    size = (side_px, side_px)
+    if scale > 1:
+        blurred = cv2.GaussianBlur(world, (0, 0), 0.4 * scale)
+        photograph = cv2.warpAffine(blurred, move, size, flags=cv2.INTER_AREA)
+    else:
+        photograph = cv2.warpAffine(world, move, size, flags=cv2.INTER_LINEAR)
+    return np.asarray(photograph, dtype=np.uint8)
 
 
 def features_of(image: NDArray[np.uint8]) -> Features:
-    """The features of an array."""
+    """Find the features of an array."""
     with open_raster(image) as raster:
         return find_features(raster)
 
 
 def facts_at(east_m: float, north_m: float, side_px: int = 500) -> ImageFacts:
-    """Facts of a photograph taken there."""
+    """Make the facts of a photograph taken there."""
     latitude = _LATITUDE + north_m / _METRES_A_DEGREE
     longitude = 7.0 + east_m / (_METRES_A_DEGREE * np.cos(np.radians(_LATITUDE)))
-    return ImageFacts(
-        side_px,
-        side_px,
-        camera=CameraMetadata(latitude_deg=latitude, longitude_deg=float(longitude)),
-    )
+    camera = CameraMetadata(latitude_deg=latitude, longitude_deg=float(longitude))
+    return ImageFacts(side_px, side_px, camera=camera)
 
 
-def sighting_of(lengths: NDArray[np.float64]) -> Detections:
-    """Vehicles of these lengths."""
-    boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, np.zeros(len(lengths))])
+def vehicles_of(lengths: NDArray[np.float64]) -> Detections:
+    """Make detections of vehicles of these lengths."""
+    angles = np.zeros(len(lengths))
+    boxes = np.column_stack([lengths, lengths, lengths, lengths / 2, angles])
     return Detections(boxes, np.full(len(boxes), 0.8))
 
 
 def write_flight(folder: Path, fleets: Sequence[Sequence[float]]) -> list[str]:
-    """A photograph for each of some fleets, ``0.png``, ``1.png`` and so on; their paths."""
+    """Write a photograph for each fleet, ``0.png``, ``1.png`` and so on; return their paths."""
     paths = []
     for number, lengths in enumerate(fleets):
         path = folder / f"{number}.png"
@@ -88,12 +90,12 @@ def write_flight(folder: Path, fleets: Sequence[Sequence[float]]) -> list[str]:
 def write_film(
     path: Path, frames: Iterable[NDArray[np.uint8]], per_second: float = 10.0, codec: str = "MJPG"
 ) -> str:
-    """A video of these frames, BGR; its path."""
-    first, *rest = frames
-    writer = cv2.VideoWriter(
-        str(path), cv2.VideoWriter.fourcc(*codec), per_second, first.shape[1::-1]
-    )
-    for frame in (first, *rest):
+    """Write a video of these frames, BGR; return its path."""
+    all_frames = list(frames)
+    height, width, _ = all_frames[0].shape
+    fourcc = cv2.VideoWriter.fourcc(*codec)
+    writer = cv2.VideoWriter(str(path), fourcc, per_second, (width, height))
+    for frame in all_frames:
         writer.write(frame)
     writer.release()
     return str(path)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,35 +18,40 @@ from vehanchor_flight.reconstruction.files import read_model
 from vehanchor_flight.records import LiveScale
 
 FLEET = list(30.0 * (1 + 0.06 * np.linspace(-1, 1, 9) ** 3))
+DETECTOR = ("--detector", "detector.onnx")
+LINE = ("--point", "100", "100", "--point", "200", "100")
+
+
+def _invoke(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.app, [*map(str, arguments), *DETECTOR])
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor`` in a folder with a flight of four photographs, one of them without cars."""
+    """Run ``vehanchor`` in a folder with a flight of four photographs, one of them without cars."""
     write_flight(tmp_path, [FLEET[0::3], FLEET[1::3], [], FLEET[2::3]])
     write_detector(tmp_path / "detector.onnx")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)  # of progress in a log
-
-    def invoke(command: str, *arguments: object) -> Result:
-        return CliRunner().invoke(
-            cli.app, [command, *map(str, arguments), "--detector", "detector.onnx"]
-        )
-
-    return invoke
+    # Report each step of the progress in a log.
+    monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)
+    return _invoke
 
 
-def _told(done: Result) -> list[str]:
+def _progress(done: Result) -> list[str]:
     return [line for line in done.stderr.splitlines() if "images" in line]
 
 
-def test_photographs_of_unknown_ratio_each_have_a_line(run: Any) -> None:
+def test_photographs_of_unknown_ratio_have_a_line_each(run: Any) -> None:
     done = run("flight", "0.png", "2.png")
     assert "its own vehicles" in done.stdout
     assert "no other photograph overlaps it" in " ".join(done.stdout.split())
-    assert _told(done) == [
+
+
+def test_progress_names_the_step(run: Any) -> None:
+    done = run("flight", "0.png", "2.png")
+    assert _progress(done) == [
         "searching 0 of 2 images",
         "searching 1 of 2 images",
         "linking 2 of 2 images",
@@ -68,69 +74,82 @@ def test_tables_fit_a_terminal_of_80_columns(
 
 
 @pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])
-def test_an_output_that_cannot_be_written_is_told_before_the_work(run: Any, out: str) -> None:
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(run: Any, out: str) -> None:
     done = run("flight", ".", "--out", out)
     assert done.exit_code == 2
     assert "output_unwritable" in done.stderr
 
 
-def test_json_is_the_record_whose_scale_is_given_back_for_a_photograph_without_cars(
-    run: Any, tmp_path: Path
-) -> None:
+@pytest.fixture
+def flight_record(run: Any) -> Any:
+    """Estimate all photographs with one scale; return the record that ``flight.json`` holds."""
     done = run("flight", "*.png", "--same-scale", "--json", "--out", "flight.json")
-    flight = json.loads(done.stdout)
-    assert flight == json.loads((tmp_path / "flight.json").read_text())
-    assert [each["photograph"] for each in flight["photographs"]] == [
-        "0.png",
-        "1.png",
-        "2.png",
-        "3.png",
-    ]
+    return json.loads(done.stdout)
+
+
+def test_json_is_the_record_of_the_file(flight_record: Any, tmp_path: Path) -> None:
+    assert flight_record == json.loads((tmp_path / "flight.json").read_text())
+    names = [photograph["photograph"] for photograph in flight_record["photographs"]]
+    assert names == ["0.png", "1.png", "2.png", "3.png"]
     assert not (tmp_path / "flight.json.journal").exists()
-    line = ["--point", "100", "100", "--point", "200", "100"]
-    done = run("distance", "2.png", *line, "--scale", "flight.json", "--json")
+
+
+def test_a_photograph_without_cars_is_measured_with_the_flights_scale(
+    run: Any, flight_record: Any
+) -> None:
+    done = run("distance", "2.png", *LINE, "--scale", "flight.json", "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)
-    assert record["distance_m"] == pytest.approx(100 * flight["gsd_m_per_px"])
+    assert record["distance_m"] == pytest.approx(100 * flight_record["gsd_m_per_px"])
     assert record["scale_source"] == "reused"
     assert record["distance_ci95_low_m"] < 0.97 * record["distance_m"]
+
+
+@pytest.mark.usefixtures("flight_record")
+def test_the_flights_scale_is_refused_for_a_stranger(run: Any, tmp_path: Path) -> None:
     (tmp_path / "2.png").rename(tmp_path / "other.png")
-    refused = run("distance", "other.png", *line, "--scale", "flight.json")
+    refused = run("distance", "other.png", *LINE, "--scale", "flight.json")
     assert refused.exit_code == 2
     assert "not there in the flight" in refused.stderr
 
 
-def test_a_folder_of_one_scale_is_told_and_has_it_in_every_row_of_a_table(
-    run: Any, tmp_path: Path
-) -> None:
+@pytest.fixture
+def folder_of_one_scale(run: Any, tmp_path: Path) -> Result:
+    """Estimate a folder with an unreadable file, with one scale, and write a table."""
     (tmp_path / "4.png").write_bytes(b"no image")
-    done = run("flight", ".", "--same-scale", "--table", "scales.jsonl")
+    done: Result = run("flight", ".", "--same-scale", "--table", "scales.jsonl")
     assert done.exit_code == 0, done.output
-    assert "scale of all" in done.stdout
-    assert "0.168" in done.stdout
-    assert _told(done)[-1] == "pooling the evidence of 5 of 5 images"
+    return done
+
+
+def test_one_scale_is_printed_for_all(folder_of_one_scale: Result) -> None:
+    assert "scale of all" in folder_of_one_scale.stdout
+    assert "0.168" in folder_of_one_scale.stdout
+    assert _progress(folder_of_one_scale)[-1] == "pooling the evidence of 5 of 5 images"
+
+
+@pytest.mark.usefixtures("folder_of_one_scale")
+def test_each_row_of_a_table_has_the_scale_of_all(tmp_path: Path) -> None:
     rows = [json.loads(line) for line in (tmp_path / "scales.jsonl").read_text().splitlines()]
-    assert len({row["gsd_m_per_px"] for row in rows[:4]}) == 1
-    assert [row["status"] for row in rows[:4]] == ["ok"] * 4
-    assert [row["n_vehicles"] for row in rows[:4]] == [3, 3, 0, 3]
+    readable = rows[:4]
+    assert len({row["gsd_m_per_px"] for row in readable}) == 1
+    assert [row["status"] for row in readable] == ["ok"] * 4
+    assert [row["n_vehicles"] for row in readable] == [3, 3, 0, 3]
     assert rows[4]["error_code"] == "image_undecodable"
     assert not (tmp_path / "scales.jsonl.journal").exists()
+
+
+def test_a_table_of_an_unknown_format_is_refused(run: Any) -> None:
     assert run("flight", ".", "--table", "scales.pdf").exit_code == 2
 
 
 @pytest.fixture
 def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor flight live`` in a folder with one photograph of cars."""
+    """Run ``vehanchor flight live`` in a folder with one photograph of cars."""
     write_flight(tmp_path, [FLEET])
     write_detector(tmp_path / "detector.onnx")
     monkeypatch.chdir(tmp_path)
-
-    def invoke(*arguments: object) -> Result:
-        return CliRunner().invoke(
-            cli.app, ["flight", "live", *map(str, arguments), "--detector", "detector.onnx"]
-        )
-
-    return invoke
+    return partial(_invoke, "flight", "live")
 
 
 def test_each_frame_is_one_line_of_json(live: Any) -> None:
@@ -157,7 +176,7 @@ def test_a_wrong_argument_is_refused_before_the_work(live: Any, arguments: tuple
     assert done.stderr.startswith("error[")
 
 
-def test_a_camera_that_is_not_there_is_told_once(
+def test_a_missing_camera_is_reported_once(
     live: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.05)
@@ -173,44 +192,50 @@ LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a model at 92 % of its size, and a detector."""
+    """Write a model at 92 % of its size, and a detector; return their folder."""
     folder = tmp_path_factory.mktemp("rescale")
-    cars = np.column_stack(
-        [[(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)], LENGTHS, np.arange(12) * 0.3]
-    )
+    places = [(80 + 9 * (k % 4), 80 + 9 * (k // 4)) for k in range(12)]
+    cars = np.column_stack([places, LENGTHS, np.arange(12) * 0.3])
     poses = [Pose(80, 80, 70), Pose(110, 85, 70, 8, 100), Pose(100, 90, 75)]
-    write_opensfm(
-        folder / "project",
-        [pose.painted(cars) for pose in poses],
-        poses=poses,
-        metres_per_unit=1 / 0.92,
-    )
+    photographs = [pose.painted(cars) for pose in poses]
+    write_opensfm(folder / "project", photographs, poses=poses, metres_per_unit=1 / 0.92)
     write_detector(folder / "detector.onnx")
     return folder
 
 
 @pytest.fixture
 def rescale(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``vehanchor flight rescale`` in a copy of the folder."""
+    """Run ``vehanchor flight rescale`` in a copy of the folder."""
     shutil.copytree(project, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("NO_COLOR", "1")
 
     def invoke(*arguments: object) -> Result:
-        given = [*map(str, arguments), "--detector", "detector.onnx", "--reference-length", "4.8"]
-        return CliRunner().invoke(cli.app, ["flight", "rescale", *given])
+        return _invoke("flight", "rescale", *arguments, "--reference-length", "4.8")
 
     return invoke
 
 
-def test_the_verdict_is_told_and_the_files_are_in_metres(rescale: Any, tmp_path: Path) -> None:
-    done = rescale("project", "--project", "metric", "--geo", "geo.txt", "--out", "scale.json")
+@pytest.fixture
+def rescaled(rescale: Any) -> Result:
+    """Rescale the model, and write all files."""
+    done: Result = rescale(
+        "project", "--project", "metric", "--geo", "geo.txt", "--out", "scale.json"
+    )
     assert done.exit_code == 0, done.output
+    return done
+
+
+def test_the_verdict_is_printed(rescaled: Result) -> None:
+    assert "too small" in rescaled.stdout
+    assert "0.png" in rescaled.stdout
+    assert max(map(len, rescaled.stdout.splitlines())) <= 80
+
+
+@pytest.mark.usefixtures("rescaled")
+def test_the_written_files_are_in_metres(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "scale.json").read_text())["status"] == "ok"
-    assert "too small" in done.stdout
-    assert "0.png" in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 80
     heights = [shot.centre[2] for shot in read_model(tmp_path / "metric").shots]
     assert heights == pytest.approx([70, 70, 75], rel=0.015)
     assert len((tmp_path / "geo.txt").read_text().splitlines()) == 4
@@ -226,9 +251,7 @@ def test_the_verdict_is_told_and_the_files_are_in_metres(rescale: Any, tmp_path:
         (["project", "--project", "project"], "output_unwritable"),
     ],
 )
-def test_what_cannot_be_done_is_told_with_its_remedy(
-    rescale: Any, arguments: list[str], code: str
-) -> None:
+def test_what_cannot_be_done_is_refused(rescale: Any, arguments: list[str], code: str) -> None:
     done = rescale(*arguments)
     assert done.exit_code == 2, done.output
     assert f"error[{code}]" in done.stderr
@@ -236,9 +259,8 @@ def test_what_cannot_be_done_is_told_with_its_remedy(
 
 def test_nothing_is_written_without_a_usable_size(rescale: Any, tmp_path: Path) -> None:
     pose = Pose(80, 80, 70)
-    write_opensfm(
-        tmp_path / "bare", [pose.painted(np.zeros((0, 4)))], poses=[pose], metres_per_unit=1.0
-    )
+    bare_ground = pose.painted(np.zeros((0, 4)))
+    write_opensfm(tmp_path / "bare", [bare_ground], poses=[pose], metres_per_unit=1.0)
     done = rescale("bare", "--geo", "geo.txt")
     assert done.exit_code == 3
     assert "no file in metres was written" in done.stderr

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.flight.ground import ground, write_film
 from vehanchor.errors import (
@@ -20,33 +21,47 @@ from vehanchor_flight.video import is_video, sample_video, sharpness
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four seconds of ten frames, all blurred but frames 4 and 28."""
+    """Write four seconds of ten frames, of which only frames 4 and 28 are sharp."""
     world = ground(500)
-    frames = [world[number : number + 240, 2 * number : 2 * number + 320] for number in range(40)]
-    blurred = [np.asarray(cv2.GaussianBlur(frame, (0, 0), 3), dtype=np.uint8) for frame in frames]
-    blurred[4], blurred[28] = frames[4], frames[28]
-    return Path(write_film(tmp_path_factory.mktemp("film") / "film.avi", blurred))
+    frames = []
+    for number in range(40):
+        sharp = world[number : number + 240, 2 * number : 2 * number + 320]
+        frames.append(sharp if number in (4, 28) else _blurred(sharp))
+    return Path(write_film(tmp_path_factory.mktemp("film") / "film.avi", frames))
 
 
-def test_of_each_stretch_the_sharpest_frame_is_taken(film: Path) -> None:
-    taken = list(sample_video(str(film), 2.0))
-    assert [each.name for each in taken] == [f"{film} at 0.40 s", f"{film} at 2.80 s"]
-    image = taken[0].image
+def _blurred(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 3), dtype=np.uint8)
+
+
+def test_the_sharpest_frame_of_each_interval_is_taken(film: Path) -> None:
+    photographs = list(sample_video(str(film), 2.0))
+    names = [photograph.name for photograph in photographs]
+    assert names == [f"{film} at 0.40 s", f"{film} at 2.80 s"]
+    image = photographs[0].image
     assert isinstance(image, np.ndarray)
     assert image.shape == (240, 320, 3)
-    assert sharpness(image) > 3 * sharpness(
-        np.asarray(cv2.GaussianBlur(image, (0, 0), 3), dtype=np.uint8)
-    )
+    assert sharpness(image) > 3 * sharpness(_blurred(image))
 
 
-def test_what_is_no_video_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_video_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.mp4").write_bytes(b"no video at all")
     with pytest.raises(ImageDecodeError, match="cannot be read"):
         list(sample_video(str(tmp_path / "a.mp4"), 1.0))
+
+
+def test_a_missing_video_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ImageNotFoundError):
         list(sample_video(str(tmp_path / "b.mp4"), 1.0))
+
+
+def test_an_interval_of_no_seconds_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(b"no video at all")
     with pytest.raises(InvalidParameterError, match="every"):
         list(sample_video(str(tmp_path / "a.mp4"), 0.0))
+
+
+def test_the_suffix_names_a_video() -> None:
     assert is_video("flight.MP4")
     assert not is_video("flight.jpg")
 
@@ -54,9 +69,8 @@ def test_what_is_no_video_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".avi"])
 def test_every_offered_container_is_read(tmp_path: Path, suffix: str) -> None:
     codec = "MJPG" if suffix in (".avi", ".mkv") else "mp4v"
-    path = write_film(
-        tmp_path / f"film{suffix}", [np.full((48, 64, 3), 90, np.uint8)] * 10, codec=codec
-    )
+    frames = [np.full((48, 64, 3), 90, np.uint8)] * 10
+    path = write_film(tmp_path / f"film{suffix}", frames, codec=codec)
     (only,) = sample_video(path, 2.0)
     assert isinstance(only.image, np.ndarray)
     assert only.image.shape == (48, 64, 3)
@@ -82,16 +96,16 @@ def test_a_playlist_opens_no_other_file(
 
 
 @pytest.mark.promise("video")
-def test_the_signature_chooses_the_demuxer_and_not_ffmpeg(film: Path, tmp_path: Path) -> None:
+def test_the_signature_chooses_the_demuxer(film: Path, tmp_path: Path) -> None:
     disguised = tmp_path / "a.mp4"
-    disguised.write_bytes(
-        b"ffco" + b"ftyp" + b"ncat version 1.0\nfile film.avi\n" + film.read_bytes()
-    )
+    playlist = b"ffco" + b"ftyp" + b"ncat version 1.0\nfile film.avi\n"
+    disguised.write_bytes(playlist + film.read_bytes())
     with pytest.raises(ImageDecodeError, match="cannot be read"):
         list(sample_video(str(disguised), 1.0))
 
 
 def test_frames_obey_the_limits_of_images(film: Path) -> None:
+    frame_pixels = 320 * 240
     with pytest.raises(ImageTooLargeError, match="320 x 240 px, the limit is 76799 pixels"):
-        list(sample_video(str(film), 1.0, ImageLimits(max_pixels=320 * 240 - 1)))
-    assert list(sample_video(str(film), 1.0, ImageLimits(max_pixels=320 * 240)))
+        list(sample_video(str(film), 1.0, ImageLimits(max_pixels=frame_pixels - 1)))
+    assert list(sample_video(str(film), 1.0, ImageLimits(max_pixels=frame_pixels)))

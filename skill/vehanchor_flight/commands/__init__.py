@@ -12,21 +12,18 @@ from vehanchor_flight.commands.live import live
 from vehanchor_flight.commands.photographs import photographs
 from vehanchor_flight.commands.rescale import rescale
 
-_DEFAULT = "photographs"
-_SETTINGS = {"help_option_names": ["-h", "--help"]}
+_DEFAULT_COMMAND = "photographs"
+_HELP_OPTIONS = ["-h", "--help"]
+_SETTINGS = {"help_option_names": _HELP_OPTIONS}
 
 
 class _WithDefault(TyperGroup):
     """Group of commands; arguments that begin with none of them belong to ``photographs``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Name the default command, unless another or the help is asked for."""
-        if (
-            args
-            and args[0] not in self.commands
-            and not {args[0]} & set(_SETTINGS["help_option_names"])
-        ):
-            args = [_DEFAULT, *args]
+        """Insert the default command, unless the arguments begin with a command or ask for help."""
+        if args and args[0] not in self.commands and args[0] not in _HELP_OPTIONS:
+            args = [_DEFAULT_COMMAND, *args]
         return super().parse_args(ctx, args)
 
 
@@ -40,4 +37,5 @@ flight = typer.Typer(
     context_settings=_SETTINGS,
 )
 for _command in (photographs, rescale, live):
-    flight.command(_command.__name__, cls=SpacedCommand, context_settings=_SETTINGS)(_command)
+    _register = flight.command(_command.__name__, cls=SpacedCommand, context_settings=_SETTINGS)
+    _register(_command)

@@ -1,4 +1,4 @@
-"""``vehanchor flight live``: scale of a running camera, one JSON line a frame."""
+"""``vehanchor flight live``: scale of a running camera, one line of JSON for each frame."""
 
 from __future__ import annotations
 
@@ -11,12 +11,7 @@ from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import printable
 
 
-@scale_command(
-    without=(
-        *OF_ONE_IMAGE,
-        *("rulers", "height_m", "focal_35mm", "metadata"),
-    )
-)
+@scale_command(without=(*OF_ONE_IMAGE, "rulers", "height_m", "focal_35mm", "metadata"))
 def live(
     source: Annotated[
         str,
@@ -41,16 +36,20 @@ def live(
     *,
     chosen: ParsedOptions,
 ) -> None:
-    """Estimate the scale while flying: one JSON line for each frame. Advisory; the newest frame wins."""
+    """Estimate an advisory scale while flying: one JSON line for each frame; the newest wins."""
     from vehanchor_flight.verbs import live_scales
 
     records = live_scales(
-        source, engine=chosen.engine(), every_s=every, hold_s=hold, idle_s=idle, tell=_tell
+        source,
+        engine=chosen.engine(),
+        every_s=every,
+        hold_s=hold,
+        idle_s=idle,
+        tell=_print_on_stderr,
     )
     for record in records:
         print(record.model_dump_json(), flush=True)
 
 
-def _tell(sentence: str) -> None:
-    """Print a sentence on stderr."""
+def _print_on_stderr(sentence: str) -> None:
     print(printable(sentence), file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""``vehanchor flight photographs``: scales of the photographs of one flight from their common evidence."""
+"""``vehanchor flight photographs``: scales of a flight's photographs from their common evidence."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from vehanchor_flight.inputs import InputPhotograph
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
 
-_MOST_SIZES = 12  # of components, in one line
-_MOST_NAMED = 3  # photographs with one advice
-_STATUSES = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
+_MAX_SIZES = 12  # Of components, in one line.
+_MAX_NAMES = 3  # Of photographs with the same advice.
+_STATUS_WORDS = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
 
 
 @scale_command(without=OF_ONE_IMAGE)
@@ -85,39 +85,54 @@ def photographs(
     from vehanchor.batch.table import check_table_path, write_table
     from vehanchor_flight.verbs import estimate_flight
 
-    out = out and check_output_path(out, (".json",), kind="a record")
-    table = table and check_table_path(table)
-    journal = (kept := out or table) and kept.with_name(kept.name + ".journal")
+    if out is not None:
+        out = check_output_path(out, (".json",), kind="a record")
+    if table is not None:
+        table = check_table_path(table)
+    result_file = out or table
+    journal = None
+    if result_file is not None:
+        journal = result_file.with_name(result_file.name + ".journal")
     images = _images(inputs, every, chosen.options().reading.limits)
-    last = "pooling the evidence of" if same_scale else "linking"
-    counted = isinstance(images, Sequence)  # the length of a video is unknown
-    with work_progress("images") as tell, resumable(journal):
+    last_step = "pooling the evidence of" if same_scale else "linking"
+    # The length of a video is unknown: its number of photographs is never complete.
+    is_counted = isinstance(images, Sequence)
+    with work_progress("images") as show_progress, resumable(journal):
+
+        def report_progress(n_done: int, n_images: int) -> None:
+            is_last = is_counted and n_done == n_images
+            show_progress(n_done, n_images, last_step if is_last else "searching")
+
         record = estimate_flight(
             images,
             engine=chosen.engine(),
             same_scale=same_scale,
             known_lengths_table=known_lengths,
             journal=journal,
-            progress=lambda done, n: tell(done, n, last if counted and done == n else "searching"),
+            progress=report_progress,
         )
     if out is not None:
         write_record(out, record)
     if table is not None:
-        write_table(table, (_row(record, each).flat() for each in record.photographs))
-    _tell(record, as_json=as_json)
-
-
-def _tell(record: FlightEstimate, *, as_json: bool) -> None:
+        write_table(table, (_row(record, photograph).flat() for photograph in record.photographs))
     if as_json:
         print_json(record.model_dump(mode="json"))
-        return
-    folder, names = under_one_folder([each.photograph for each in record.photographs])
-    where = f" in {folder}" if folder else ""
-    short = {each.photograph: name for each, name in zip(record.photographs, names, strict=True)}
-    print_facts(f"{count(len(record.photographs), 'photograph')}{where}", _facts(record, short))
-    if not record.same_scale:
-        _print_photographs(record.photographs, short)
-    print_warnings(record.warnings)
+    else:
+        _print_record(record)
+
+
+def _images(
+    inputs: list[str], every_s: float, limits: ImageLimits
+) -> Sequence[str] | Iterator[InputPhotograph]:
+    """List the files, or the frames of one video."""
+    from vehanchor.imagery.sources.files import find_images
+    from vehanchor_flight.video import is_video, sample_video
+
+    if not any(is_video(name) for name in inputs):
+        return find_images(inputs)
+    if len(inputs) > 1:
+        raise InvalidParameterError("a video is a flight of its own: give it alone")
+    return sample_video(inputs[0], every_s, limits)
 
 
 def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
@@ -132,94 +147,142 @@ def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
     return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(record, photograph))
 
 
-def _images(
-    inputs: list[str], every_s: float, limits: ImageLimits
-) -> Sequence[str] | Iterator[InputPhotograph]:
-    """List the files, or the frames of one video."""
-    from vehanchor.imagery.sources.files import find_images
-    from vehanchor_flight.video import is_video, sample_video
+def _print_record(record: FlightEstimate) -> None:
+    """Print the facts of the flight, and a line for each photograph if their scales differ."""
+    paths = [photograph.photograph for photograph in record.photographs]
+    folder, relative_paths = under_one_folder(paths)
+    short_names = dict(zip(paths, relative_paths, strict=True))
+    title = count(len(record.photographs), "photograph")
+    if folder:
+        title += f" in {folder}"
+    print_facts(title, _facts(record, short_names))
+    if not record.same_scale:
+        _print_photographs(record.photographs, short_names)
+    print_warnings(record.warnings)
 
-    if not any(is_video(each) for each in inputs):
-        return find_images(inputs)
-    if len(inputs) > 1:
-        raise InvalidParameterError("a video is a flight of its own: give it alone")
-    return sample_video(inputs[0], every_s, limits)
 
-
-def _facts(record: FlightEstimate, short: Mapping[str, str]) -> list[tuple[str, str]]:
+def _facts(record: FlightEstimate, short_names: Mapping[str, str]) -> list[tuple[str, str]]:
+    """List what holds for the whole flight, with headings."""
     facts = []
     if record.same_scale:
-        low = record.gsd_ci95_low_m_per_px
-        high = record.gsd_ci95_high_m_per_px
-        facts.append(
-            (
-                "scale of all",
-                with_interval(record.gsd_m_per_px, low, high=high, unit="m/px", missing=NO_SCALE),
-            )
-        )
+        facts.append(("scale of all", _common_scale_text(record)))
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     facts.append(("vehicles", str(record.n_vehicles)))
-    if rulers := [each for each in record.components[0].pooled.rulers if each.sets_scale]:
-        largest = " in the largest component" if len(record.components) > 1 else ""
-        facts.append(
-            ("rulers", ", ".join(f"{each.kind} {each.p_right:.2f}" for each in rulers) + largest)
-        )
+    rulers = _rulers_text(record)
+    if rulers:
+        facts.append(("rulers", rulers))
     if not record.same_scale:
-        sizes = ", ".join(
-            str(component.n_photographs) for component in record.components[:_MOST_SIZES]
-        )
-        sizes += ", ..." if len(record.components) > _MOST_SIZES else ""
-        several = f"{len(record.components)} components of {sizes} photographs"
-        facts.append(("linked", several if len(record.components) > 1 else "all of them"))
+        facts.append(("linked", _components_text(record)))
         n_dropped = sum(link.dropped is not None for link in record.links)
         facts.append(("overlaps", f"{len(record.links) - n_dropped} used, {n_dropped} dropped"))
-    sorties = Counter(each.sortie for each in record.photographs if each.sortie is not None)
+    sorties = Counter(
+        photograph.sortie for photograph in record.photographs if photograph.sortie is not None
+    )
     if len(sorties) > 1:
-        facts.append(
-            (
-                "sorties",
-                f"{' and '.join(map(str, sorties.values()))} photographs, by camera and time",
-            )
-        )
-    advice: dict[str, list[str]] = {}
-    for each in record.photographs:
-        remedy = each.advice if each.error is None else f"Not readable: {each.error}"
-        if remedy is not None:
-            advice.setdefault(remedy, []).append(short[each.photograph])
-    facts += [("not usable", f"{_names(names)}. {remedy}") for remedy, names in advice.items()]
+        sizes = " and ".join(str(size) for size in sorties.values())
+        facts.append(("sorties", f"{sizes} photographs, by camera and time"))
+    for remedy, names in _names_by_remedy(record.photographs, short_names).items():
+        facts.append(("not usable", f"{_first_names(names)}. {remedy}"))
     return facts
 
 
-def _names(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more
-
-
-def _print_photographs(photographs: Sequence[FlightPhotograph], short: Mapping[str, str]) -> None:
-    columns = {"photograph": "text", **dict.fromkeys(("m/px", "95 %", "conf."), "number")}
-    print_rows(
-        {**columns, "supported by": "text", "status": "word"},
-        [_cells(each, short) for each in photographs],
+def _common_scale_text(record: FlightEstimate) -> str:
+    return with_interval(
+        record.gsd_m_per_px,
+        record.gsd_ci95_low_m_per_px,
+        high=record.gsd_ci95_high_m_per_px,
+        unit="m/px",
+        missing=NO_SCALE,
     )
 
 
-def _cells(each: FlightPhotograph, short: Mapping[str, str]) -> tuple[str, ...]:
-    low = each.gsd_ci95_low_m_per_px
-    high = each.gsd_ci95_high_m_per_px
+def _rulers_text(record: FlightEstimate) -> str:
+    """Name the rulers of the largest component with their chances; empty without any."""
+    rulers = [ruler for ruler in record.components[0].pooled.rulers if ruler.sets_scale]
+    if not rulers:
+        return ""
+    text = ", ".join(f"{ruler.kind} {ruler.p_right:.2f}" for ruler in rulers)
+    if len(record.components) > 1:
+        text += " in the largest component"
+    return text
+
+
+def _components_text(record: FlightEstimate) -> str:
+    """State the number of the components and their sizes."""
+    n_components = len(record.components)
+    if n_components == 1:
+        return "all of them"
+    shown = record.components[:_MAX_SIZES]
+    sizes = ", ".join(str(component.n_photographs) for component in shown)
+    if n_components > _MAX_SIZES:
+        sizes += ", ..."
+    return f"{n_components} components of {sizes} photographs"
+
+
+def _names_by_remedy(
+    photographs: Sequence[FlightPhotograph], short_names: Mapping[str, str]
+) -> dict[str, list[str]]:
+    """Group the photographs without a usable scale by their problem and its remedy."""
+    names: dict[str, list[str]] = {}
+    for photograph in photographs:
+        remedy = photograph.advice
+        if photograph.error is not None:
+            remedy = f"Not readable: {photograph.error}"
+        if remedy is not None:
+            names.setdefault(remedy, []).append(short_names[photograph.photograph])
+    return names
+
+
+def _first_names(names: Sequence[str]) -> str:
+    text = ", ".join(names[:_MAX_NAMES])
+    if len(names) > _MAX_NAMES:
+        text += f" and {len(names) - _MAX_NAMES} more"
+    return text
+
+
+def _print_photographs(
+    photographs: Sequence[FlightPhotograph], short_names: Mapping[str, str]
+) -> None:
+    """Print a table with a line for each photograph."""
+    columns = {
+        "photograph": "text",
+        "m/px": "number",
+        "95 %": "number",
+        "conf.": "number",
+        "supported by": "text",
+        "status": "word",
+    }
+    print_rows(columns, [_cells(photograph, short_names) for photograph in photographs])
+
+
+def _cells(photograph: FlightPhotograph, short_names: Mapping[str, str]) -> tuple[str, ...]:
+    """Make the cells of a photograph's line; "-" for what is unknown."""
+    gsd = "-"
+    if photograph.gsd_m_per_px is not None:
+        gsd = significant(photograph.gsd_m_per_px, 4)
+    interval = "-"
+    low = photograph.gsd_ci95_low_m_per_px
+    high = photograph.gsd_ci95_high_m_per_px
+    if low is not None and high is not None:
+        interval = f"{significant(low)} to {significant(high)}"
+    confidence = "-"
+    if photograph.confidence is not None:
+        confidence = f"{photograph.confidence:.2f}"
     return (
-        short[each.photograph],
-        "-" if each.gsd_m_per_px is None else significant(each.gsd_m_per_px, 4),
-        "-" if low is None or high is None else f"{significant(low)} to {significant(high)}",
-        "-" if each.confidence is None else f"{each.confidence:.2f}",
-        _support(each, short),
-        _STATUSES[each.status],
+        short_names[photograph.photograph],
+        gsd,
+        interval,
+        confidence,
+        _support_text(photograph, short_names),
+        _STATUS_WORDS[photograph.status],
     )
 
 
-def _support(photograph: FlightPhotograph, short: Mapping[str, str]) -> str:
+def _support_text(photograph: FlightPhotograph, short_names: Mapping[str, str]) -> str:
+    """Name the first ruler behind a scale, and the photograph where it was measured."""
     if not photograph.supported_by:
         return "-"
     first = photograph.supported_by[0]
     if first.photograph == photograph.photograph:
         return f"its own {first.ruler}"
-    return f"{first.ruler} of {short[first.photograph]}"
+    return f"{first.ruler} of {short_names[first.photograph]}"

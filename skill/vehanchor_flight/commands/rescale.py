@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from vehanchor_flight.reconstruction.model import Reconstruction
     from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
-_FILES = "Files to write"
-_METADATA = ("metadata", "height_m", "height_basis", "height_tolerance_m", "focal_35mm")
+_FILES_PANEL = "Files to write"
+_METADATA_OPTIONS = ("metadata", "height_m", "height_basis", "height_tolerance_m", "focal_35mm")
 
 
-@scale_command(without=("frame", "coordinates", "known_lengths", *_METADATA))
+@scale_command(without=("frame", "coordinates", "known_lengths", *_METADATA_OPTIONS))
 def rescale(
     source: Annotated[
         str,
@@ -55,14 +55,13 @@ def rescale(
             "--known-lengths",
             metavar="LINES.csv",
             help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files "
-            "are relative to the "
-            "table.",
+            "are relative to the table.",
         ),
     ] = None,
     project: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Model in metres, in its format.", rich_help_panel=_FILES
+            metavar="FOLDER", help="Model in metres, in its format.", rich_help_panel=_FILES_PANEL
         ),
     ] = None,
     geo: Annotated[
@@ -70,7 +69,7 @@ def rescale(
         typer.Option(
             metavar="geo.txt",
             help="Camera positions in metres for OpenDroneMap.",
-            rich_help_panel=_FILES,
+            rich_help_panel=_FILES_PANEL,
         ),
     ] = None,
     out: Annotated[
@@ -78,7 +77,7 @@ def rescale(
         typer.Option(
             metavar="SCALE.json",
             help="Record; the same command resumes an interrupted run.",
-            rich_help_panel=_FILES,
+            rich_help_panel=_FILES_PANEL,
         ),
     ] = None,
     as_json: Annotated[
@@ -89,22 +88,29 @@ def rescale(
     chosen: ParsedOptions,
 ) -> None:
     """Give a reconstruction its size in metres. Files in metres need a usable size."""
-    from vehanchor_flight.verbs import rescale as rescaled
+    from vehanchor_flight.verbs import rescale as estimate_factor
 
-    journal = out and check_output_path(out, (".json",), kind="a record").with_name(
-        out.name + ".journal"
-    )
+    journal = None
+    if out is not None:
+        out = check_output_path(out, (".json",), kind="a record")
+        journal = out.with_name(out.name + ".journal")
     model = _model(source, project, geo)
     with work_progress("images") as progress, resumable(journal):
-        engine = chosen.engine(progress=progress)
-        record = rescaled(
-            model, engine=engine, images=images, known_lengths_table=lines, journal=journal
+        record = estimate_factor(
+            model,
+            engine=chosen.engine(progress=progress),
+            images=images,
+            known_lengths_table=lines,
+            journal=journal,
         )
     written = _write_in_metres(model, record, project=project, geo=geo)
     if out is not None:
         write_record(out, record)
         written.append(out)
-    _tell(record, source, written, as_json=as_json)
+    if as_json:
+        print_json(record.model_dump(mode="json"))
+    else:
+        _print_record(record, source, written)
     if record.status != "ok" and (project or geo):
         typer.echo("no file in metres was written: the size is not usable", err=True)
         raise typer.Exit(NOT_OK)
@@ -112,7 +118,7 @@ def rescale(
 
 
 def _model(source: str, project: Path | None, geo: Path | None) -> Reconstruction:
-    """Read the model, after checks that the files to write are possible."""
+    """Check that the files can be written, and read the model."""
     from vehanchor_flight.reconstruction.files import check_project_path, read_model
 
     if geo is not None:
@@ -144,59 +150,74 @@ def _write_in_metres(
     return written
 
 
-def _tell(record: ModelScale, source: str, written: Sequence[Path], *, as_json: bool) -> None:
-    if as_json:
-        print_json(record.model_dump(mode="json"))
-        return
+def _print_record(record: ModelScale, source: str, written: Sequence[Path]) -> None:
+    """Print the factor, the photographs that carry it, and errors.
+
+    Args:
+        record: the result.
+        source: the model, as the caller named it.
+        written: files that were written.
+    """
+    print_facts(source, _facts(record, written))
+    used = [photograph for photograph in record.photographs if photograph.status == "used"]
+    if used:
+        _print_photographs(used)
+    for photograph in record.photographs:
+        if photograph.status == "error":
+            sentence = (
+                f"not measured[{photograph.error_code}]: {photograph.photograph}: "
+                f"{photograph.error}"
+            )
+            typer.echo(printable(sentence), err=True)
+    print_warnings(record.warnings)
+
+
+def _facts(record: ModelScale, written: Sequence[Path]) -> list[tuple[str, str]]:
+    """List what holds for the whole model, with headings."""
     facts = [("verdict", record.verdict)]
     if record.factor is not None:
-        facts.append(("factor", _interval(record)))
+        facts.append(("factor", _factor_text(record)))
     facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
     if record.reason is not None:
         facts.append(("reason", record.reason))
     for ruler in record.rulers:
-        facts.append((ruler.label, f"{_interval(ruler)}, n {ruler.n}, right: {ruler.p_right:.2f}"))
-    used = [each for each in record.photographs if each.status == "used"]
+        text = f"{_factor_text(ruler)}, n {ruler.n}, right: {ruler.p_right:.2f}"
+        facts.append((ruler.label, text))
     if record.photographs:
-        facts.append(("photographs", f"{record.n_photographs}, used for the factor: {len(used)}"))
-    outliers = (each for each in record.photographs if each.status == "outlier")
-    facts += [
-        ("outlier", f"{each.photograph}: {', '.join(each.rulers)} {_interval(each)}")
-        for each in outliers
-    ]
+        n_used = sum(photograph.status == "used" for photograph in record.photographs)
+        facts.append(("photographs", f"{record.n_photographs}, used for the factor: {n_used}"))
+    for photograph in record.photographs:
+        if photograph.status == "outlier":
+            rulers = ", ".join(photograph.rulers)
+            text = f"{photograph.photograph}: {rulers} {_factor_text(photograph)}"
+            facts.append(("outlier", text))
     facts += [("written", str(path)) for path in written]
-    print_facts(source, facts)
-    if used:
-        _print_photographs(used)
-    for each in record.photographs:
-        if each.status == "error":
-            typer.echo(
-                printable(f"not measured[{each.error_code}]: {each.photograph}: {each.error}"),
-                err=True,
-            )
-    print_warnings(record.warnings)
+    return facts
 
 
-def _interval(each: ModelScale | ModelRuler | ModelPhotograph) -> str:
-    return f"{each.factor:.4g}   (95 %: {each.factor_ci95_low:.4g} to {each.factor_ci95_high:.4g})"
+def _factor_text(record: ModelScale | ModelRuler | ModelPhotograph) -> str:
+    interval = f"{record.factor_ci95_low:.4g} to {record.factor_ci95_high:.4g}"
+    return f"{record.factor:.4g}   (95 %: {interval})"
 
 
-def _print_photographs(used: Sequence[ModelPhotograph]) -> None:
+def _print_photographs(photographs: Sequence[ModelPhotograph]) -> None:
+    """Print a table with a line for each photograph."""
     columns = {
         "photograph": "text",
-        **dict.fromkeys(("factor", "95 %", "cars"), "number"),
+        "factor": "number",
+        "95 %": "number",
+        "cars": "number",
         "rulers": "text",
     }
-    print_rows(
-        columns,
-        [
-            (
-                each.photograph,
-                f"{each.factor:.4g}",
-                f"{each.factor_ci95_low:.3g} to {each.factor_ci95_high:.3g}",
-                str(each.n_vehicles),
-                ", ".join(each.rulers),
-            )
-            for each in used
-        ],
+    print_rows(columns, [_cells(photograph) for photograph in photographs])
+
+
+def _cells(photograph: ModelPhotograph) -> tuple[str, ...]:
+    """Make the cells of a photograph's line."""
+    return (
+        photograph.photograph,
+        f"{photograph.factor:.4g}",
+        f"{photograph.factor_ci95_low:.3g} to {photograph.factor_ci95_high:.3g}",
+        str(photograph.n_vehicles),
+        ", ".join(photograph.rulers),
     )

@@ -1,5 +1,7 @@
-"""Scale of a running camera: one filter over log scale, from the cars of the frames and the ratios between them.
+"""Scale of a running camera: one filter over log scale.
 
-frames -> newest frame -> features -> ratio to the frame before -> search of one window -> filter ->
-reading
+The cars of a frame measure the scale, and features give its ratio to the frame before.
+
+frames -> newest frame -> features -> ratio to the frame before -> search of one window -> filter
+-> record
 """

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import GsdEstimate, Reason, Status
     from vehanchor_flight.features import Features
     from vehanchor_flight.live.frames import Frame
     from vehanchor_flight.matching import Match
@@ -48,14 +48,15 @@ HOLD_S = Limits(above=0, most=3600)
 WINDOW_PX = 640
 """Side of a searched window in the reduced frame."""
 
-_LONGEST_CAR_PX = 60.0  # in the reduced frame
-_MOST_FACTOR = 8
-_ELSEWHERE_EVERY = 4  # one window in four is the next in turn
-_FEATURES_SIDE_PX = 480  # of the reduced copy: a third of the side of 1280 px
-# frames; a camera's proportions do not change in flight, so that the last result is kept
-_STRETCH_EVERY = 10
-_PRIOR_FRAMES = 1.0  # new ground, in frames, after which the scene-scale prior is taken again
-_GRID_POINTS = 8  # along each side of a frame, to count its new ground
+_MAX_CAR_LENGTH_PX = 60.0  # In the reduced frame.
+_MAX_REDUCTION = 8
+_MIN_SHORTER_SIDE_PX = WINDOW_PX // 4  # Of the reduced frame.
+_ELSEWHERE_PERIOD = 4  # One window in four is the next in turn, wherever the cars are.
+_FEATURES_SIDE_PX = 480  # Of the reduced copy: a third of the side of 1280 px.
+# Frames between two checks of the image's proportions, which do not change in flight.
+_STRETCH_PERIOD = 10
+_PRIOR_FRAMES = 1.0  # New ground, in frames, after which the scene-scale prior is predicted again.
+_GRID_POINTS = 8  # Along each side of a frame, to count its new ground.
 
 
 class LiveEstimator:
@@ -77,40 +78,48 @@ class LiveEstimator:
         self._detector = checked_detector(detector, self._options)
         self._hold_s = HOLD_S.check("hold", hold_s)
         self._network = load_scene_scale(detector.runtime)
-        self._turn = 0
+        self._n_frames = 0
         self._first_s = 0.0
         self._last_s = 0.0
         self._state: FilterState | None = None
         self._features: Features | None = None
         self._prior: SceneScalePrior | None = None
-        self._prior_moved = math.inf  # new ground since the prior was taken
+        # New ground since the prior was predicted, in frames.
+        self._prior_moved = math.inf
         self._stretch: float | None = None
+        # Centres of the cars of the last frames, in pixels of the current one.
         self._cars: NDArray[np.float64] = np.zeros((0, 2))
 
     def estimate(self, frame: Frame) -> LiveScale:
         """Estimate the scale of the next frame."""
-        if self._turn == 0:
-            self._first_s = self._last_s = frame.at_s
+        if self._n_frames == 0:
+            self._first_s = frame.at_s
+            self._last_s = frame.at_s
         seconds = max(0.0, frame.at_s - self._last_s)
         self._last_s = frame.at_s
         with open_raster(frame.image) as raster:
             linked = self._follow(raster, seconds)
             analysis = self._search(raster)
-        self._turn += 1
+        self._n_frames += 1
         return self._record(frame, analysis.estimate, linked=linked)
 
     def _follow(self, raster: Raster, seconds: float) -> bool:
-        """Move the state, the prior and the cars from the last frame to this one; tell whether features link them."""
+        """Move the state, the prior and the cars from the last frame to this one.
+
+        Returns:
+            Whether features link the two frames.
+        """
         features = find_features(raster, _FEATURES_SIDE_PX)
-        before = self._features
+        last_features = self._features
         self._features = features
-        matched = None if before is None else match(before, features)
+        matched = None if last_features is None else match(last_features, features)
         motion = None if matched is None else _motion(matched, raster.width_px, raster.height_px)
         if self._state is not None:
             self._state = predicted(self._state, seconds, motion)
         if self._state is not None and self._state.silent_s > self._hold_s:
             self._state = None
         if matched is None or motion is None:
+            # The frame may show other ground.
             self._prior_moved = math.inf
             self._cars = np.zeros((0, 2))
             return False
@@ -118,9 +127,9 @@ class LiveEstimator:
         if self._prior is not None:
             self._prior = self._prior.scaled(math.exp(motion.log_ratio))
         cars = self._cars @ matched.turn[:, :2].T + matched.turn[:, 2]
-        self._cars = cars[
-            np.all((cars >= 0) & (cars < (raster.width_px, raster.height_px)), axis=1)
-        ]
+        size = (raster.width_px, raster.height_px)
+        is_in_frame = np.all((cars >= 0) & (cars < size), axis=1)
+        self._cars = cars[is_in_frame]
         return True
 
     def _search(self, raster: Raster) -> ScaleAnalysis:
@@ -130,59 +139,105 @@ class LiveEstimator:
             self._prior_moved = 0.0
         factor = reduction_factor(self._expected_gsd(), raster.width_px, raster.height_px)
         window = next_window(
-            raster.width_px, raster.height_px, factor=factor, turn=self._turn, cars=self._cars
+            raster.width_px,
+            raster.height_px,
+            factor=factor,
+            turn=self._n_frames,
+            cars=self._cars,
         )
-        prior = None if self._prior is None else self._prior.scaled(factor)
-        with open_raster(read_reduced_window(raster, window, factor)) as part:
-            checks = self._stretch is None or self._turn % _STRETCH_EVERY == 0
-            view = search_raster(
-                part, self._detector, options=self._options, prior=prior, check_stretch=checks
-            )
-            if view.detections.stretch is not None:
-                self._stretch = view.detections.stretch
-            view = replace(view, detections=replace(view.detections, stretch=self._stretch))
-            analysis = conclude(view, measure_all(view))  # no tilt: the camera looks down
+        analysis = self._analyse(raster, window, factor)
         measured = measurement(analysis, factor)
         if measured is not None:
             self._state = corrected(self._state, measured)
         self._replace_cars(analysis, window, factor)
         return analysis
 
+    def _analyse(self, raster: Raster, window: Window, factor: int) -> ScaleAnalysis:
+        """Search a window of the reduced frame, and measure its scale.
+
+        Args:
+            raster: the frame.
+            window: in pixels of the reduced frame.
+            factor: reduction of the frame.
+        """
+        prior = None if self._prior is None else self._prior.scaled(factor)
+        check_stretch = self._stretch is None or self._n_frames % _STRETCH_PERIOD == 0
+        with open_raster(read_reduced_window(raster, window, factor)) as part:
+            view = search_raster(
+                part,
+                self._detector,
+                options=self._options,
+                prior=prior,
+                check_stretch=check_stretch,
+            )
+            if view.detections.stretch is not None:
+                self._stretch = view.detections.stretch
+            detections = replace(view.detections, stretch=self._stretch)
+            # The view has no tilt: the camera looks down.
+            view = replace(view, detections=detections)
+            return conclude(view, measure_all(view))
+
     def _expected_gsd(self) -> float | None:
-        """Give the scale by the filter, else by the prior."""
+        """Return the scale by the filter, else by the prior."""
         if self._state is not None:
             return self._state.gsd_m_per_px
-        return None if self._prior is None else quantile(self._prior.density, 0.5)
+        if self._prior is not None:
+            return quantile(self._prior.density, 0.5)
+        return None
 
     def _replace_cars(self, analysis: ScaleAnalysis, window: Window, factor: int) -> None:
-        """Replace the known cars inside a window by those that were found there."""
-        low = np.array([window.x_px, window.y_px]) * factor
-        high = low + np.array([window.width_px, window.height_px]) * factor
-        outside = ~np.all((self._cars >= low) & (self._cars < high), axis=1)
-        centres = np.zeros((0, 2)) if analysis.vehicles is None else analysis.vehicles.fleet.centres
-        self._cars = np.concatenate([self._cars[outside], centres * factor + low])
+        """Replace the known cars inside a window by those of its search.
+
+        Args:
+            analysis: of the window.
+            window: in pixels of the reduced frame.
+            factor: reduction of the frame.
+        """
+        low, high = _corners(window)
+        is_inside = _is_inside(self._cars, low * factor, high * factor)
+        new_cars = np.zeros((0, 2))
+        if analysis.vehicles is not None:
+            new_cars = analysis.vehicles.fleet.centres * factor + low * factor
+        self._cars = np.concatenate([self._cars[~is_inside], new_cars])
 
     def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
+        """Make the record of a frame from the filter and the estimate of the searched window."""
         state = self._state
-        interval = None if state is None else state.interval
-        usable = state is not None and state.usable
-        contradicted = state is not None and state.contradictions > 0
+        status: Status = "no_scale"
+        reason: Reason | None = window.reason or "imprecise"
+        gsd: float | None = None
+        low: float | None = None
+        high: float | None = None
+        confidence = 0.0
+        seen_s_ago: float | None = None
+        if state is not None:
+            status = "low_confidence"
+            gsd = state.gsd_m_per_px
+            low, high = state.interval
+            confidence = state.chance
+            seen_s_ago = state.silent_s
+            if state.usable:
+                status = "ok"
+                reason = None
+            elif state.contradictions > 0:
+                reason = "disagree"
+        height_px, width_px, _ = frame.image.shape
         return LiveScale(
             frame=frame.name,
             at_s=frame.at_s - self._first_s,
-            status="no_scale" if state is None else "ok" if usable else "low_confidence",
-            gsd_m_per_px=None if state is None else state.gsd_m_per_px,
-            gsd_ci95_low_m_per_px=interval and interval.low,
-            gsd_ci95_high_m_per_px=interval and interval.high,
-            confidence=0.0 if state is None else state.chance,
-            reason=None if usable else "disagree" if contradicted else window.reason or "imprecise",
+            status=status,
+            gsd_m_per_px=gsd,
+            gsd_ci95_low_m_per_px=low,
+            gsd_ci95_high_m_per_px=high,
+            confidence=confidence,
+            reason=reason,
             n_vehicles=window.n_vehicles or 0,
-            seen_s_ago=None if state is None else state.silent_s,
+            seen_s_ago=seen_s_ago,
             linked=linked,
             n_skipped=frame.n_skipped,
             latency_s=max(0.0, time.monotonic() - frame.arrived_s),
-            image_width_px=frame.image.shape[1],
-            image_height_px=frame.image.shape[0],
+            image_width_px=width_px,
+            image_height_px=height_px,
         )
 
 
@@ -195,15 +250,16 @@ def reduction_factor(gsd_m_per_px: float | None, width_px: int, height_px: int) 
         height_px: height of the frame.
 
     Returns:
-        A power of two, at which the frame's shorter side still has half a window.
+        A power of two, at which the frame's shorter side still has a quarter of a window.
     """
     factor = 1
-    length_px = 0.0 if gsd_m_per_px is None else CAR_LENGTH_M / gsd_m_per_px
-    while (
-        length_px / factor > _LONGEST_CAR_PX
-        and factor < _MOST_FACTOR
-        and min(width_px, height_px) // (2 * factor) >= WINDOW_PX // 4
-    ):
+    length_px = 0.0
+    if gsd_m_per_px is not None:
+        length_px = CAR_LENGTH_M / gsd_m_per_px
+    shorter_px = min(width_px, height_px)
+    while length_px / factor > _MAX_CAR_LENGTH_PX and factor < _MAX_REDUCTION:
+        if shorter_px // (2 * factor) < _MIN_SHORTER_SIDE_PX:
+            break
         factor *= 2
     return factor
 
@@ -226,27 +282,62 @@ def next_window(
     """
     width = width_px // factor
     height = height_px // factor
-    side = min(WINDOW_PX, width), min(WINDOW_PX, height)
-    if len(cars) and turn % _ELSEWHERE_EVERY:
-        corners = np.clip(
-            np.rint(cars / factor - np.array(side) / 2),
-            0,
-            np.array([width, height]) - np.array(side),
-        )
-        around = [Window(int(left), int(top), *side) for left, top in corners]
-        return around[int(np.argmax([_inside(cars / factor, each) for each in around]))]
-    lefts, tops = (
-        np.linspace(0, extent - own, math.ceil(extent / own)).astype(int).tolist()  # spread evenly
-        for extent, own in zip((width, height), side, strict=True)
-    )
-    windows = [Window(left, top, *side) for top in tops for left in lefts]
-    return windows[(turn // _ELSEWHERE_EVERY if len(cars) else turn) % len(windows)]
+    if not len(cars):
+        windows = _all_windows(width, height)
+        return windows[turn % len(windows)]
+    if turn % _ELSEWHERE_PERIOD == 0:
+        windows = _all_windows(width, height)
+        return windows[turn // _ELSEWHERE_PERIOD % len(windows)]
+    return _fullest_window(width, height, cars / factor)
 
 
-def _inside(points: NDArray[np.float64], window: Window) -> int:
+def _window_sides(width: int, height: int) -> tuple[int, int]:
+    """Return width and height of a window; a frame can be smaller than a whole one."""
+    return min(WINDOW_PX, width), min(WINDOW_PX, height)
+
+
+def _all_windows(width: int, height: int) -> list[Window]:
+    """List windows that cover a reduced frame, row by row, with even overlaps."""
+    window_width, window_height = _window_sides(width, height)
+    lefts = np.linspace(0, width - window_width, math.ceil(width / window_width))
+    tops = np.linspace(0, height - window_height, math.ceil(height / window_height))
+    return [
+        Window(left, top, window_width, window_height)
+        for top in tops.astype(int).tolist()
+        for left in lefts.astype(int).tolist()
+    ]
+
+
+def _fullest_window(width: int, height: int, cars: NDArray[np.float64]) -> Window:
+    """Choose the window around a car that holds the most cars.
+
+    Args:
+        width: width of the reduced frame.
+        height: height of the reduced frame.
+        cars: ``[n, 2]`` centres in its pixels.
+    """
+    frame_size = np.array([width, height])
+    window_width, window_height = _window_sides(width, height)
+    window_size = np.array([window_width, window_height])
+    # Each car is in the middle of a window, unless this would leave the frame.
+    corners = np.rint(cars - window_size / 2)
+    corners = np.clip(corners, 0, frame_size - window_size)
+    windows = [Window(int(left), int(top), window_width, window_height) for left, top in corners]
+    n_cars = [int(_is_inside(cars, *_corners(window)).sum()) for window in windows]
+    return windows[int(np.argmax(n_cars))]
+
+
+def _corners(window: Window) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the upper left and the lower right corner of a window, ``[2]`` each."""
     low = np.array([window.x_px, window.y_px])
-    high = low + np.array([window.width_px, window.height_px])
-    return int(np.all((points >= low) & (points < high), axis=1).sum())
+    return low, low + np.array([window.width_px, window.height_px])
+
+
+def _is_inside(
+    points: NDArray[np.float64], low: NDArray[np.intp], high: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Find the points ``[n, 2]`` between two corners."""
+    return np.asarray(np.all((points >= low) & (points < high), axis=1))
 
 
 def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
@@ -265,24 +356,26 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     high = estimate.gsd_ci95_high_m_per_px
     if estimate.gsd_m_per_px is None or vehicles is None or not low or not high:
         return None
+    # The interval holds the error of the reference length, too, which all cars of the flight share.
     log_sd = math.log(high / low) / (2 * Z95)
-    common = min(log_sd, vehicles.reference.log_sd)
-    own = math.sqrt(max(log_sd**2 - common**2, 0.0))
+    common_log_sd = min(log_sd, vehicles.reference.log_sd)
+    own_log_sd = math.sqrt(max(log_sd**2 - common_log_sd**2, 0.0))
     return Measurement(
         math.log(estimate.gsd_m_per_px / factor),
-        own,
-        common_log_sd=common,
+        own_log_sd,
+        common_log_sd=common_log_sd,
         chance=estimate.confidence,
     )
 
 
 def _motion(matched: Match, width_px: int, height_px: int) -> Motion:
     """Describe the change from the first frame to the second."""
-    across, down = np.meshgrid(
-        (np.arange(_GRID_POINTS) + 0.5) * width_px / _GRID_POINTS,
-        (np.arange(_GRID_POINTS) + 0.5) * height_px / _GRID_POINTS,
-    )
+    # Count the points of a grid in the second frame that the first one shows, too.
+    steps = np.arange(_GRID_POINTS) + 0.5
+    across, down = np.meshgrid(steps * width_px / _GRID_POINTS, steps * height_px / _GRID_POINTS)
     points = np.column_stack([across.ravel(), down.ravel()])
-    earlier = np.linalg.solve(matched.turn[:, :2], (points - matched.turn[:, 2]).T).T
-    shared = np.all((earlier >= 0) & (earlier < (width_px, height_px)), axis=1).mean()
-    return Motion(-matched.log_ratio, matched.log_sd, 1.0 - float(shared))
+    shifted = points - matched.turn[:, 2]
+    earlier = np.linalg.solve(matched.turn[:, :2], shifted.T).T
+    is_shared = np.all((earlier >= 0) & (earlier < (width_px, height_px)), axis=1)
+    moved = 1.0 - float(is_shared.mean())
+    return Motion(-matched.log_ratio, matched.log_sd, moved)

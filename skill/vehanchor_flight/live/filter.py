@@ -15,16 +15,18 @@ from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95, Interval
 
-_STEADY_LOG_SD = 0.002  # of the ratio between two frames of the same ground
-_UNLINKED_LOG_SD_PER_S = 0.5  # a climb of 5 m/s at 10 m of height
-_WIDEST_LOG_SD = 1.0  # beyond it, the state says nothing
-_SAME_GROUND = 0.02  # share of a measurement that counts without new ground: noise of single boxes
-_LEAST_LOG_SD = 0.02  # of a measurement, beside the common error
-_GATE_SDS = 3.5  # a measurement further off contradicts the state
-_MOST_CONTRADICTIONS = 3  # in a row; then the state was wrong
-_MOST_LOG_ODDS = 4.0
-# factor on the chance for each contradiction in a row: either may be right; a choice
-_CONTRADICTED = 0.5
+_STEADY_LOG_SD = 0.002  # Of the ratio between two frames of the same ground.
+_UNLINKED_LOG_SD_PER_S = 0.5  # A climb of 5 m/s at 10 m of height.
+_MAX_LOG_SD = 1.0  # Beyond it, the state says nothing.
+# Share of a measurement that counts without new ground: the noise of single boxes.
+_SAME_GROUND_SHARE = 0.02
+_MIN_LOG_SD = 0.02  # Of a measurement, beside the common error.
+_GATE_SDS = 3.5  # A measurement that is farther off contradicts the state.
+_MAX_CONTRADICTIONS = 3  # In a row; then the state was wrong.
+_MAX_LOG_ODDS = 4.0
+_MIN_CHANCE = 1e-3  # Keeps log odds finite.
+# Factor on the chance for each contradiction in a row: either may be right. Our choice.
+_CONTRADICTION_FACTOR = 0.5
 
 
 class Measurement(NamedTuple):
@@ -99,8 +101,10 @@ class FilterState(NamedTuple):
     @property
     def chance(self) -> float:
         """Probability of an error below 20 %."""
+        # The scale is right if the vehicles are cars and the normal error of the log is small.
         within = math.erf(math.log1p(TOLERANCE) / (self.log_sd * math.sqrt(2)))
-        return within / (1 + math.exp(-self.log_odds)) * _CONTRADICTED**self.contradictions
+        chance = within / (1 + math.exp(-self.log_odds))
+        return chance * _CONTRADICTION_FACTOR**self.contradictions
 
     @property
     def usable(self) -> bool:
@@ -110,7 +114,7 @@ class FilterState(NamedTuple):
 
 def started(measured: Measurement) -> FilterState:
     """Start the filter from one measurement."""
-    variance = max(measured.log_sd, _LEAST_LOG_SD) ** 2
+    variance = _own_variance(measured)
     return FilterState(
         measured.log_gsd,
         variance,
@@ -129,18 +133,20 @@ def predicted(state: FilterState, seconds: float, motion: Motion | None) -> Filt
         motion: by features; None if the frames share none.
 
     Returns:
-        The state; None if it says nothing any more.
+        The state; None if its error is too large to say anything.
     """
     if motion is None:
+        # Nothing in common: the scale stays the best guess, and its error grows with time.
         log_ratio = 0.0
         moved = 1.0
         noise = (_UNLINKED_LOG_SD_PER_S * seconds) ** 2
     else:
+        # Frames of the same ground match better than frames that hardly overlap.
         log_ratio = motion.log_ratio
         moved = motion.moved
         noise = _STEADY_LOG_SD**2 + motion.log_sd**2 * motion.moved
     variance = state.variance + noise
-    if variance > _WIDEST_LOG_SD**2:
+    if variance > _MAX_LOG_SD**2:
         return None
     return state._replace(
         log_gsd=state.log_gsd + log_ratio,
@@ -162,28 +168,44 @@ def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
     """
     if state is None:
         return started(measured)
-    variance = max(measured.log_sd, _LEAST_LOG_SD) ** 2
-    off = measured.log_gsd - state.log_gsd
-    if abs(off) > _GATE_SDS * math.sqrt(state.variance + variance):
-        if state.contradictions + 1 >= _MOST_CONTRADICTIONS:
-            return started(measured)
-        return state._replace(
-            contradictions=state.contradictions + 1,
-            log_odds=state.log_odds - max(_log_odds(measured.chance), 0.0),
-        )
-    new = max(min(state.moved, 1.0), _SAME_GROUND)
-    information = new / variance + (1 - new) * max(0.0, 1 / variance - state.information)
+    variance = _own_variance(measured)
+    innovation = measured.log_gsd - state.log_gsd
+    if abs(innovation) > _GATE_SDS * math.sqrt(state.variance + variance):
+        return _contradicted(state, measured)
+    # Over new ground, the whole measurement counts. Over the ground of the last measurement, its
+    # error repeats, and only what it knows beyond the last one counts.
+    new_share = max(min(state.moved, 1.0), _SAME_GROUND_SHARE)
+    additional = max(0.0, 1 / variance - state.information)
+    information = new_share / variance + (1 - new_share) * additional
+    # Kalman gain, in terms of information.
     gain = state.variance * information / (1 + state.variance * information)
-    own = _log_odds(measured.chance)
+    # Cars over new ground confirm those before, and a single sure frame is enough.
+    own_log_odds = _log_odds(measured.chance)
+    log_odds = max(state.log_odds + new_share * own_log_odds, own_log_odds)
     return FilterState(
-        state.log_gsd + gain * off,
+        state.log_gsd + gain * innovation,
         state.variance * (1 - gain),
         common_log_sd=measured.common_log_sd,
-        log_odds=min(_MOST_LOG_ODDS, max(state.log_odds + new * own, own)),
+        log_odds=min(_MAX_LOG_ODDS, log_odds),
         information=1 / variance,
     )
 
 
+def _contradicted(state: FilterState, measured: Measurement) -> FilterState:
+    """Keep the scale of the state and lower its odds, or start anew from the measurement."""
+    contradictions = state.contradictions + 1
+    if contradictions >= _MAX_CONTRADICTIONS:
+        return started(measured)
+    log_odds = state.log_odds - max(_log_odds(measured.chance), 0.0)
+    return state._replace(contradictions=contradictions, log_odds=log_odds)
+
+
+def _own_variance(measured: Measurement) -> float:
+    """Return the variance of a measurement's own error, with a lower limit."""
+    return max(measured.log_sd, _MIN_LOG_SD) ** 2
+
+
 def _log_odds(chance: float) -> float:
-    inside = min(max(chance, 1e-3), 1 - 1e-3)
-    return min(math.log(inside / (1 - inside)), _MOST_LOG_ODDS)
+    """Convert a chance to log odds, within limits."""
+    inside = min(max(chance, _MIN_CHANCE), 1 - _MIN_CHANCE)
+    return min(math.log(inside / (1 - inside)), _MAX_LOG_ODDS)

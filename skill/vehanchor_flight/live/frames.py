@@ -1,7 +1,7 @@
-"""Frames of a running camera, a folder that fills, or a video. The newest frame wins: no queue grows.
+"""Frames of a running camera, a folder that fills, or a video.
 
-A source yields frames when it is asked for one, and counts those that newer ones replaced. Only a
-video gives every frame of its interval, however long each one takes.
+The newest frame wins, so that no queue grows. A source yields a frame on demand, and counts those
+that newer ones replaced. Only a video gives a frame for every interval, however long each takes.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import threading
 import time
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,14 +23,17 @@ from vehanchor.options.option import Limits
 from vehanchor_flight.video import is_video, sample_video
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from vehanchor.options import Reading
 
 _POLL_S = 0.05
-_RETRY_S = 1.0  # until a lost camera is tried again
+_RETRY_S = 1.0  # Until a lost camera is tried again.
+_MAX_CAMERA_NUMBER = 99
+_FileState: TypeAlias = tuple[int, int]
+"""Time of the last change in nanoseconds, and size in bytes."""
 EVERY_S = Limits(above=0, most=3600)
 """Limits of the seconds between the frames of a video."""
 
@@ -56,7 +60,7 @@ class Camera(Protocol):
     """The part of ``cv2.VideoCapture`` that a camera needs."""
 
     def read(self) -> tuple[bool, NDArray[np.uint8]]:
-        """Wait for the next frame: whether there is one, and ``[h, w, 3]`` BGR."""
+        """Wait for the next frame; return whether there is one, and ``[h, w, 3]`` BGR."""
         ...
 
     def release(self) -> None:
@@ -79,8 +83,8 @@ def open_frames(
         reading: how to read the images of a folder; its limits hold for a video, too.
         every_s: seconds between the frames of a video.
         idle_s: seconds without a new frame that end a folder or a camera; None for never.
-        tell: receives a sentence on each frame that cannot be read, and on each loss and return of
-            the camera.
+        tell: receives a sentence about each frame that cannot be read, and about each loss and
+            return of the camera.
 
     Returns:
         The frames.
@@ -93,21 +97,29 @@ def open_frames(
     if idle_s is not None:
         EVERY_S.check("idle", idle_s)
     if source.isdecimal():
-        return camera_frames(
-            lambda: _open_camera(int(source)), f"camera {int(source)}", idle_s=idle_s, tell=tell
-        )
+        number = int(source)
+        open_camera = partial(_open_camera, number)
+        return camera_frames(open_camera, f"camera {number}", idle_s=idle_s, tell=tell)
     if source and Path(source).is_dir():
         return folder_frames(Path(source), reading, idle_s=idle_s, tell=tell)
     if is_video(source):
-        return (
-            Frame(
-                taken.name, np.asarray(taken.image, np.uint8), number * every_s, time.monotonic(), 0
-            )
-            for number, taken in enumerate(sample_video(source, every_s, reading.limits))
-        )
+        return _video_frames(source, reading, every_s)
     raise ImageNotFoundError(
-        f"{source!r} is no source of frames: name a folder, a video, or the number of a camera"
+        f"{source!r} is not a source of frames: name a folder, a video, or the number of a camera"
     )
+
+
+def _video_frames(path: str, reading: Reading, every_s: float) -> Iterator[Frame]:
+    """Yield a frame of a video for each interval; their times are those of the intervals."""
+    for number, photograph in enumerate(sample_video(path, every_s, reading.limits)):
+        image = np.asarray(photograph.image, np.uint8)
+        yield Frame(
+            photograph.name,
+            image,
+            at_s=number * every_s,
+            arrived_s=time.monotonic(),
+            n_skipped=0,
+        )
 
 
 def folder_frames(
@@ -117,7 +129,7 @@ def folder_frames(
     idle_s: float | None = None,
     tell: Callable[[str], None] = print,
 ) -> Generator[Frame, None, None]:
-    """Watch a folder by polling, and yield its newest readable image whenever one was added or replaced.
+    """Watch a folder by polling, and yield its newest readable image after each change.
 
     A file counts when its size and time are the same at two polls: then it is written completely.
 
@@ -125,50 +137,76 @@ def folder_frames(
         folder: the folder; its own files count, those of its folders do not.
         reading: how to read the images.
         idle_s: seconds without a new image that end the source; None for never.
-        tell: receives a sentence on each image that cannot be read.
+        tell: receives a sentence about each image that cannot be read.
     """
-    taken: dict[str, tuple[int, int]] = {}
-    before: dict[str, tuple[int, int]] = {}
-    last = time.monotonic()
-    while idle_s is None or time.monotonic() - last < idle_s:
+    yielded: dict[str, _FileState] = {}
+    before: dict[str, _FileState] = {}
+    last_s = time.monotonic()
+    while idle_s is None or time.monotonic() - last_s < idle_s:
         now = _listing(folder)
-        ready = [
-            name
+        new = {
+            name: state
             for name, state in now.items()
-            if before.get(name) == state and taken.get(name) != state
-        ]
-        taken = {name: state for name, state in taken.items() if name in now}
+            if before.get(name) == state and yielded.get(name) != state
+        }
+        # A file that was removed may come back.
+        yielded = {name: state for name, state in yielded.items() if name in now}
         before = now
-        if not ready:
+        if not new:
             time.sleep(_POLL_S)
             continue
-        taken.update((name, now[name]) for name in ready)
-        last = arrived = time.monotonic()
-        ready.sort(key=lambda name: (now[name], name), reverse=True)
-        for older, name in enumerate(ready, start=1):
-            try:
-                path = folder / name
-                with open_raster(path, reading) as raster:
-                    image = raster.read()
-            except ImageError as error:
-                tell(f"{name}: {error}")
-                continue
-            yield Frame(str(path), image, arrived, arrived, len(ready) - older)
-            break
+        # All new files count as yielded, because the newest replaces the older ones.
+        yielded |= new
+        last_s = time.monotonic()
+        frame = _newest_readable(folder, new, reading=reading, arrived_s=last_s, tell=tell)
+        if frame is not None:
+            yield frame
 
 
-def _listing(folder: Path) -> dict[str, tuple[int, int]]:
+def _newest_readable(
+    folder: Path,
+    states: Mapping[str, _FileState],
+    *,
+    reading: Reading,
+    arrived_s: float,
+    tell: Callable[[str], None],
+) -> Frame | None:
+    """Read the newest readable image of a folder; None without one.
+
+    Args:
+        folder: the folder.
+        states: the new files, by name.
+        reading: how to read the images.
+        arrived_s: when they were found.
+        tell: receives a sentence about each newer image that cannot be read.
+    """
+    newest_first = sorted(states, key=lambda name: (states[name], name), reverse=True)
+    for rank, name in enumerate(newest_first, start=1):
+        path = folder / name
+        try:
+            with open_raster(path, reading) as raster:
+                image = raster.read()
+        except ImageError as error:
+            tell(f"{name}: {error}")
+            continue
+        n_older = len(newest_first) - rank
+        return Frame(str(path), image, at_s=arrived_s, arrived_s=arrived_s, n_skipped=n_older)
+    return None
+
+
+def _listing(folder: Path) -> dict[str, _FileState]:
     """List the images of a folder with their times and sizes; empty while the folder is missing."""
-    found = {}
+    states = {}
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
                 if Path(entry.name).suffix.lower() in SUFFIXES and entry.is_file():
-                    state = entry.stat()
-                    found[entry.name] = state.st_mtime_ns, state.st_size
-    except OSError:  # a file or the folder was removed meanwhile: the next poll sees the rest
-        return found
-    return found
+                    facts = entry.stat()
+                    states[entry.name] = (facts.st_mtime_ns, facts.st_size)
+    except OSError:
+        # A file or the folder was removed meanwhile: the next poll sees the rest.
+        return states
+    return states
 
 
 def camera_frames(
@@ -178,19 +216,21 @@ def camera_frames(
     idle_s: float | None = None,
     tell: Callable[[str], None] = print,
 ) -> Generator[Frame, None, None]:
-    """Yield the newest frame of a camera; a thread reads it without a pause.
+    """Yield the newest frame of a camera; a thread reads the camera without a pause.
 
     Args:
         open_camera: opens the camera; None if it cannot be opened now. It is called again after
             each loss.
         name: of the camera.
         idle_s: seconds without a frame that end the source; None for never.
-        tell: receives a sentence on each loss and return.
+        tell: receives a sentence about each loss and return.
     """
     newest = _Newest(open_camera, name, tell)
     try:
-        while (frame := newest.take(idle_s)) is not None:
+        frame = newest.take(idle_s)
+        while frame is not None:
             yield frame
+            frame = newest.take(idle_s)
     finally:
         newest.close()
 
@@ -222,43 +262,70 @@ class _Newest:
         self._ended.set()
 
     def _run(self) -> None:
-        lost = False
+        """Read the camera; after each loss, open it again."""
+        is_lost = False
         while not self._ended.is_set():
             camera = self._open()
             if camera is not None:
-                if self._read(camera, returned=lost):
-                    lost = False
+                gave_frames = self._read(camera, returned=is_lost)
+                if gave_frames:
+                    is_lost = False
                 camera.release()
-            if not self._ended.is_set():
-                if not lost:
-                    self._tell(f"{self._name} gives no frames: it is tried again every second")
-                lost = True
-                self._ended.wait(_RETRY_S)
+            if self._ended.is_set():
+                break
+            # One sentence for each loss, not one for each trial.
+            if not is_lost:
+                self._tell(f"{self._name} gives no frames: it is tried again every second")
+            is_lost = True
+            self._ended.wait(_RETRY_S)
 
     def _read(self, camera: Camera, *, returned: bool) -> bool:
-        """Read frames until the camera fails; tell whether there was any."""
-        number = 0
+        """Read frames until the camera fails; return whether it gave any.
+
+        Args:
+            camera: open.
+            returned: whether it was lost before.
+        """
+        n_frames = 0
         while not self._ended.is_set():
-            known, pixels = camera.read()
-            if not known:
+            is_frame, pixels = camera.read()
+            if not is_frame:
                 break
-            if returned and number == 0:
+            if returned and n_frames == 0:
                 self._tell(f"{self._name} gives frames again")
-            number += 1
-            now = time.monotonic()
-            image = np.ascontiguousarray(np.asarray(pixels, np.uint8)[:, :, ::-1])
-            with self._changed:
-                skipped = 0 if self._frame is None else self._frame.n_skipped + 1
-                self._frame = Frame(f"{self._name} at {now:.2f} s", image, now, now, skipped)
-                self._changed.notify()
-        return number > 0
+            n_frames += 1
+            self._replace(pixels)
+        return n_frames > 0
+
+    def _replace(self, pixels: NDArray[np.uint8]) -> None:
+        """Replace the frame by a newer one, and count it if nobody has taken it.
+
+        Args:
+            pixels: ``[h, w, 3]`` BGR.
+        """
+        now_s = time.monotonic()
+        image = np.ascontiguousarray(np.asarray(pixels, np.uint8)[:, :, ::-1])
+        with self._changed:
+            n_skipped = 0
+            if self._frame is not None:
+                n_skipped = self._frame.n_skipped + 1
+            self._frame = Frame(
+                f"{self._name} at {now_s:.2f} s",
+                image,
+                at_s=now_s,
+                arrived_s=now_s,
+                n_skipped=n_skipped,
+            )
+            self._changed.notify()
 
 
 def _open_camera(number: int) -> Camera | None:
-    if number > 99:
+    """Open the camera of that number; None if it gives no frames now."""
+    if number > _MAX_CAMERA_NUMBER:
         raise InvalidParameterError(f"the camera {number} does not exist: use 0 for the first")
     camera = cv2.VideoCapture(number)
     if camera.isOpened():
-        return camera  # type: ignore[return-value] # the stubs of OpenCV are wider than what it returns
+        # The stubs of OpenCV are wider than what it returns.
+        return camera  # type: ignore[return-value]
     camera.release()
     return None

@@ -20,16 +20,35 @@ from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
 _FILES = ("cameras", "images", "points3D")
-_MOST_BYTES = 8 << 30
-_POSE = struct.Struct("<I7dI")
-_NAME_BYTES = 1024
-_THREE = struct.Struct("<3d")
-_POINT = struct.Struct("<Q3d3BdQ")
+_MAX_BYTES = 8 << 30
+_MAX_NAME_BYTES = 1024
+# Binary entries. COLMAP writes little-endian numbers without padding.
+_COUNT = struct.Struct("<Q")  # Number of entries, or of the points of an image.
+_CAMERA = struct.Struct("<IiQQ")  # Id, model, width, height; its parameters follow.
+_POSE = struct.Struct("<I7dI")  # Image id, quaternion, translation, camera id; its name follows.
+_POINT_OF_IMAGE_BYTES = 24  # x, y and the id of a point.
+_POINT = struct.Struct("<Q3d3BdQ")  # Id, position, colour, error, length of its track.
+_TRACK_ENTRY_BYTES = 8
+_POSITION = struct.Struct("<3d")
+# Bytes from the beginning of an entry to its three lengths.
+_TRANSLATION_OFFSET = 36
+_POSITION_OFFSET = 8
+# Columns of a row that hold the first of three lengths.
+_TRANSLATION_COLUMN = 5
+_POSITION_COLUMN = 1
 
 
 class _CameraModel(NamedTuple):
-    """Camera model of COLMAP: its number in binary files, focal lengths (1 or 2), and parameters in all."""
+    """Camera model of COLMAP.
+
+    Attributes:
+        number: in binary files.
+        n_focals: number of focal lengths, 1 or 2.
+        n_parameters: number of all parameters.
+    """
 
     number: int
     n_focals: int
@@ -47,15 +66,16 @@ _MODELS = {
     "SIMPLE_RADIAL_FISHEYE": _CameraModel(8, 1, 4),
     "RADIAL_FISHEYE": _CameraModel(9, 1, 5),
 }
-_NAMES = {model.number: name for name, model in _MODELS.items()}
+_MODEL_NAMES = {model.number: name for name, model in _MODELS.items()}
 
 
 def is_colmap(folder: Path) -> bool:
-    """Tell whether a folder holds a model of COLMAP."""
-    return any(
-        all((folder / f"{name}{suffix}").is_file() for name in _FILES)
-        for suffix in (".txt", ".bin")
-    )
+    """Check whether a folder holds a model of COLMAP."""
+    return _has_files(folder, ".txt") or _has_files(folder, ".bin")
+
+
+def _has_files(folder: Path, suffix: str) -> bool:
+    return all((folder / f"{name}{suffix}").is_file() for name in _FILES)
 
 
 def read_colmap(folder: Path) -> Reconstruction:
@@ -64,24 +84,9 @@ def read_colmap(folder: Path) -> Reconstruction:
     Raises:
         ReconstructionError: a file is damaged, or a camera is not supported.
     """
-    text = (folder / "images.txt").is_file()
+    is_text = _is_text(folder)
     try:
-        if text:
-            lenses = dict(map(_text_camera, _rows(folder / "cameras.txt")))
-            # the others hold the points of an image
-            rows = list(_rows(folder / "images.txt", points=True))[::2]
-            shots = tuple(_text_shot(row, lenses) for row in rows if row.strip())
-            points = np.array(
-                [row.split()[1:4] for row in _rows(folder / "points3D.txt")], np.float64
-            )
-        else:
-            lenses = _binary_cameras(_bytes(folder / "cameras.bin"))
-            images = _bytes(folder / "images.bin")
-            shots = tuple(_binary_shot(images, at, lenses) for at in _image_offsets(images))
-            found = _bytes(folder / "points3D.bin")
-            points = np.array(
-                [_POINT.unpack_from(found, at)[1:4] for at in _point_offsets(found)], np.float64
-            )
+        shots, points = _read_text(folder) if is_text else _read_binary(folder)
     except (ValueError, IndexError, KeyError, struct.error, OverflowError) as error:
         if isinstance(error, ReconstructionError):
             raise
@@ -89,11 +94,38 @@ def read_colmap(folder: Path) -> Reconstruction:
             f"{str(folder)!r} is not a whole model of COLMAP: {error!r}"
         ) from None
     return Reconstruction(
-        "colmap_text" if text else "colmap_binary",
+        "colmap_text" if is_text else "colmap_binary",
         folder,
         shots=shots,
         points=points.reshape(-1, 3),
     )
+
+
+def _is_text(folder: Path) -> bool:
+    return (folder / "images.txt").is_file()
+
+
+def _read_text(folder: Path) -> tuple[tuple[Shot, ...], NDArray[np.float64]]:
+    """Read the shots and the positions of the points from text."""
+    lenses = dict(_text_camera(row) for row in _rows(folder / "cameras.txt"))
+    # An image has two rows: its pose, and its points, which may be none.
+    poses = list(_rows(folder / "images.txt", keep_empty=True))[::2]
+    shots = tuple(_text_shot(row, lenses) for row in poses if row.strip())
+    positions = [
+        row.split()[_POSITION_COLUMN : _POSITION_COLUMN + 3]
+        for row in _rows(folder / "points3D.txt")
+    ]
+    return shots, np.array(positions, np.float64)
+
+
+def _read_binary(folder: Path) -> tuple[tuple[Shot, ...], NDArray[np.float64]]:
+    """Read the shots and the positions of the points from binary files."""
+    lenses = _binary_cameras(_read_bytes(folder / "cameras.bin"))
+    images = _read_bytes(folder / "images.bin")
+    shots = tuple(_binary_shot(images, start, lenses) for start in _image_starts(images))
+    points = _read_bytes(folder / "points3D.bin")
+    positions = [_POINT.unpack_from(points, start)[1:4] for start in _point_starts(points)]
+    return shots, np.array(positions, np.float64)
 
 
 def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
@@ -110,18 +142,18 @@ def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
     Raises:
         OutputError: a file cannot be written.
     """
-    text = (folder / "images.txt").is_file()
-    ending = ".txt" if text else ".bin"
-    cameras, images, points = (folder / f"{name}{ending}" for name in _FILES)
-    _write(target / cameras.name, _bytes(cameras))
-    if text:
-        _write(target / images.name, _scaled_text(images, 5, factor, every=2))
-        _write(target / points.name, _scaled_text(points, 1, factor))
-    else:
-        _write(
-            target / images.name, _scaled_binary(images, _image_offsets, first=36, factor=factor)
-        )
-        _write(target / points.name, _scaled_binary(points, _point_offsets, first=8, factor=factor))
+    is_text = _is_text(folder)
+    suffix = ".txt" if is_text else ".bin"
+    cameras, images, points = (folder / f"{name}{suffix}" for name in _FILES)
+    _write(target / cameras.name, _read_bytes(cameras))
+    if is_text:
+        _write(target / images.name, _scaled_text(images, _TRANSLATION_COLUMN, factor, every=2))
+        _write(target / points.name, _scaled_text(points, _POSITION_COLUMN, factor))
+        return target
+    scaled = _scaled_binary(images, _image_starts, _TRANSLATION_OFFSET, factor=factor)
+    _write(target / images.name, scaled)
+    scaled = _scaled_binary(points, _point_starts, _POSITION_OFFSET, factor=factor)
+    _write(target / points.name, scaled)
     return target
 
 
@@ -130,52 +162,65 @@ def _write(path: Path, content: bytes | bytearray) -> None:
         partial.write_bytes(content)
 
 
-def _bytes(path: Path) -> bytearray:
+def _read_bytes(path: Path) -> bytearray:
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ReconstructionError(f"{str(path)!r} is larger than {_MOST_BYTES >> 30} GiB")
+        if path.stat().st_size > _MAX_BYTES:
+            raise ReconstructionError(f"{str(path)!r} is larger than {_MAX_BYTES >> 30} GiB")
         return bytearray(path.read_bytes())
     except OSError as error:
         raise ReconstructionError(f"cannot read {str(path)!r}: {error.strerror or error}") from None
 
 
-def _rows(path: Path, *, points: bool = False) -> Iterator[str]:
-    """Yield the lines without comments; with ``points``, also empty ones, for an image may have no points."""
-    for row in _bytes(path).decode().splitlines():
-        if not row.startswith("#") and (points or row.strip()):
+def _rows(path: Path, *, keep_empty: bool = False) -> Iterator[str]:
+    """Yield the rows of a text file without comments.
+
+    Args:
+        path: of the file.
+        keep_empty: whether to yield empty rows, too.
+    """
+    for row in _read_bytes(path).decode().splitlines():
+        if row.startswith("#"):
+            continue
+        if keep_empty or row.strip():
             yield row
 
 
 def _text_camera(row: str) -> tuple[int, Lens]:
-    number, kind, width, height, *parameters = row.split()
-    return int(number), _lens(
-        kind, float(width), float(height), [float(each) for each in parameters]
-    )
+    """Read the id and the lens of a camera."""
+    number, kind, width, height, *cells = row.split()
+    parameters = [float(cell) for cell in cells]
+    return int(number), _lens(kind, float(width), float(height), parameters)
 
 
 def _text_shot(row: str, lenses: dict[int, Lens]) -> Shot:
-    values = row.split(maxsplit=9)
-    pose = [float(each) for each in values[1:8]]
-    return _shot(values[9], lenses[int(values[8])], pose)
+    """Read a shot; its name comes last, and may have blanks."""
+    cells = row.split(maxsplit=9)
+    pose = [float(cell) for cell in cells[1:8]]
+    camera = int(cells[8])
+    return _shot(cells[9], lenses[camera], pose)
 
 
-def _binary_cameras(found: bytearray) -> dict[int, Lens]:
-    (n,) = struct.unpack_from("<Q", found)
-    at = 8
+def _binary_cameras(content: bytearray) -> dict[int, Lens]:
+    """Read the lenses of all cameras, by id."""
+    (n_cameras,) = _COUNT.unpack_from(content)
+    position = _COUNT.size
     lenses = {}
-    for _ in range(n):
-        number, kind, width, height = struct.unpack_from("<IiQQ", found, at)
-        at += 24
-        name = _NAMES.get(kind, f"number {kind}")
-        n_parameters = _supported(name).n_parameters
-        lenses[number] = _lens(
-            name, width, height, struct.unpack_from(f"<{n_parameters}d", found, at)
-        )
-        at += 8 * n_parameters
+    for _ in range(n_cameras):
+        number, model_number, width, height = _CAMERA.unpack_from(content, position)
+        position += _CAMERA.size
+        kind = _MODEL_NAMES.get(model_number, f"number {model_number}")
+        layout = struct.Struct(f"<{_supported(kind).n_parameters}d")
+        lenses[number] = _lens(kind, width, height, layout.unpack_from(content, position))
+        position += layout.size
     return lenses
 
 
 def _supported(kind: str) -> _CameraModel:
+    """Return the camera model of that name.
+
+    Raises:
+        ReconstructionError: it is not supported.
+    """
     if kind not in _MODELS:
         raise ReconstructionError(
             f"a camera has COLMAP's model {kind}: supported are {', '.join(_MODELS)}"
@@ -184,97 +229,145 @@ def _supported(kind: str) -> _CameraModel:
 
 
 def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -> Lens:
+    """Make a lens from the parameters of a camera, in COLMAP's order.
+
+    Raises:
+        ValueError: the parameters are too few, too many, or not possible.
+        ReconstructionError: the camera model is not supported.
+    """
     _, n_focals, n_parameters = _supported(kind)
-    if (
-        len(parameters) != n_parameters
-        or not all(np.isfinite(parameters))
-        or min(parameters[:n_focals]) <= 0
-    ):
+    is_valid = len(parameters) == n_parameters and all(np.isfinite(parameters))
+    if not is_valid or min(parameters[:n_focals]) <= 0:
         raise ValueError(f"parameters of a camera {kind}: {parameters}")
+    # One focal length holds in both directions.
     focal_x = parameters[0]
     focal_y = parameters[n_focals - 1]
     centre_x, centre_y, *distortion = parameters[n_focals:]
     return Lens(
         width,
         height,
-        focal_x,
-        focal_y,
-        centre_x,
-        centre_y,
-        tuple(distortion),
-        kind.endswith("FISHEYE"),
+        focal_x_px=focal_x,
+        focal_y_px=focal_y,
+        centre_x_px=centre_x,
+        centre_y_px=centre_y,
+        distortion=tuple(distortion),
+        fisheye=kind.endswith("FISHEYE"),
     )
 
 
-def _image_offsets(found: bytearray) -> Iterator[int]:
-    (n,) = struct.unpack_from("<Q", found)
-    at = 8
-    for _ in range(n):
-        yield at
-        end = found.index(b"\0", at + _POSE.size) + 1
-        (n_points,) = struct.unpack_from("<Q", found, end)
-        at = end + 8 + 24 * n_points
-    _check_end(found, at)
+def _image_starts(content: bytearray) -> Iterator[int]:
+    """Yield the position of each image in ``images.bin``.
+
+    Raises:
+        ValueError: the file has more bytes or fewer than its images.
+    """
+    (n_images,) = _COUNT.unpack_from(content)
+    position = _COUNT.size
+    for _ in range(n_images):
+        yield position
+        # The name ends with a zero byte; then the points of the image follow.
+        name_end = content.index(b"\0", position + _POSE.size) + 1
+        (n_points,) = _COUNT.unpack_from(content, name_end)
+        position = name_end + _COUNT.size + _POINT_OF_IMAGE_BYTES * n_points
+    _check_end(content, position)
 
 
-def _binary_shot(found: bytearray, at: int, lenses: dict[int, Lens]) -> Shot:
-    _, *pose, camera = _POSE.unpack_from(found, at)
-    start = at + _POSE.size
-    name = found[start : found.index(b"\0", start, start + _NAME_BYTES)].decode()
+def _binary_shot(content: bytearray, start: int, lenses: dict[int, Lens]) -> Shot:
+    """Read the shot of the image that begins at ``start``."""
+    _, *pose, camera = _POSE.unpack_from(content, start)
+    name_start = start + _POSE.size
+    name_end = content.index(b"\0", name_start, name_start + _MAX_NAME_BYTES)
+    name = content[name_start:name_end].decode()
     return _shot(name, lenses[camera], pose)
 
 
-def _point_offsets(found: bytearray) -> Iterator[int]:
-    (n,) = struct.unpack_from("<Q", found)
-    at = 8
-    for _ in range(n):
-        yield at
-        at += _POINT.size + 8 * _POINT.unpack_from(found, at)[-1]
-    _check_end(found, at)
+def _point_starts(content: bytearray) -> Iterator[int]:
+    """Yield the position of each point in ``points3D.bin``.
+
+    Raises:
+        ValueError: the file has more bytes or fewer than its points.
+    """
+    (n_points,) = _COUNT.unpack_from(content)
+    position = _COUNT.size
+    for _ in range(n_points):
+        yield position
+        *_, track_length = _POINT.unpack_from(content, position)
+        position += _POINT.size + _TRACK_ENTRY_BYTES * track_length
+    _check_end(content, position)
 
 
-def _check_end(found: bytearray, at: int) -> None:
-    if at != len(found):
-        raise ValueError(f"{len(found)} bytes instead of {at}")
+def _check_end(content: bytearray, end: int) -> None:
+    if end != len(content):
+        raise ValueError(f"{len(content)} bytes instead of {end}")
 
 
 def _shot(name: str, lens: Lens, pose: Sequence[float]) -> Shot:
-    """Make a shot from a quaternion (w first) and a translation."""
+    """Make a shot from a quaternion (w first) and a translation.
+
+    Raises:
+        ValueError: the pose is not finite.
+    """
     if not np.isfinite(pose).all():
         raise ValueError(f"the pose of {name!r} is {pose}")
-    w, *axis = pose[:4]
+    w, x, y, z, *translation = pose
     return Shot(
         name,
         lens,
-        rotation=Rotation.from_quat([*axis, w]).as_matrix(),
-        translation=np.array(pose[4:], dtype=np.float64),
+        rotation=Rotation.from_quat([x, y, z, w]).as_matrix(),
+        translation=np.array(translation, dtype=np.float64),
     )
 
 
 def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes:
-    """Scale three columns of every row, or of every second one; comments are kept."""
+    """Scale three columns of a text file; comments are kept.
+
+    Args:
+        path: of the file.
+        first: index of the first of the columns.
+        factor: to multiply by.
+        every: 1 for all rows; 2 for the first, the third and so on.
+
+    Returns:
+        The new content.
+    """
     rows = []
     number = 0
-    for row in _bytes(path).decode().splitlines():
-        if not row.startswith("#"):
-            if number % every == 0 and row.strip():
-                cells = row.split(maxsplit=first + 3)
-                cells[first : first + 3] = [
-                    repr(float(cell) * factor) for cell in cells[first : first + 3]
-                ]
-                row = " ".join(cells)
-            number += 1
-        rows.append(row)
+    for row in _read_bytes(path).decode().splitlines():
+        if row.startswith("#"):
+            rows.append(row)
+            continue
+        if number % every == 0 and row.strip():
+            rows.append(_scaled_row(row, first, factor))
+        else:
+            rows.append(row)
+        number += 1
     return ("\n".join(rows) + "\n").encode()
 
 
+def _scaled_row(row: str, first: int, factor: float) -> str:
+    """Scale three columns of a row; what follows them stays as it is."""
+    end = first + 3
+    cells = row.split(maxsplit=end)
+    cells[first:end] = [repr(float(cell) * factor) for cell in cells[first:end]]
+    return " ".join(cells)
+
+
 def _scaled_binary(
-    path: Path, offsets: Callable[[bytearray], Iterator[int]], first: int, factor: float
+    path: Path, find_starts: Callable[[bytearray], Iterator[int]], offset: int, factor: float
 ) -> bytearray:
-    """Scale three numbers of every entry, ``first`` bytes after its beginning."""
-    found = _bytes(path)
-    for at in offsets(found):
-        _THREE.pack_into(
-            found, at + first, *(factor * each for each in _THREE.unpack_from(found, at + first))
-        )
-    return found
+    """Scale three numbers of every entry of a binary file.
+
+    Args:
+        path: of the file.
+        find_starts: yields the position of each entry.
+        offset: bytes from the beginning of an entry to its numbers.
+        factor: to multiply by.
+
+    Returns:
+        The new content.
+    """
+    content = _read_bytes(path)
+    for start in find_starts(content):
+        x, y, z = _POSITION.unpack_from(content, start + offset)
+        _POSITION.pack_into(content, start + offset, factor * x, factor * y, factor * z)
+    return content

@@ -1,11 +1,15 @@
-"""The factor that gives a reconstruction its size: one posterior over the rulers of all its photographs."""
+"""Factor that gives a reconstruction its size: one posterior over the rulers of all photographs.
+
+The rulers of a photograph measure metres per pixel at its centre, and the reconstruction knows the
+model units per pixel there. The quotient, metres per unit, is the same for all photographs.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -17,7 +21,11 @@ from vehanchor.storage.journal import Source
 from vehanchor_flight.photograph import chief_member
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.reconstruction.ground import model_plane
-from vehanchor_flight.reconstruction.photograph import SeenPhotograph, distinct, search_photograph
+from vehanchor_flight.reconstruction.photograph import (
+    SearchedPhotograph,
+    merge_cars,
+    search_photograph,
+)
 from vehanchor_flight.record import Failure
 from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
@@ -32,42 +40,54 @@ if TYPE_CHECKING:
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
 
-# largest ratio of the ends of a photograph's interval, with which it carries the factor
-_WIDEST_USED = 2.0
-# a factor beyond this, or below its inverse, means that the model is not in metres
-_OWN_UNITS = 1.5
+# A photograph carries the factor if the ratio of its interval's ends is not larger.
+_MAX_INTERVAL_RATIO = 2.0
+# A factor beyond this, or below its inverse, means that the model is not in metres.
+_MAX_METRIC_FACTOR = 1.5
+
+
+class _Factor(NamedTuple):
+    """Factor with its 95 % interval, as fields of records; None without a scale."""
+
+    factor: float | None = None
+    factor_ci95_low: float | None = None
+    factor_ci95_high: float | None = None
 
 
 def conclude_model(
-    model: Reconstruction, results: Sequence[SeenPhotograph | Failure], images: Path
+    model: Reconstruction, results: Sequence[SearchedPhotograph | Failure], images: Path
 ) -> ModelScale:
     """Make the record of searched photographs.
 
     Raises:
         VehAnchorError: none of them can be used.
     """
-    seen = [each for each in results if isinstance(each, SeenPhotograph)]
-    if not seen:
-        raise _nothing_usable([each for each in results if isinstance(each, Failure)], images)
-    members = distinct(seen)
-    chief = chief_member(members)
-    gsd = seen[chief].sight.gsd
-    pooled = pool(members, np.log([each.sight.gsd for each in seen]), chief).estimate
-    factors = _factors(pooled, gsd)
-    photographs = [
-        _failed(each) if isinstance(each, Failure) else _photograph(each, factors)
-        for each in results
-    ]
+    searched = [result for result in results if isinstance(result, SearchedPhotograph)]
+    if not searched:
+        failures = [result for result in results if isinstance(result, Failure)]
+        raise _nothing_usable(failures, images)
+    members = merge_cars(searched)
+    reference = chief_member(members)
+    # The model knows the ratios of the scales: the photographs pool like those of a flight.
+    model_gsds = [photograph.gsd for photograph in searched]
+    pooled = pool(members, np.log(model_gsds), reference).estimate
+    factor = _factor(pooled, model_gsds[reference])
+    photographs = []
+    for result in results:
+        if isinstance(result, Failure):
+            photographs.append(_failed(result))
+        else:
+            photographs.append(_photograph(result, factor))
     return ModelScale(
         status=pooled.status,
         source=model.kind,
-        **factors,
+        **factor._asdict(),
         confidence=pooled.confidence,
         reason=pooled.reason,
-        verdict=verdict(*factors.values(), usable=pooled.status == "ok"),
+        verdict=verdict(*factor, usable=pooled.status == "ok"),
         n_photographs=len(model.shots),
         n_vehicles=pooled.n_vehicles or 0,
-        rulers=_rulers(pooled, gsd),
+        rulers=_rulers(pooled, model_gsds[reference]),
         photographs=tuple(photographs),
         model=pooled.model,
         model_sha256=pooled.details.model_sha256,
@@ -76,12 +96,12 @@ def conclude_model(
 
 
 def _parts_notice(model: Reconstruction) -> list[Notice]:
+    """Warn of a model in several parts."""
     if model.n_parts == 1:
         return []
     message = (
         f"The model has {model.n_parts} parts that are not connected, each with a size of its "
-        "own. This factor is that "
-        "of the largest part."
+        "own. This factor is that of the largest part."
     )
     return [Notice(code=NoticeCode.NOT_LINKED, message=message)]
 
@@ -102,7 +122,7 @@ def search_model(
     options: ScaleOptions,
     lines: KnownLengthTable,
     journal: Journal[StoredPhotograph] | None = None,
-) -> list[SeenPhotograph | Failure]:
+) -> list[SearchedPhotograph | Failure]:
     """Search the photographs of a model one by one; arguments as in ``rescale``.
 
     Args:
@@ -114,40 +134,56 @@ def search_model(
         journal: earlier results; each new result is added at once.
     """
     files = photograph_files(model, images)
-    tell = detector.runtime.tell
-    silent = detector.under(replace(detector.runtime, progress=None))
-    tell(0, len(files))
-    whole = model_plane(model)
-    found: list[SeenPhotograph | Failure] = []
-    for number, (shot, file) in enumerate(zip(model.shots, files, strict=True)):
-        tell(number, len(files))
+    report_progress = detector.runtime.tell
+    silent_detector = detector.under(replace(detector.runtime, progress=None))
+    report_progress(0, len(files))
+    whole_plane = model_plane(model)
+    results: list[SearchedPhotograph | Failure] = []
+    for n_done, (shot, file) in enumerate(zip(model.shots, files, strict=True)):
+        report_progress(n_done, len(files))
         key = (shot.name, *Source.of(file))
-        own = with_lines_of(options, lines, file)
+        own_options = with_lines_of(options, lines, file)
         points = model.points[shot.sees(model.points)]
-        kept = None if journal is None else journal.get(key)
+        stored = None if journal is None else journal.get(key)
+        result = stored
         try:
-            result = kept or search_photograph(
-                file, shot, points=points, whole=whole, detector=silent, options=own
+            if result is None:
+                result = search_photograph(
+                    file,
+                    shot,
+                    points=points,
+                    whole_plane=whole_plane,
+                    detector=silent_detector,
+                    options=own_options,
+                )
+            searched = SearchedPhotograph.of(
+                result,
+                shot,
+                points=points,
+                whole_plane=whole_plane,
+                card=detector.card,
+                options=own_options,
             )
-            found.append(SeenPhotograph.of(result, shot, points, whole, detector.card, own))
         except VehAnchorError as error:
-            found.append(Failure(shot.name, error))
+            results.append(Failure(shot.name, error))
             continue
-        if journal is not None and kept is None:
+        results.append(searched)
+        if journal is not None and stored is None:
             journal.add(key, result)
-    tell(len(files), len(files))
-    return found
+    report_progress(len(files), len(files))
+    return results
 
 
 def model_sha256(model: Reconstruction) -> str:
-    """Compute the checksum of a model; in a journal, results of another model count as other options."""
+    """Compute the checksum of a model.
+
+    In a journal, results of another model then count as results of other options.
+    """
     digest = hashlib.sha256(model.points.tobytes())
     for shot in model.shots:
-        digest.update(
-            f"{shot.name} {shot.lens}".encode()
-            + shot.rotation.tobytes()
-            + shot.translation.tobytes()
-        )
+        digest.update(f"{shot.name} {shot.lens}".encode())
+        digest.update(shot.rotation.tobytes())
+        digest.update(shot.translation.tobytes())
     return digest.hexdigest()
 
 
@@ -158,7 +194,8 @@ def _inside(name: str) -> str:
         ReconstructionError: it does not.
     """
     path = PurePosixPath(name)
-    if not path.parts or path.is_absolute() or ".." in path.parts or "\\" in name or "\0" in name:
+    is_relative = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+    if not is_relative or "\\" in name or "\0" in name:
         raise ReconstructionError(
             f"the model names a photograph {name!r}: names must be relative to one folder"
         )
@@ -167,62 +204,68 @@ def _inside(name: str) -> str:
 
 def _nothing_usable(failures: Sequence[Failure], images: Path) -> VehAnchorError:
     """Choose the error of a model without a usable photograph."""
-    if failures and all(isinstance(each.error, ImageNotFoundError) for each in failures):
+    if not failures:
+        return ReconstructionError("the model has no photographs")
+    if all(isinstance(failure.error, ImageNotFoundError) for failure in failures):
         return ReconstructionError(
             f"no photograph of the model, such as {failures[0].name!r}, is in {str(images)!r}: "
-            "name their folder "
-            "with --images"
+            "name their folder with --images"
         )
-    return failures[0].error if failures else ReconstructionError("the model has no photographs")
+    return failures[0].error
 
 
-def _factors(scaled: GsdEstimate | RulerScale, gsd: float) -> dict[str, Any]:
-    """Divide a scale and its interval by ``gsd``, model units per pixel, into fields of records; all None without."""
-    found = scaled.gsd_m_per_px, scaled.gsd_ci95_low_m_per_px, scaled.gsd_ci95_high_m_per_px
-    factors = [None if each is None or None in found else each / gsd for each in found]
-    return dict(zip(("factor", "factor_ci95_low", "factor_ci95_high"), factors, strict=True))
+def _factor(scale: GsdEstimate | RulerScale, model_gsd: float) -> _Factor:
+    """Divide a scale in metres per pixel by that of the model.
+
+    Args:
+        scale: with its interval.
+        model_gsd: model units per pixel at the same place.
+    """
+    gsd = scale.gsd_m_per_px
+    low = scale.gsd_ci95_low_m_per_px
+    high = scale.gsd_ci95_high_m_per_px
+    if gsd is None or low is None or high is None:
+        return _Factor()
+    return _Factor(gsd / model_gsd, low / model_gsd, high / model_gsd)
 
 
-def _rulers(estimate: GsdEstimate, gsd: float) -> tuple[ModelRuler, ...]:
-    """List the rulers that can set a scale."""
-    return tuple(
-        ModelRuler(
-            kind=each.kind,
-            label=each.label,
-            **_factors(each, gsd),
-            n=each.n,
-            p_right=each.p_right,
-        )
-        for each in estimate.rulers
-        if each.sets_scale
-    )
+def _rulers(estimate: GsdEstimate, model_gsd: float) -> tuple[ModelRuler, ...]:
+    """List the rulers that can set a scale; ``model_gsd`` as in ``_factor``."""
+    rulers = []
+    for ruler in estimate.rulers:
+        if ruler.sets_scale:
+            fields: dict[str, Any] = _factor(ruler, model_gsd)._asdict()
+            record = ModelRuler(
+                kind=ruler.kind, label=ruler.label, **fields, n=ruler.n, p_right=ruler.p_right
+            )
+            rulers.append(record)
+    return tuple(rulers)
 
 
-def _photograph(seen: SeenPhotograph, whole: dict[str, Any]) -> ModelPhotograph:
-    estimate = seen.alone().analysis.estimate
-    own = _factors(estimate, seen.sight.gsd)
+def _photograph(searched: SearchedPhotograph, model_factor: _Factor) -> ModelPhotograph:
+    """Make the record of a photograph, with its factor beside that of the model."""
+    estimate = searched.alone().analysis.estimate
+    own_factor = _factor(estimate, searched.gsd)
     return ModelPhotograph(
-        photograph=seen.name,
-        status=_status(own, whole),
-        **own,
-        rulers=tuple(each.kind for each in estimate.rulers if each.sets_scale),
+        photograph=searched.name,
+        status=_status(own_factor, model_factor),
+        **own_factor._asdict(),
+        rulers=tuple(ruler.kind for ruler in estimate.rulers if ruler.sets_scale),
         n_vehicles=estimate.n_vehicles or 0,
-        camera_height=seen.sight.height,
-        tilt_deg=seen.sight.tilt.tilt_deg,
+        camera_height=searched.above_ground.height,
+        tilt_deg=searched.above_ground.tilt.tilt_deg,
     )
 
 
-def _status(
-    own: dict[str, Any], whole: dict[str, Any]
-) -> Literal["used", "unclear", "outlier", "nothing"]:
+def _status(own: _Factor, of_model: _Factor) -> Literal["used", "unclear", "outlier", "nothing"]:
     """Compare a photograph's own factor with that of the model."""
-    if None in (own["factor"], whole["factor"]):
+    _, own_low, own_high = own
+    _, model_low, model_high = of_model
+    if own_low is None or own_high is None or model_low is None or model_high is None:
         return "nothing"
-    low = own["factor_ci95_low"]
-    high = own["factor_ci95_high"]
-    if low > whole["factor_ci95_high"] or high < whole["factor_ci95_low"]:
+    if own_low > model_high or own_high < model_low:
         return "outlier"
-    return "used" if high <= _WIDEST_USED * low else "unclear"
+    return "used" if own_high <= _MAX_INTERVAL_RATIO * own_low else "unclear"
 
 
 def _failed(failure: Failure) -> ModelPhotograph:
@@ -245,18 +288,21 @@ def verdict(factor: float | None, low: float | None, high: float | None, *, usab
     """
     if factor is None or low is None or high is None:
         return "The model shows nothing of known size: its size remains unknown."
-    said = _size(factor, low, high)
-    return said if usable else f"Uncertain, do not use: {said[0].lower()}{said[1:]}"
+    sentence = _size_sentence(factor, low, high)
+    if usable:
+        return sentence
+    return f"Uncertain, do not use: {sentence[0].lower()}{sentence[1:]}"
 
 
-def _size(factor: float, low: float, high: float) -> str:
+def _size_sentence(factor: float, low: float, high: float) -> str:
+    """Put a factor in a sentence; arguments as in ``verdict``."""
     spread = f"+- {50 * (high - low) / factor:.2g} %"
-    if not 1 / _OWN_UNITS <= factor <= _OWN_UNITS:
+    if not 1 / _MAX_METRIC_FACTOR <= factor <= _MAX_METRIC_FACTOR:
         return f"One unit of the model is {factor:.4g} m, {spread}."
-    percent = 100 * (1 / factor - 1)  # the size that it has over the size that it should have
-    off = f"{abs(percent):.1f} % too {'small' if percent < 0 else 'large'}, {spread}"
-    return (
-        f"The model has its size: {off}."
-        if low <= 1 <= high
-        else f"The model is {off}: multiply its lengths by {factor:.4g}."
-    )
+    # Its size over the size that it should have.
+    percent = 100 * (1 / factor - 1)
+    direction = "small" if percent < 0 else "large"
+    error = f"{abs(percent):.1f} % too {direction}, {spread}"
+    if low <= 1 <= high:
+        return f"The model has its size: {error}."
+    return f"The model is {error}: multiply its lengths by {factor:.4g}."

@@ -21,10 +21,13 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.reconstruction.model import Reconstruction
 
-_JSON = ("reconstruction.json", "opensfm/reconstruction.json")
-_COLMAP = (".", "sparse/0", "sparse", "0")
-_IMAGES = ("images", "../images", "../../images", "../../../images", ".")
-_TURNS = 6  # of the latitude's iteration, each 150 times closer
+# Where the files of a project lie, relative to its folder, in the order of the search.
+_OPENSFM_FILES = ("reconstruction.json", "opensfm/reconstruction.json")
+_COLMAP_FOLDERS = (".", "sparse/0", "sparse", "0")
+# Where the photographs lie, relative to the files of the model.
+_IMAGE_FOLDERS = ("images", "../images", "../../images", "../../../images", ".")
+_SQUARED_ECCENTRICITY = WGS84_FLATTENING * (2 - WGS84_FLATTENING)  # Of the ellipsoid.
+_N_LATITUDE_STEPS = 6  # Each step of the iteration comes 150 times closer.
 
 
 def read_model(path: str | os.PathLike[str]) -> Reconstruction:
@@ -36,24 +39,33 @@ def read_model(path: str | os.PathLike[str]) -> Reconstruction:
     Raises:
         ReconstructionError: there is no model, or it is damaged.
     """
-    given = Path(path)
-    files = [
-        each
-        for each in (given, *map(given.joinpath, _JSON))
-        if each.suffix.lower() == ".json" and each.is_file()
-    ]
-    found = next(iter([*files, *filter(is_colmap, map(given.joinpath, _COLMAP))]), None)
-    if found is None:
+    model_path = _find_model(Path(path))
+    if model_path is None:
         raise ReconstructionError(
             f"there is no reconstruction in {str(path)!r}: name a reconstruction.json of "
-            "OpenSfM or OpenDroneMap, or a "
-            "folder with COLMAP's cameras, images and points3D; an orthophoto goes to "
-            "'vehanchor estimate --geotiff'"
+            "OpenSfM or OpenDroneMap, or a folder with COLMAP's cameras, images and points3D; an "
+            "orthophoto goes to 'vehanchor estimate --geotiff'"
         )
-    model = read_opensfm(found) if found.suffix.lower() == ".json" else read_colmap(found)
+    read = read_opensfm if _is_json(model_path) else read_colmap
+    model = read(model_path)
     if not model.shots:
         raise ReconstructionError(f"the reconstruction in {str(path)!r} has no photographs")
     return model
+
+
+def _find_model(path: Path) -> Path | None:
+    """Find the file of OpenSfM, or else the folder of COLMAP; None if there is neither."""
+    for file in (path, *(path / name for name in _OPENSFM_FILES)):
+        if _is_json(file) and file.is_file():
+            return file
+    for folder in (path / name for name in _COLMAP_FOLDERS):
+        if is_colmap(folder):
+            return folder
+    return None
+
+
+def _is_json(path: Path) -> bool:
+    return path.suffix.lower() == ".json"
 
 
 def images_of(model: Reconstruction) -> Path:
@@ -63,13 +75,12 @@ def images_of(model: Reconstruction) -> Path:
         ReconstructionError: no folder has any of them.
     """
     base = model.path if model.path.is_dir() else model.path.parent
-    for folder in (base / name for name in _IMAGES):
+    for folder in (base / name for name in _IMAGE_FOLDERS):
         if any((folder / shot.name).is_file() for shot in model.shots):
             return folder
     raise ReconstructionError(
-        f"no photograph of the model, as {model.shots[0].name!r}, is near {str(base)!r}: name "
-        "their folder with "
-        "--images"
+        f"no photograph of the model, such as {model.shots[0].name!r}, is near {str(base)!r}: name "
+        "their folder with --images"
     )
 
 
@@ -100,7 +111,7 @@ def check_project_path(target: Path) -> None:
     """Check, before the work, that a project can be written to a folder.
 
     Raises:
-        OutputError: the folder above it does not exist, or it is not empty.
+        OutputError: the folder is not empty, or the one above it does not exist.
     """
     if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
         raise OutputError(
@@ -127,20 +138,19 @@ def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
         raise ReconstructionError(
             "the model has no position on Earth (reference_lla), and geo.txt needs one"
         )
-    spaced = [shot.name for shot in model.shots if any(letter.isspace() for letter in shot.name)]
-    if spaced:
-        raise ReconstructionError(
-            f"geo.txt separates columns by spaces, and the photograph {spaced[0]!r} has one"
-        )
+    for shot in model.shots:
+        if any(letter.isspace() for letter in shot.name):
+            raise ReconstructionError(
+                f"geo.txt separates columns by spaces, and the photograph {shot.name!r} has one"
+            )
     centres = np.array([shot.centre for shot in model.shots])
     mean = centres.mean(axis=0)
-    places = on_earth(mean + factor * (centres - mean), model.origin)
-    rows = [
-        f"{shot.name} {east:.9f} {north:.9f} {up:.4f}"
-        for shot, (north, east, up) in zip(model.shots, places.tolist(), strict=True)
-    ]
+    positions = on_earth(mean + factor * (centres - mean), model.origin)
+    rows = ["EPSG:4326"]
+    for shot, (north, east, up) in zip(model.shots, positions.tolist(), strict=True):
+        rows.append(f"{shot.name} {east:.9f} {north:.9f} {up:.4f}")
     with whole_file(path) as partial:
-        partial.write_text("\n".join(["EPSG:4326", *rows, ""]), encoding="utf-8")
+        partial.write_text("\n".join([*rows, ""]), encoding="utf-8")
 
 
 def on_earth(
@@ -155,23 +165,44 @@ def on_earth(
     Returns:
         ``[n, 3]`` degrees, degrees and metres.
     """
-    squared = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
-    phi = math.radians(origin[0])
-    theta = math.radians(origin[1])
-    east = np.array([-math.sin(theta), math.cos(theta), 0.0])
-    up = np.array([math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)])
-    prime = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - squared * math.sin(phi) ** 2)
-    base = (prime + origin[2]) * up - [0, 0, squared * prime * math.sin(phi)]
-    x, y, z = (base + np.asarray(points) @ np.array([east, np.cross(up, east), up])).T
-    across = np.hypot(x, y)
-    latitude = np.full(len(x), phi)
-    for _ in range(_TURNS):
-        primes = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
-        latitude = np.arctan2(z + squared * primes * np.sin(latitude), across)
-    primes = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared * np.sin(latitude) ** 2)
-    altitude = (
-        across * np.cos(latitude)
-        + (z + squared * primes * np.sin(latitude)) * np.sin(latitude)
-        - primes
-    )
-    return np.column_stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), altitude])
+    x, y, z = _geocentric(np.asarray(points), origin).T
+    # Geodetic latitude: iterate tan(latitude) = (z + e^2 N sin(latitude)) / distance from the axis,
+    # in which e is the eccentricity, and N the radius of curvature in the prime vertical.
+    axis_distance = np.hypot(x, y)
+    latitude = np.full(len(x), math.radians(origin[0]))
+    for _ in range(_N_LATITUDE_STEPS):
+        raised_z = z + _SQUARED_ECCENTRICITY * _prime_radius(latitude) * np.sin(latitude)
+        latitude = np.arctan2(raised_z, axis_distance)
+    radius = _prime_radius(latitude)
+    raised_z = z + _SQUARED_ECCENTRICITY * radius * np.sin(latitude)
+    altitude = axis_distance * np.cos(latitude) + raised_z * np.sin(latitude) - radius
+    longitude = np.arctan2(y, x)
+    return np.column_stack([np.degrees(latitude), np.degrees(longitude), altitude])
+
+
+def _geocentric(
+    points: NDArray[np.float64], origin: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """Convert local metres to geocentric coordinates; arguments as in ``on_earth``.
+
+    Returns:
+        ``[n, 3]`` metres: z along the axis of the Earth, x towards the meridian of Greenwich.
+    """
+    latitude = math.radians(origin[0])
+    longitude = math.radians(origin[1])
+    sine = math.sin(latitude)
+    cosine = math.cos(latitude)
+    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    up = np.array([cosine * math.cos(longitude), cosine * math.sin(longitude), sine])
+    north = np.cross(up, east)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - _SQUARED_ECCENTRICITY * sine**2)
+    # The normal of the ellipsoid meets the axis below the equatorial plane.
+    below_equator = np.array([0, 0, _SQUARED_ECCENTRICITY * radius * sine])
+    geocentric_origin = (radius + origin[2]) * up - below_equator
+    return np.asarray(geocentric_origin + points @ np.array([east, north, up]))
+
+
+def _prime_radius(latitude: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the ellipsoid's radius of curvature in the prime vertical, ``[n]`` metres."""
+    squares = 1 - _SQUARED_ECCENTRICITY * np.sin(latitude) ** 2
+    return np.asarray(WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(squares))

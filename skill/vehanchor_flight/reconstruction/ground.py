@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,21 +17,24 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.reconstruction.model import Reconstruction, Shot
 
-_LEAST_POINTS = 20
-_MOST_POINTS = 4000  # for a fit
-_TRIALS = 400
-_MOST_DESCENTS = 8  # from one roof to a lower one
+_MIN_POINTS = 20
+_MAX_POINTS = 4000  # For a fit.
+_N_TRIALS = 400
+_MAX_DESCENTS = 8  # From one roof to a lower one.
 _SEED = 5
-_LEAST_CROSS = 1e-12  # three points in a line
-_THICKNESS = 0.015  # of the ground, as a share of the cameras' height above it
-# a plane below another is the ground if it has this share of its points: roofs are planes too
-_LOWER_SHARE = 0.2
-# the model's plane holds for a picture in which it has this share of the points of the own plane
-_WHOLE_SHARE = 0.6
-_STEEPEST = 0.26  # slope of the ground below one shot against that of the whole model: 15 degrees
-_NEAREST = 12  # points around an object
-_AROUND = 0.25  # they lie no farther away than this share of the camera's height
-_LOW = 0.3  # quantile of their heights: car parks have cars and trees beside their asphalt
+_MIN_CROSS_PRODUCT = 1e-12  # Below it, three points lie in a line.
+_THICKNESS = 0.015  # Of the ground, as a share of the cameras' height above it.
+# A plane below another is the ground if it has this share of its points: roofs are planes too.
+_MIN_LOWER_SHARE = 0.2
+# The model's plane holds for a picture if it has this share of the points of the fitted plane.
+_MIN_WHOLE_SHARE = 0.6
+# Slope of the ground below one shot against that of the whole model: 15 degrees.
+_MAX_SLOPE = 0.26
+_MIN_COSINE = math.cos(math.atan(_MAX_SLOPE))
+_N_NEIGHBOURS = 12  # Points around an object.
+_MAX_NEIGHBOUR_DISTANCE = 0.25  # As a share of the camera's height.
+# Quantile of their heights: car parks have cars and trees beside their asphalt.
+_GROUND_QUANTILE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,40 +50,50 @@ class Plane:
     offset: float
 
     def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute heights ``[n]`` of points ``[n, 3]`` above the plane."""
+        """Compute the heights ``[n]`` of points ``[n, 3]`` above the plane."""
         return np.asarray(points @ self.normal - self.offset)
 
-    def below(self, point: NDArray[np.float64], whole: Plane) -> float:
-        """Compute how far the plane lies below a point ``[3]``, along the normal of the model's plane."""
-        return float((point @ self.normal - self.offset) / (self.normal @ whole.normal))
+    def below(self, point: NDArray[np.float64], whole_plane: Plane) -> float:
+        """Compute how far the plane lies below a point.
+
+        Args:
+            point: ``[3]``.
+            whole_plane: plane of the model; the distance is along its normal.
+        """
+        return float((point @ self.normal - self.offset) / (self.normal @ whole_plane.normal))
+
+    def height(self, point: NDArray[np.float64]) -> float:
+        """Compute the height of a point ``[3]`` above the plane."""
+        return float(self.heights(point[None])[0])
 
 
 def model_plane(model: Reconstruction) -> Plane:
-    """Find the plane with most points of a model below its cameras.
+    """Find the ground of a whole model: the lowest plane with enough of its points.
 
     Raises:
-        ReconstructionError: the model has too few points, or none lie below the cameras.
+        ReconstructionError: the model has too few points.
     """
     centres = np.array([shot.centre for shot in model.shots])
     points = _thinned(model.points[np.isfinite(model.points).all(axis=1)])
-    if len(points) < _LEAST_POINTS:
+    if len(points) < _MIN_POINTS:
         raise ReconstructionError(
             f"the model has {count(len(points), 'point')}, too few for its ground: give the "
             "whole project"
         )
-    distance = float(np.median(np.linalg.norm(points - np.median(centres, axis=0), axis=1)))
+    camera = np.median(centres, axis=0)
+    distance = float(np.median(np.linalg.norm(points - camera, axis=1)))
     thickness = _THICKNESS * distance
-    found = _upwards(_most_common(points, thickness), np.median(centres, axis=0))
-    return _lowest(found, points, thickness=thickness, whole=found)
+    plane = _facing(_most_common(points, thickness), camera)
+    return _lowest(plane, points, thickness=thickness, whole_plane=plane)
 
 
-def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
+def plane_below(shot: Shot, points: NDArray[np.float64], whole_plane: Plane) -> Plane:
     """Fit the ground in the picture of a shot.
 
     Args:
         shot: the shot.
         points: ``[n, 3]`` points of the model in its picture.
-        whole: plane of the model.
+        whole_plane: plane of the model.
 
     Returns:
         The plane of the model if it holds here, or if the picture has too few points; else the
@@ -89,18 +102,22 @@ def plane_below(shot: Shot, points: NDArray[np.float64], whole: Plane) -> Plane:
     Raises:
         ReconstructionError: the camera is not above the ground.
     """
-    height = float(whole.heights(shot.centre[None])[0])
+    height = whole_plane.height(shot.centre)
     if height <= 0:
         raise ReconstructionError("the camera lies below the ground of the model")
-    chosen = _thinned(points)
-    if len(chosen) < _LEAST_POINTS:
-        return whole
+    used_points = _thinned(points)
+    if len(used_points) < _MIN_POINTS:
+        return whole_plane
     thickness = _THICKNESS * height
-    found = _lowest(
-        _most_common(chosen, thickness, whole), chosen, thickness=thickness, whole=whole
-    )
-    holds = _support(whole, chosen, thickness) >= _WHOLE_SHARE * _support(found, chosen, thickness)
-    return whole if holds or found.heights(shot.centre[None])[0] <= 0 else found
+    # The plane with most points may be a roof: descend from it to the ground.
+    highest = _most_common(used_points, thickness, whole_plane)
+    fitted = _lowest(highest, used_points, thickness=thickness, whole_plane=whole_plane)
+    if fitted.height(shot.centre) <= 0:
+        return whole_plane
+    # The plane of the model is more reliable, if the ground is level.
+    n_whole = _n_points_in(whole_plane, used_points, thickness)
+    n_fitted = _n_points_in(fitted, used_points, thickness)
+    return whole_plane if n_whole >= _MIN_WHOLE_SHARE * n_fitted else fitted
 
 
 def local_heights(
@@ -118,88 +135,129 @@ def local_heights(
         ``[m]`` heights, model units; 0 where too few points are near.
     """
     heights = np.zeros(len(places))
-    if len(points) < _NEAREST or not len(places):
+    if len(points) < _N_NEIGHBOURS or not len(places):
         return heights
-    above = plane.heights(points)
-    feet = points - above[:, None] * plane.normal
-    apart, near = cKDTree(feet).query(
-        places - plane.heights(places)[:, None] * plane.normal, k=_NEAREST
-    )
-    close = apart[:, -1] <= _AROUND * camera_height
-    heights[close] = np.quantile(above[near[close]], _LOW, axis=1)
+    # Neighbours are those whose feet on the plane are near: a roof beside a car is far above it.
+    point_heights = plane.heights(points)
+    point_feet = points - point_heights[:, None] * plane.normal
+    place_feet = places - plane.heights(places)[:, None] * plane.normal
+    distances, neighbours = cKDTree(point_feet).query(place_feet, k=_N_NEIGHBOURS)
+    is_close = distances[:, -1] <= _MAX_NEIGHBOUR_DISTANCE * camera_height
+    neighbour_heights = point_heights[neighbours[is_close]]
+    heights[is_close] = np.quantile(neighbour_heights, _GROUND_QUANTILE, axis=1)
     return heights
 
 
-def _lowest(plane: Plane, points: NDArray[np.float64], thickness: float, whole: Plane) -> Plane:
+def _lowest(
+    plane: Plane, points: NDArray[np.float64], thickness: float, whole_plane: Plane
+) -> Plane:
     """Descend from a plane of roofs to the ground: the lowest plane with enough points.
 
-    Lower means lower in the middle of the points: the two slopes of a hill would take turns for
-    ever.
+    Args:
+        plane: to begin with.
+        points: ``[n, 3]`` points of the model.
+        thickness: half of the plane's thickness.
+        whole_plane: plane of the model.
     """
-    least = max(_LEAST_POINTS, _LOWER_SHARE * _support(plane, points, thickness))
+    n_in_plane = _n_points_in(plane, points, thickness)
+    n_needed = max(_MIN_POINTS, _MIN_LOWER_SHARE * n_in_plane)
+    # Lower means lower in the middle of the points. Otherwise the two slopes of a hill would take
+    # turns for ever, because each has points below the other.
     middle = np.median(points, axis=0)
-    for _ in range(_MOST_DESCENTS):
+    for _ in range(_MAX_DESCENTS):
         points = points[plane.heights(points) < -2 * thickness]
-        if len(points) < least:
+        if len(points) < n_needed:
             break
-        found = _most_common(points, thickness, whole)
-        if _support(found, points, thickness) < least or found.below(middle, whole) <= plane.below(
-            middle, whole
-        ):
+        lower = _most_common(points, thickness, whole_plane)
+        if _n_points_in(lower, points, thickness) < n_needed:
             break
-        plane = found
+        if lower.below(middle, whole_plane) <= plane.below(middle, whole_plane):
+            break
+        plane = lower
     return plane
 
 
-def _support(plane: Plane, points: NDArray[np.float64], thickness: float) -> int:
+def _n_points_in(plane: Plane, points: NDArray[np.float64], thickness: float) -> int:
     return int((np.abs(plane.heights(points)) <= thickness).sum())
 
 
-def _upwards(plane: Plane, above: NDArray[np.float64]) -> Plane:
-    """Turn the normal to the side of a point ``[3]``."""
-    return plane if plane.heights(above[None])[0] >= 0 else Plane(-plane.normal, -plane.offset)
+def _facing(plane: Plane, point: NDArray[np.float64]) -> Plane:
+    """Turn the normal of a plane to the side of a point ``[3]``."""
+    if plane.height(point) >= 0:
+        return plane
+    return Plane(-plane.normal, -plane.offset)
 
 
 def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return points[:: -(-len(points) // _MOST_POINTS) or 1]
+    """Take every k-th point, so that no more than a fit needs remain."""
+    step = max(1, math.ceil(len(points) / _MAX_POINTS))
+    return points[::step]
 
 
 def _most_common(
-    points: NDArray[np.float64], thickness: float, whole: Plane | None = None
+    points: NDArray[np.float64], thickness: float, whole_plane: Plane | None = None
 ) -> Plane:
     """Find the plane with most points within its thickness; a least-squares fit to them follows.
 
     Args:
         points: ``[n, 3]``, at least three.
         thickness: half of the plane's thickness.
-        whole: plane whose normal the found one has, within 15 degrees: a house has faces, and the
-            fit to a thin strip of one would be the face; None for any normal.
+        whole_plane: plane whose normal the result has, within 15 degrees; None for any normal. A
+            house has walls, and the fit to a thin strip of one would be the wall.
+    """
+    sample = _best_sample(points, thickness, whole_plane)
+    if sample is None and whole_plane is not None:
+        # No slope fits: as steep as the model, at the middle height.
+        height = float(np.median(whole_plane.heights(points)))
+        return Plane(whole_plane.normal, whole_plane.offset + height)
+    inside = np.ones(len(points), dtype=bool) if sample is None else sample.is_inside
+    centre = points[inside].mean(axis=0)
+    # The normal of the least-squares plane is the direction in which the points vary least.
+    _, _, directions = np.linalg.svd(points[inside] - centre, full_matrices=False)
+    normal = directions[2]
+    if sample is not None and whole_plane is not None:
+        if abs(normal @ whole_plane.normal) < _MIN_COSINE:
+            normal = sample.normal
+        if normal @ whole_plane.normal <= 0:
+            normal = -normal
+    return Plane(normal, float(normal @ centre))
+
+
+class _Sample(NamedTuple):
+    """Plane through three points.
+
+    Attributes:
+        normal: ``[3]`` unit vector.
+        is_inside: ``[n]``, points within the thickness.
+    """
+
+    normal: NDArray[np.float64]
+    is_inside: NDArray[np.bool_]
+
+
+def _best_sample(
+    points: NDArray[np.float64], thickness: float, whole_plane: Plane | None
+) -> _Sample | None:
+    """Try planes through random points (RANSAC); arguments as in ``_most_common``.
+
+    Returns:
+        The plane with most points; None if no three points give an allowed one.
     """
     rng = np.random.default_rng(_SEED)
-    steepest = 0.0 if whole is None else math.cos(math.atan(_STEEPEST))
-    best = np.ones(len(points), dtype=bool)
-    most = 0
-    tried = np.zeros(3)
-    for _ in range(_TRIALS):
+    best: _Sample | None = None
+    most_inside = 0
+    for _ in range(_N_TRIALS):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(b - a, c - a)
-        size = float(np.linalg.norm(normal))
-        if size < _LEAST_CROSS or (
-            whole is not None and abs(normal @ whole.normal) < steepest * size
-        ):
+        length = float(np.linalg.norm(normal))
+        if length < _MIN_CROSS_PRODUCT:
             continue
-        normal /= size
-        inside = np.abs((points - a) @ normal) <= thickness
-        if int(inside.sum()) > most:
-            best = inside
-            most = int(inside.sum())
-            tried = normal
-    # no slope fits: as steep as the model, at the middle height
-    if whole is not None and most == 0:
-        return Plane(whole.normal, whole.offset + float(np.median(whole.heights(points))))
-    centre = points[best].mean(axis=0)
-    normal = np.linalg.svd(points[best] - centre, full_matrices=False)[2][2]
-    if whole is not None:
-        normal = normal if abs(normal @ whole.normal) >= steepest else tried
-        normal = normal if normal @ whole.normal > 0 else -normal
-    return Plane(normal, float(normal @ centre))
+        if whole_plane is not None and abs(normal @ whole_plane.normal) < _MIN_COSINE * length:
+            continue
+        normal /= length
+        is_inside = np.abs((points - a) @ normal) <= thickness
+        n_inside = int(is_inside.sum())
+        if n_inside > most_inside:
+            best = _Sample(normal, is_inside)
+            most_inside = n_inside
+    return best

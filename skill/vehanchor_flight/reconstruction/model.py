@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from vehanchor_flight.records import ModelSource
 
 _ASPECT_TOLERANCE = 0.01
+_MIN_COEFFICIENTS = 4  # OpenCV takes no fewer coefficients of distortion.
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,8 @@ class Lens:
         if abs(across / down - 1) > _ASPECT_TOLERANCE:
             raise ReconstructionError(
                 f"the photograph has {width_px} x {height_px} px, and its camera in the model "
-                f"{self.width_px:g} x "
-                f"{self.height_px:g}: give the photographs from which the model was made, "
-                "neither cropped nor turned"
+                f"{self.width_px:g} x {self.height_px:g}: give the photographs from which the "
+                "model was made, neither cropped nor turned"
             )
         return replace(
             self,
@@ -90,7 +90,24 @@ class Lens:
             ``[n, 3]`` in the camera's frame, with z = 1; not finite beyond the reach of the lens
             model.
         """
-        places = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        pixels = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        focals = [self.focal_x_px, self.focal_y_px]
+        centre = np.array([self.centre_x_px, self.centre_y_px], np.float64)
+        # The pinhole of an ideal lens: x / z and y / z of the ray.
+        slopes: NDArray[np.float64] = (pixels - centre) / focals
+        if len(pixels) and (self.fisheye or any(self.distortion)):
+            slopes = self._undistorted(pixels)
+        return np.column_stack([slopes, np.ones(len(slopes))])
+
+    def _undistorted(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Invert the distortion of the lens.
+
+        Args:
+            pixels: ``[n, 2]``.
+
+        Returns:
+            ``[n, 2]`` slopes of the rays, x / z and y / z.
+        """
         matrix = np.array(
             [
                 [self.focal_x_px, 0, self.centre_x_px],
@@ -99,21 +116,24 @@ class Lens:
             ],
             np.float64,
         )
-        plain: NDArray[np.float64] = (places - matrix[:2, 2]) / [self.focal_x_px, self.focal_y_px]
-        if len(places) and (self.fisheye or any(self.distortion)):
-            undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
-            # OpenCV takes four at least
-            given = np.array(self.distortion + (0.0,) * (4 - len(self.distortion)))
-            plain = np.asarray(undistort(places[:, None], matrix, given), np.float64).reshape(-1, 2)
-        return np.column_stack([plain, np.ones(len(plain))])
+        n_missing = _MIN_COEFFICIENTS - len(self.distortion)
+        coefficients = np.array(self.distortion + (0.0,) * n_missing)
+        undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
+        slopes = undistort(pixels[:, None], matrix, coefficients)
+        return np.asarray(slopes, np.float64).reshape(-1, 2)
 
     def ideal(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Convert pixels to those of a pinhole camera of the same size and focal length, ``[n, 2]``."""
-        return np.asarray(
-            self.directions(points)[:, :2] * self.focal_px
-            + [self.width_px / 2, self.height_px / 2],
-            dtype=np.float64,
-        )
+        """Convert pixels to those of a pinhole camera of the same size and focal length.
+
+        Args:
+            points: ``[n, 2]`` x, y in pixels.
+
+        Returns:
+            ``[n, 2]`` x, y in pixels of the pinhole camera.
+        """
+        slopes = self.directions(points)[:, :2]
+        centre = [self.width_px / 2, self.height_px / 2]
+        return np.asarray(slopes * self.focal_px + centre, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +144,7 @@ class Shot:
         name: file name, relative to the folder of the photographs.
         lens: of its camera.
         rotation: ``[3, 3]`` from the model's frame to the camera's.
-        translation: ``[3]`` of the model's origin in the camera's frame, model units.
+        translation: ``[3]`` position of the model's origin in the camera's frame, model units.
     """
 
     name: str
@@ -138,23 +158,33 @@ class Shot:
         return np.asarray(-self.rotation.T @ self.translation)
 
     def rays(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Compute the rays of pixels ``[n, 2]``: ``[n, 3]`` in the model's frame, one unit along the camera's axis."""
+        """Compute the rays of pixels.
+
+        Args:
+            points: ``[n, 2]`` x, y in pixels.
+
+        Returns:
+            ``[n, 3]`` in the model's frame, one unit along the camera's axis.
+        """
         return np.asarray(self.lens.directions(points) @ self.rotation)
 
     def sees(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell which points ``[n, 3]`` lie in the picture; the lens's distortion is ignored."""
+        """Find the points that lie in the picture; the distortion of the lens is ignored.
+
+        Args:
+            points: ``[n, 3]`` in the model's frame.
+
+        Returns:
+            ``[n]`` bool.
+        """
         x, y, z = (points @ self.rotation.T + self.translation).T
-        ahead = z > 0
-        depth = np.where(ahead, z, 1.0)
+        is_ahead = z > 0
+        depth = np.where(is_ahead, z, 1.0)
         across = self.lens.focal_x_px * x / depth + self.lens.centre_x_px
         down = self.lens.focal_y_px * y / depth + self.lens.centre_y_px
-        inside = (
-            (across >= 0)
-            & (across <= self.lens.width_px)
-            & (down >= 0)
-            & (down <= self.lens.height_px)
-        )
-        return np.asarray(ahead & inside)
+        is_in_width = (across >= 0) & (across <= self.lens.width_px)
+        is_in_height = (down >= 0) & (down <= self.lens.height_px)
+        return np.asarray(is_ahead & is_in_width & is_in_height)
 
 
 @dataclass(frozen=True, eq=False)

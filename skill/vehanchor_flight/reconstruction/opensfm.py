@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_MOST_BYTES = 4 << 30
+_MAX_BYTES = 4 << 30
 _RADIAL = ("k1", "k2")
 _DISTORTIONS: dict[str, tuple[str, ...]] = {
     "perspective": _RADIAL,
@@ -35,11 +35,11 @@ def read_opensfm(path: Path) -> Reconstruction:
     """Read the largest part of a ``reconstruction.json``.
 
     Raises:
-        ReconstructionError: the file is damaged, is no reconstruction, or has an unsupported
+        ReconstructionError: the file is damaged, is not a reconstruction, or has an unsupported
             camera.
     """
     parts = _parts(path)
-    part = max(parts, key=lambda each: len(each["shots"]))
+    part = _largest(parts)
     try:
         lenses = {name: _lens(camera) for name, camera in part["cameras"].items()}
         shots = tuple(
@@ -51,15 +51,9 @@ def read_opensfm(path: Path) -> Reconstruction:
             )
             for name, shot in part["shots"].items()
         )
-        points = np.array(
-            [point["coordinates"] for point in part.get("points", {}).values()], np.float64
-        )
-        at = part.get("reference_lla")
-        origin = (
-            None
-            if not at
-            else (float(at["latitude"]), float(at["longitude"]), float(at["altitude"]))
-        )
+        coordinates = [point["coordinates"] for point in part.get("points", {}).values()]
+        points = np.array(coordinates, np.float64)
+        origin = _origin(part)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ReconstructionError(
             f"{str(path)!r} is not a whole reconstruction of OpenSfM: {error!r}"
@@ -72,6 +66,21 @@ def read_opensfm(path: Path) -> Reconstruction:
         n_parts=len(parts),
         origin=origin,
     )
+
+
+def _largest(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the part with the most shots; the first of equals."""
+    return max(parts, key=lambda part: len(part["shots"]))
+
+
+def _origin(part: Mapping[str, Any]) -> tuple[float, float, float] | None:
+    """Read latitude, longitude and altitude of the origin; None without a position on Earth."""
+    reference = part.get("reference_lla")
+    if not reference:
+        return None
+    latitude = float(reference["latitude"])
+    longitude = float(reference["longitude"])
+    return latitude, longitude, float(reference["altitude"])
 
 
 def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:
@@ -88,25 +97,31 @@ def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:
     Raises:
         OutputError: the file cannot be written.
     """
-    part = max(_parts(source), key=lambda each: len(each["shots"]))
+    part = _largest(_parts(source))
     for shot in part["shots"].values():
         shot["translation"] = _scaled(shot["translation"], factor)
     for point in part.get("points", {}).values():
         point["coordinates"] = _scaled(point["coordinates"], factor)
+    # A rig of several cameras repeats the poses of its shots, and has offsets between its cameras.
     for instance in part.get("rig_instances", {}).values():
         instance["translation"] = _scaled(instance["translation"], factor)
     for camera in part.get("rig_cameras", {}).values():
         camera["translation"] = _scaled(camera["translation"], factor)
-    written = target / source.name
-    with whole_file(written) as partial:
+    scaled_file = target / source.name
+    with whole_file(scaled_file) as partial:
         partial.write_text(json.dumps([part]), encoding="utf-8")
-    return written
+    return scaled_file
 
 
 def _parts(path: Path) -> list[dict[str, Any]]:
+    """Read the parts of a reconstruction, which are not connected with each other.
+
+    Raises:
+        ReconstructionError: the file cannot be read, or is not a reconstruction.
+    """
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ReconstructionError(f"{str(path)!r} is larger than {_MOST_BYTES >> 30} GiB")
+        if path.stat().st_size > _MAX_BYTES:
+            raise ReconstructionError(f"{str(path)!r} is larger than {_MAX_BYTES >> 30} GiB")
         parts = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
         raise ReconstructionError(
@@ -124,6 +139,10 @@ def _parts(path: Path) -> list[dict[str, Any]]:
 
 
 def _lens(camera: Mapping[str, Any]) -> Lens:
+    """Make a lens from a camera.
+
+    OpenSfM states focal lengths and offsets of the principal point in longer sides of the image.
+    """
     kind = camera.get("projection_type", "perspective")
     if kind not in _DISTORTIONS:
         raise ReconstructionError(
@@ -139,24 +158,31 @@ def _lens(camera: Mapping[str, Any]) -> Lens:
     return Lens(
         width,
         height,
-        focal_x * side,
-        focal_y * side,
-        width / 2 + float(camera.get("c_x", 0)) * side,
-        height / 2 + float(camera.get("c_y", 0)) * side,
-        tuple(float(camera.get(name, 0)) for name in _DISTORTIONS[kind]),
+        focal_x_px=focal_x * side,
+        focal_y_px=focal_y * side,
+        centre_x_px=width / 2 + float(camera.get("c_x", 0)) * side,
+        centre_y_px=height / 2 + float(camera.get("c_y", 0)) * side,
+        distortion=tuple(float(camera.get(name, 0)) for name in _DISTORTIONS[kind]),
         fisheye=kind.startswith("fisheye"),
     )
 
 
-def _rotation(vector: Any) -> NDArray[np.float64]:
-    return np.asarray(cv2.Rodrigues(_vector(vector))[0], dtype=np.float64)
+def _rotation(values: Any) -> NDArray[np.float64]:
+    """Convert a rotation vector to a matrix ``[3, 3]``."""
+    matrix, _ = cv2.Rodrigues(_vector(values))
+    return np.asarray(matrix, dtype=np.float64)
 
 
 def _vector(values: Any) -> NDArray[np.float64]:
-    found = np.array(values, dtype=np.float64)
-    if found.shape != (3,) or not np.isfinite(found).all():
+    """Convert a list of three finite numbers to a vector ``[3]``.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    vector = np.array(values, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"{values!r} is not a vector")
-    return found
+    return vector
 
 
 def _scaled(values: Any, factor: float) -> list[float]:

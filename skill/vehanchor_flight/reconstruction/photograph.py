@@ -22,7 +22,11 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.rulers.witnesses import measure_all
 from vehanchor.scale.plane import LEAST_DESCENT
-from vehanchor_flight.photograph import Photograph, StoredPhotograph
+from vehanchor_flight.photograph import (
+    Photograph,
+    StoredPhotograph,
+    constant_detail_share,
+)
 from vehanchor_flight.reconstruction.ground import local_heights, plane_below
 
 if TYPE_CHECKING:
@@ -38,12 +42,13 @@ if TYPE_CHECKING:
     from vehanchor_flight.reconstruction.ground import Plane
     from vehanchor_flight.reconstruction.model import Shot
 
-_DESCENTS = 3  # a ray meets the ground around its foot
-_MOST_RELIEF = 0.3  # of the camera's height
-_SAME_PLACE = 0.5  # of a car's length: closer boxes show one car
+_N_DESCENTS = 3  # Steps in which a ray meets the ground around its foot.
+_MAX_RELIEF = 0.3  # Of the camera's height.
+_SAME_CAR_DISTANCE = 0.5  # Of a car's length: boxes that are closer show one car.
+_MIN_WEIGHT = 1e-3  # Of a box in the mean of a car's lengths.
 
 
-class Sight(NamedTuple):
+class ShotAboveGround(NamedTuple):
     """Shot above its ground.
 
     Attributes:
@@ -60,32 +65,32 @@ class Sight(NamedTuple):
 
     @classmethod
     def of(
-        cls, shot: Shot, points: NDArray[np.float64], whole: Plane, size: tuple[int, int]
-    ) -> Sight:
+        cls, shot: Shot, points: NDArray[np.float64], whole_plane: Plane, size: tuple[int, int]
+    ) -> ShotAboveGround:
         """Fit the plane below a shot.
 
         Args:
             shot: as in the model.
-            points: ``[n, 3]`` points of the model.
-            whole: plane of the model.
+            points: ``[n, 3]`` points of the model in its picture.
+            whole_plane: plane of the whole model.
             size: width and height of the photograph, pixels.
 
         Raises:
             ReconstructionError: the photograph is not that of the shot, or the camera is not above
                 the ground.
         """
-        shot = replace(shot, lens=shot.lens.of_size(*size))
-        plane = plane_below(shot, points, whole)
-        down = -shot.rotation @ plane.normal
-        tilt = math.degrees(math.acos(min(1.0, max(-1.0, float(down[2])))))
-        roll = math.degrees(math.atan2(-down[0], down[1])) % 360
-        height = float(plane.heights(shot.centre[None])[0])
-        return cls(
-            shot,
-            plane,
-            height,
-            CameraTilt(tilt, roll, focal_length_px=shot.lens.focal_px, source="the reconstruction"),
+        width_px, height_px = size
+        shot = replace(shot, lens=shot.lens.of_size(width_px, height_px))
+        plane = plane_below(shot, points, whole_plane)
+        # Straight down, in the camera's frame: z along its axis, y to the lower side of the image.
+        right, down, ahead = (-shot.rotation @ plane.normal).tolist()
+        tilt = CameraTilt(
+            math.degrees(math.acos(min(1.0, max(-1.0, ahead)))),
+            math.degrees(math.atan2(-right, down)) % 360,
+            focal_length_px=shot.lens.focal_px,
+            source="the reconstruction",
         )
+        return cls(shot, plane, height=plane.height(shot.centre), tilt=tilt)
 
     @property
     def tilted(self) -> bool:
@@ -101,70 +106,82 @@ class Sight(NamedTuple):
     def on_ground(
         self, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Project pixels ``[n, 2]`` to the plane.
+        """Project pixels to the plane.
+
+        Args:
+            points: ``[n, 2]`` x, y in pixels.
 
         Returns:
-            ``[n, 3]`` points, model units, and which rays descend steeply enough.
+            ``[n, 3]`` points, model units, and ``[n]``, which rays descend steeply enough.
         """
         rays = self.shot.rays(points)
         descents = -rays @ self.plane.normal
-        steep = descents >= LEAST_DESCENT * np.linalg.norm(rays, axis=1)
-        reach = self.height / np.where(steep, descents, 1.0)
-        return self.shot.centre + reach[:, None] * rays, steep
+        is_steep = descents >= LEAST_DESCENT * np.linalg.norm(rays, axis=1)
+        # Multiples of the rays that end on the plane; of flat rays they have no meaning.
+        reach = self.height / np.where(is_steep, descents, 1.0)
+        return self.shot.centre + reach[:, None] * rays, is_steep
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPhotograph:
-    """Search result of a photograph of a model.
+class SearchedPhotograph:
+    """Search result of a photograph of a model, on the ground of the model.
 
     Attributes:
         name: of its shot.
         view: input of the rulers, without pixels. Its boxes have lengths and widths on the ground,
             in pixels of the photograph's centre.
         others: evidence of the rulers beside vehicles, at the photograph's centre.
-        sight: the shot above its ground.
+        above_ground: the shot above its ground.
         places: ``[n, 3]`` positions of the boxes, model units.
     """
 
     name: str
     view: View
     others: tuple[Witness, ...]
-    sight: Sight
+    above_ground: ShotAboveGround
     places: NDArray[np.float64]
+
+    @property
+    def gsd(self) -> float:
+        """Model units per pixel at the photograph's centre."""
+        return self.above_ground.gsd
 
     @classmethod
     def of(
         cls,
-        kept: StoredPhotograph,
+        stored: StoredPhotograph,
         shot: Shot,
+        *,
         points: NDArray[np.float64],
-        whole: Plane,
+        whole_plane: Plane,
         card: DetectorCard,
         options: ScaleOptions,
-    ) -> SeenPhotograph:
+    ) -> SearchedPhotograph:
         """Project a search result to the ground; arguments as in ``search_photograph``.
 
         Raises:
             ReconstructionError: the photograph is not that of the shot, or the camera is not above
                 the ground.
         """
-        sight = Sight.of(shot, points, whole, (kept.image.width_px, kept.image.height_px))
-        detections, places = _on_ground(kept.detections, sight, points)
+        size = (stored.image.width_px, stored.image.height_px)
+        above_ground = ShotAboveGround.of(shot, points, whole_plane, size)
+        detections, places = _project_boxes(stored.detections, above_ground, points)
         view = View(
-            kept.image,
+            stored.image,
             detections,
             card=card,
             options=options,
-            measure_detail_share=lambda _centres, _scale: kept.detail_share,
-            prior=kept.prior,
+            measure_detail_share=constant_detail_share(stored.detail_share),
+            prior=stored.prior,
         )
-        return cls(shot.name, view, kept.others or (), sight, places)
+        return cls(
+            shot.name, view, others=stored.others or (), above_ground=above_ground, places=places
+        )
 
     def alone(self) -> Photograph:
         """Analyse the photograph by itself."""
-        return self.photograph(
-            np.ones(len(self.places), dtype=bool), self.view.detections.boxes[:, 2]
-        )
+        boxes = self.view.detections.boxes
+        return self.photograph(np.ones(len(boxes), dtype=bool), boxes[:, 2])
 
     def photograph(self, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Photograph:
         """Analyse a choice of the boxes.
@@ -173,15 +190,18 @@ class SeenPhotograph:
             kept: ``[n]`` the choice.
             lengths: ``[n]`` lengths to take in place of the own ones, pixels of the centre.
         """
-        view = replace(self.view, detections=_taken(self.view.detections, kept, lengths))
-        return Photograph(self.name, view, conclude(view, measure_all(view, self.others)))
+        detections = _select_boxes(self.view.detections, kept, lengths)
+        view = replace(self.view, detections=detections)
+        analysis = conclude(view, measure_all(view, self.others))
+        return Photograph(self.name, view, analysis)
 
 
 def search_photograph(
     image: Path,
     shot: Shot,
+    *,
     points: NDArray[np.float64],
-    whole: Plane,
+    whole_plane: Plane,
     detector: Detector,
     options: ScaleOptions,
 ) -> StoredPhotograph:
@@ -191,7 +211,7 @@ def search_photograph(
         image: its file.
         shot: its camera and pose.
         points: ``[n, 3]`` points of the model in its picture.
-        whole: ground plane of the model.
+        whole_plane: ground plane of the whole model.
         detector: finds the vehicles.
         options: of the method, without metadata.
 
@@ -204,113 +224,186 @@ def search_photograph(
         ReconstructionError: it is not that of the shot, or the camera is not above the ground.
         TooObliqueError: the horizon is in the photograph or close to it.
     """
-    reading = options.reading
-    with open_raster(image, reading) as raster:
-        sight = Sight.of(shot, points, whole, (raster.width_px, raster.height_px))
+    with open_raster(image, options.reading) as raster:
+        size = (raster.width_px, raster.height_px)
+        above_ground = ShotAboveGround.of(shot, points, whole_plane, size)
         view = search_raster(raster, detector, options)
-        if sight.tilted:
-            sight.tilt.plane(view.image).check()
-            view = replace(view, tilt=sight.tilt, prior=None)
-        others = _measured(view, sight)
+        if above_ground.tilted:
+            above_ground.tilt.plane(view.image).check()
+            # The scene-scale prior holds for nadir images.
+            view = replace(view, tilt=above_ground.tilt, prior=None)
+        others = _measure_on_ground(view, above_ground)
         detail_share = Vehicles().measure(view.at_nadir()).detail_share
     return StoredPhotograph(
         view.image, view.detections, detail_share=detail_share, others=others, prior=view.prior
     )
 
 
-def distinct(seen: Sequence[SeenPhotograph]) -> list[Photograph]:
-    """Keep each car in the photograph that shows it best, with the mean of its lengths over all photographs."""
-    if not seen:
+def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:
+    """Analyse the photographs so that a car in several of them counts once.
+
+    A car stays in the photograph that shows it best, with the mean of its lengths in all
+    photographs.
+    """
+    if not photographs:
         return []
-    gsds = np.concatenate([np.full(len(each.places), each.sight.gsd) for each in seen])
-    boxes = np.concatenate([each.view.detections.boxes for each in seen])
-    scores = np.concatenate([each.view.detections.scores for each in seen])
-    places = np.concatenate([each.places for each in seen])
-    logs = np.log(boxes[:, 2] * gsds)
-    kept = np.zeros(len(scores), dtype=bool)
-    means = logs.copy()
-    left = np.ones(len(scores), dtype=bool)
-    for first in np.argsort(-scores, kind="stable"):
-        if not left[first]:
-            continue
-        reach = _SAME_PLACE * math.exp(logs[first])
-        same = left & (np.abs(places - places[first]).max(axis=1) <= reach)
-        same[same] = np.linalg.norm(places[same] - places[first], axis=1) <= reach
-        left[same] = False
-        kept[first] = True
-        means[first] = np.average(logs[same], weights=np.maximum(scores[same], 1e-3))
-    lengths = np.exp(means) / gsds
-    ends = np.cumsum([len(each.places) for each in seen])[:-1]
-    parts = zip(seen, np.split(kept, ends), np.split(lengths, ends), strict=True)
-    return [each.photograph(chosen, own) for each, chosen, own in parts]
-
-
-def _measured(view: View, sight: Sight) -> tuple[Witness, ...]:
-    """Measure with the rulers that use no vehicles; in a tilted view, with those that use the plane."""
-    rulers = [
-        each
-        for each in active_rulers(view.options.rulers)
-        if each.pooling_gain is not None and (each.uses_plane or not sight.tilted)
-    ]
-    lines = tuple(_straight_line(line, sight) for line in view.options.rulers.known_lengths)
-    options = replace(view.options, rulers=replace(view.options.rulers, known_lengths=lines))
-    level = replace(view, tilt=sight.tilt, options=options)
-    return tuple(found for ruler in rulers if (found := ruler.measure(level)) is not None)
-
-
-def _on_ground(
-    detections: Detections, sight: Sight, points: NDArray[np.float64]
-) -> tuple[Detections, NDArray[np.float64]]:
-    """Project boxes to the ground: lengths and widths in pixels of the centre, and positions in model units."""
-    boxes = detections.boxes
-    places, steep = sight.on_ground(boxes[:, :2])
-    sides = []
-    for first, second in box_axes(boxes):
-        (one, good) = sight.on_ground(first)
-        (other, well) = sight.on_ground(second)
-        sides.append(np.linalg.norm(one - other, axis=1))
-        steep &= good & well
-    steep &= (
-        np.isfinite(np.column_stack([places, *sides])).all(axis=1) & (sides[0] > 0) & (sides[1] > 0)
-    )
-    lengths = sides[0][steep]
-    widths = sides[1][steep]
-    if sight.tilted:
-        lengths = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
-    centre = sight.shot.centre
-    nearer = np.ones((len(lengths), 1))
-    for _ in range(_DESCENTS):
-        heights = local_heights(
-            centre + nearer * (places[steep] - centre),
-            points,
-            plane=sight.plane,
-            camera_height=sight.height,
+    detections = [photograph.view.detections for photograph in photographs]
+    n_boxes = [len(photograph.places) for photograph in photographs]
+    gsds = np.repeat([photograph.gsd for photograph in photographs], n_boxes)
+    lengths = np.concatenate([part.boxes[:, 2] for part in detections])
+    scores = np.concatenate([part.scores for part in detections])
+    places = np.concatenate([photograph.places for photograph in photographs])
+    kept, log_lengths = _distinct_cars(places, np.log(lengths * gsds), scores)
+    mean_lengths = np.exp(log_lengths) / gsds
+    ends = np.cumsum(n_boxes)[:-1]
+    kept_parts = np.split(kept, ends)
+    length_parts = np.split(mean_lengths, ends)
+    return [
+        photograph.photograph(own_kept, own_lengths)
+        for photograph, own_kept, own_lengths in zip(
+            photographs, kept_parts, length_parts, strict=True
         )
-        nearer = np.clip(1 - heights[:, None] / sight.height, 1 - _MOST_RELIEF, 1 + _MOST_RELIEF)
+    ]
+
+
+def _distinct_cars(
+    places: NDArray[np.float64], log_lengths: NDArray[np.float64], scores: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Find the boxes that show one car: those around its box with the best score.
+
+    Args:
+        places: ``[n, 3]`` positions of the boxes of all photographs, model units.
+        log_lengths: ``[n]`` logs of their lengths, model units.
+        scores: ``[n]``.
+
+    Returns:
+        ``[n]`` bool, the best box of each car, and ``[n]`` log lengths, of the best boxes the means
+        over their cars.
+    """
+    kept = np.zeros(len(scores), dtype=bool)
+    means = log_lengths.copy()
+    # Greedy, as in non-maximum suppression: the best box takes all boxes around it.
+    is_left = np.ones(len(scores), dtype=bool)
+    for best in np.argsort(-scores, kind="stable"):
+        if not is_left[best]:
+            continue
+        reach = _SAME_CAR_DISTANCE * math.exp(log_lengths[best])
+        # Boxes in a cube first, which is faster than distances to all.
+        is_same = is_left & (np.abs(places - places[best]).max(axis=1) <= reach)
+        is_same[is_same] = np.linalg.norm(places[is_same] - places[best], axis=1) <= reach
+        is_left[is_same] = False
+        kept[best] = True
+        weights = np.maximum(scores[is_same], _MIN_WEIGHT)
+        means[best] = np.average(log_lengths[is_same], weights=weights)
+    return kept, means
+
+
+def _measure_on_ground(view: View, above_ground: ShotAboveGround) -> tuple[Witness, ...]:
+    """Measure with the rulers that use no vehicles; in a tilted view, only with the plane."""
+    ruler_options = view.options.rulers
+    lines = tuple(_undistorted_line(line, above_ground) for line in ruler_options.known_lengths)
+    options = replace(view.options, rulers=replace(ruler_options, known_lengths=lines))
+    ground_view = replace(view, tilt=above_ground.tilt, options=options)
+    witnesses = []
+    for ruler in active_rulers(ruler_options):
+        measures_alone = ruler.pooling_gain is not None
+        if measures_alone and (ruler.uses_plane or not above_ground.tilted):
+            witness = ruler.measure(ground_view)
+            if witness is not None:
+                witnesses.append(witness)
+    return tuple(witnesses)
+
+
+def _project_boxes(
+    detections: Detections, above_ground: ShotAboveGround, points: NDArray[np.float64]
+) -> tuple[Detections, NDArray[np.float64]]:
+    """Project boxes to the ground; boxes whose rays are too flat are left out.
+
+    Args:
+        detections: in pixels of the photograph.
+        above_ground: the shot above its ground.
+        points: ``[n, 3]`` points of the model in its picture.
+
+    Returns:
+        Boxes with lengths and widths in pixels of the centre, and ``[m, 3]`` positions in model
+        units.
+    """
+    boxes = detections.boxes
+    places, kept = above_ground.on_ground(boxes[:, :2])
+    sides = []
+    for first_ends, second_ends in box_axes(boxes):
+        first, is_first_steep = above_ground.on_ground(first_ends)
+        second, is_second_steep = above_ground.on_ground(second_ends)
+        sides.append(np.linalg.norm(first - second, axis=1))
+        kept &= is_first_steep & is_second_steep
+    lengths, widths = sides
+    is_finite = np.isfinite(np.column_stack([places, lengths, widths])).all(axis=1)
+    kept &= is_finite & (lengths > 0) & (widths > 0)
+    lengths = lengths[kept]
+    widths = widths[kept]
+    if above_ground.tilted:
+        lengths = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
+    rays = places[kept] - above_ground.shot.centre
+    nearness = _nearness(rays, above_ground, points)
     measured = boxes.copy()
-    measured[steep, 2:4] = np.column_stack([lengths, widths]) * nearer / sight.gsd
-    kept = _taken(replace(detections, boxes=measured), steep, measured[:, 2])
-    return kept, centre + nearer * (places[steep] - centre)
+    measured[kept, 2:4] = np.column_stack([lengths, widths]) * nearness / above_ground.gsd
+    selected = _select_boxes(replace(detections, boxes=measured), kept, measured[:, 2])
+    return selected, above_ground.shot.centre + nearness * rays
 
 
-def _taken(
+def _nearness(
+    rays: NDArray[np.float64], above_ground: ShotAboveGround, points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute the parts of rays down to the plane at which these meet the real ground.
+
+    Ground above the plane is nearer to the camera, so that things on it look larger.
+
+    Args:
+        rays: ``[n, 3]`` from the camera to the plane, model units.
+        above_ground: the shot above its ground.
+        points: ``[m, 3]`` points of the model in its picture.
+
+    Returns:
+        ``[n, 1]``, 1 on the plane.
+    """
+    nearness = np.ones((len(rays), 1))
+    # The height of the ground depends on the place, and the place on the height: iterate.
+    for _ in range(_N_DESCENTS):
+        heights = local_heights(
+            above_ground.shot.centre + nearness * rays,
+            points,
+            plane=above_ground.plane,
+            camera_height=above_ground.height,
+        )
+        nearness = 1 - heights[:, None] / above_ground.height
+        nearness = np.clip(nearness, 1 - _MAX_RELIEF, 1 + _MAX_RELIEF)
+    return nearness
+
+
+def _select_boxes(
     detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]
 ) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
     boxes = detections.boxes.copy()
-    appearance = detections.appearance
     boxes[:, 2] = lengths
+    reductions = detections.reductions
+    if reductions is not None:
+        reductions = reductions[kept]
+    appearance = detections.appearance
+    if appearance is not None:
+        appearance = appearance.take(kept[: len(appearance)])
     return replace(
         detections,
         boxes=boxes[kept],
         scores=detections.scores[kept],
-        reductions=None if detections.reductions is None else detections.reductions[kept],
-        appearance=None if appearance is None else appearance.take(kept[: len(appearance)]),
-        stretch=None,  # width and height have the scales that the model gives them
+        reductions=reductions,
+        appearance=appearance,
+        stretch=None,  # Width and height have the scales that the model gives them.
     )
 
 
-def _straight_line(line: KnownLength, sight: Sight) -> KnownLength:
-    ends = sight.shot.lens.ideal([(line.x1, line.y1), (line.x2, line.y2)])
-    (x1, y1), (x2, y2) = ends.tolist()
+def _undistorted_line(line: KnownLength, above_ground: ShotAboveGround) -> KnownLength:
+    """Convert a line to pixels of a pinhole camera, which the ground plane assumes."""
+    ends = [(line.x1, line.y1), (line.x2, line.y2)]
+    (x1, y1), (x2, y2) = above_ground.shot.lens.ideal(ends).tolist()
     return replace(line, x1=x1, y1=y1, x2=x2, y2=y2)

@@ -40,60 +40,70 @@ class Pose(NamedTuple):
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """From metres east, north and up to the camera's frame."""
-        tilt, yaw = np.radians([self.tilt_deg, self.yaw_deg])
+        """Matrix from metres east, north and up to the camera's frame."""
+        tilt = np.radians(self.tilt_deg)
+        yaw = np.radians(self.yaw_deg)
         nadir = np.diag([1.0, -1.0, -1.0])
-        lean = np.array(
-            [[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]
-        )
-        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-        return np.asarray(lean @ nadir @ turn)
+        lean = [
+            [1, 0, 0],
+            [0, np.cos(tilt), np.sin(tilt)],
+            [0, -np.sin(tilt), np.cos(tilt)],
+        ]
+        turn = [
+            [np.cos(yaw), -np.sin(yaw), 0],
+            [np.sin(yaw), np.cos(yaw), 0],
+            [0, 0, 1],
+        ]
+        return np.asarray(np.array(lean) @ nadir @ np.array(turn))
 
     @property
     def translation(self) -> NDArray[np.float64]:
-        """Of the ground's corner in the camera's frame, metres."""
+        """Position of the ground's corner in the camera's frame, metres."""
         return np.asarray(-self.rotation @ [self.x_m, -self.y_m, self.height_m])
 
     def photograph(self, ground: NDArray[np.uint8], gsd_m_per_px: float) -> NDArray[np.uint8]:
-        """Photograph of a picture of the ground, seen through a pinhole."""
-        matrix = np.array([[FOCAL_PX, 0, WIDTH_PX / 2], [0, FOCAL_PX, HEIGHT_PX / 2], [0, 0, 1]])
+        """Photograph a picture of the ground through a pinhole."""
+        lens = np.array([[FOCAL_PX, 0, WIDTH_PX / 2], [0, FOCAL_PX, HEIGHT_PX / 2], [0, 0, 1]])
         plane = np.column_stack([self.rotation[:, :2], self.translation])
-        # OpenCV counts from the centre of the first pixel
+        # OpenCV counts from the centre of the first pixel.
         centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
         pixels = np.diag([gsd_m_per_px, -gsd_m_per_px, 1.0])
-        seen = np.linalg.inv(centre) @ matrix @ plane @ pixels @ centre
-        return np.asarray(
-            cv2.warpPerspective(ground, seen, (WIDTH_PX, HEIGHT_PX), flags=cv2.INTER_LINEAR),
-            dtype=np.uint8,
-        )
+        homography = np.linalg.inv(centre) @ lens @ plane @ pixels @ centre
+        size = (WIDTH_PX, HEIGHT_PX)
+        image = cv2.warpPerspective(ground, homography, size, flags=cv2.INTER_LINEAR)
+        return np.asarray(image, dtype=np.uint8)
 
     def pixels(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where points ``[n, 2]`` of the ground, metres right of and below its corner, are in the picture."""
-        seen = (
-            np.column_stack([places * [1, -1], np.zeros(len(places))]) @ self.rotation.T
-            + self.translation
-        )
-        return np.asarray(seen[:, :2] / seen[:, 2:] * FOCAL_PX + [WIDTH_PX / 2, HEIGHT_PX / 2])
+        """Find points of the ground in the picture.
+
+        Args:
+            places: ``[n, 2]`` metres right of the ground's corner and below it.
+        """
+        on_ground = np.column_stack([places * [1, -1], np.zeros(len(places))])
+        in_camera = on_ground @ self.rotation.T + self.translation
+        slopes = in_camera[:, :2] / in_camera[:, 2:]
+        return np.asarray(slopes * FOCAL_PX + [WIDTH_PX / 2, HEIGHT_PX / 2])
 
     def painted(self, cars: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Picture of cars for the stand-in detector.
+        """Paint cars for the stand-in detector.
 
         Args:
             cars: ``[n, 4]`` x, y of the middle, length and direction on the ground; metres and
                 radians.
         """
         image = blank_image(WIDTH_PX, HEIGHT_PX)
-        half = np.column_stack([np.cos(cars[:, 3]), np.sin(cars[:, 3])]) * cars[:, 2:3] / 2
+        directions = np.column_stack([np.cos(cars[:, 3]), np.sin(cars[:, 3])])
+        half = directions * cars[:, 2:3] / 2
         first = self.pixels(cars[:, :2] - half)
         second = self.pixels(cars[:, :2] + half)
         along = second - first
         middle = (first + second) / 2
         length = np.linalg.norm(along, axis=1)
-        boxes = np.column_stack(
-            [middle, length, length / 2.21, np.arctan2(along[:, 1], along[:, 0])]
-        )
-        inside = ((middle > 40) & (middle < [WIDTH_PX - 40, HEIGHT_PX - 40])).all(axis=1)
-        paint_vehicles(image, boxes[inside])
+        angle = np.arctan2(along[:, 1], along[:, 0])
+        boxes = np.column_stack([middle, length, length / 2.21, angle])
+        far_corner = [WIDTH_PX - 40, HEIGHT_PX - 40]
+        is_inside = ((middle > 40) & (middle < far_corner)).all(axis=1)
+        paint_vehicles(image, boxes[is_inside])
         return image
 
 
@@ -103,7 +113,14 @@ def write_opensfm(
     poses: Sequence[Pose],
     metres_per_unit: float,
 ) -> Path:
-    """Write RGB photographs of 200 x 200 m of ground in ``images``, and the model of them; return its file."""
+    """Write a project of OpenSfM over 200 x 200 m of ground; return the file of its model.
+
+    Args:
+        folder: of the project; the photographs lie in ``images``.
+        photographs: RGB.
+        poses: of their cameras.
+        metres_per_unit: of the model.
+    """
     (folder / "images").mkdir(parents=True)
     shots = {}
     for number, (photograph, pose) in enumerate(zip(photographs, poses, strict=True)):
@@ -123,13 +140,14 @@ def write_opensfm(
         "height": HEIGHT_PX,
         "k1": 0.0,
         "k2": 0.0,
+        "focal": FOCAL_PX / max(WIDTH_PX, HEIGHT_PX),
     }
     part = {
-        "cameras": {"lens": {**lens, "focal": FOCAL_PX / max(WIDTH_PX, HEIGHT_PX)}},
+        "cameras": {"lens": lens},
         "shots": shots,
         "points": {
-            str(k): {"coordinates": each.tolist(), "color": [0, 0, 0]}
-            for k, each in enumerate(points)
+            str(number): {"coordinates": point.tolist(), "color": [0, 0, 0]}
+            for number, point in enumerate(points)
         },
         "reference_lla": {"latitude": 46.0, "longitude": 7.0, "altitude": 500.0},
     }
