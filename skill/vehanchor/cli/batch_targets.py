@@ -14,7 +14,7 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.cli.terminal import FAILED, counts_text, printable, report
 from vehanchor.errors import OutputError, PromptError
 from vehanchor.export.geojson import SUFFIX, check_geojson_path, write_features
-from vehanchor.imagery.sources.files import find_images, where_it_is
+from vehanchor.imagery.sources.files import canonical_path, find_images
 from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets, read_targets
 from vehanchor.records.text import count
 
@@ -56,7 +56,7 @@ def measure_table(
         raise OutputError(f"{str(output)!r} exists: name another file, or pass --overwrite")
     wanted = read_targets(table)
     images = find_images(inputs)
-    strangers = sorted(set(wanted) - {where_it_is(image) for image in images})
+    strangers = sorted(set(wanted) - {canonical_path(image) for image in images})
     if strangers:
         raise PromptError(
             f"a target is in {strangers[0]!r}, which is not one of the images: files are named "

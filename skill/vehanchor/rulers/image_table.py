@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from vehanchor.imagery.sources.files import where_it_is
+from vehanchor.imagery.sources.files import canonical_path
 
 if TYPE_CHECKING:
     import os
@@ -70,7 +70,7 @@ def read_image_table(
                     read = read_row(row)
                 except ValueError as problem:
                     raise error(f"{str(table)!r}, line {reader.line_num}: {problem}") from None
-                image = where_it_is(table.parent / file)
+                image = canonical_path(table.parent / file)
                 found[image] = (*found.get(image, ()), read)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import KnownLengthError
-from vehanchor.imagery.sources.files import where_it_is
+from vehanchor.imagery.sources.files import canonical_path
 from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.records.text import count
 from vehanchor.rulers.image_table import read_image_table
@@ -51,7 +51,7 @@ def lines_in(
     lines = read_image_table(
         path, "known lengths", needed=_COLUMNS, read_row=_line, error=KnownLengthError
     )
-    strangers = sorted(set(lines) - {where_it_is(image) for image in images})
+    strangers = sorted(set(lines) - {canonical_path(image) for image in images})
     if strangers:
         others = len(strangers) - 1
         raise KnownLengthError(
@@ -66,7 +66,7 @@ def with_lines_of(
     options: ScaleOptions, lines: KnownLengthTable, image: str | os.PathLike[str]
 ) -> ScaleOptions:
     """Add the lines of one image to the options."""
-    own = lines.get(where_it_is(image)) if lines else None
+    own = lines.get(canonical_path(image)) if lines else None
     return (
         options
         if own is None

@@ -29,7 +29,7 @@ from vehanchor.errors import (
     InvalidParameterError,
     OutOfMemoryError,
 )
-from vehanchor.imagery.sources.files import existing, where_it_is
+from vehanchor.imagery.sources.files import canonical_path, spelled_as_stored
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 
@@ -244,12 +244,12 @@ def test_a_name_is_found_in_either_unicode_form(
     path.parent.mkdir()
     path.write_bytes(encoded(".png"))
     open_raster(tmp_path / other).close()
-    assert where_it_is(tmp_path / other) == str(path.resolve())
+    assert canonical_path(tmp_path / other) == str(path.resolve())
     monkeypatch.chdir(tmp_path)
     assert vehanchor.find_images(other) == [stored]
     assert vehanchor.find_images(str(Path(other).parent)) == [stored]
-    assert existing(stored) == stored
-    assert Path(existing(f"{other}x")) == Path(stored).parent / f"{Path(other).name}x"
+    assert spelled_as_stored(stored) == stored
+    assert Path(spelled_as_stored(f"{other}x")) == Path(stored).parent / f"{Path(other).name}x"
 
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
