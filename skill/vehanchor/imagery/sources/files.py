@@ -155,7 +155,8 @@ def _images_of_pattern(pattern: str) -> list[str]:
     literal_parts = takewhile(lambda part: not glob.has_magic(part), Path(pattern).parts)
     n_literal = len(list(literal_parts))
     images: list[str] = []
-    for name in glob.glob(pattern, recursive=True):  # noqa: PTH207 - Path.glob refuses absolute patterns
+    # Path.glob refuses absolute patterns.
+    for name in glob.glob(pattern, recursive=True):  # noqa: PTH207
         file = Path(name)
         matched_parts = file.parts[n_literal:]
         if _is_image(file) and all(map(holds_photographs, matched_parts)):
