@@ -110,7 +110,7 @@ def measure_detail_share(
     Args:
         raster: the image.
         centres: ``[n, 2]`` x, y of vehicles in pixels of the image; at most 16 are used.
-        reduction: of the image in which they were found: 1, 0.5, 0.25 or 0.125.
+        reduction: reduction at which the vehicles were detected: 1, 0.5, 0.25 or 0.125.
 
     Returns:
         ``spectrum_share`` of the reduced image; 1 without vehicles or if a side is below 64 px.

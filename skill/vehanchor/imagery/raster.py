@@ -169,8 +169,14 @@ class Raster(ABC):
         upright = oriented(pixels, self._orientation)
         return np.ascontiguousarray(upright)
 
-    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - for subclasses
+    def read_overview(
+        self,
+        window: Window,  # noqa: ARG002
+        factor: int,  # noqa: ARG002
+    ) -> NDArray[np.uint8] | None:
         """Read a window of the reduced image from the file's overviews; None if it has none.
+
+        Sources with overviews override this method.
 
         Args:
             window: in pixels of the reduced image, which has ``width_px // factor`` columns and
