@@ -1,4 +1,4 @@
-"""Pixels as they are shown: bands, stretched values, and those that show nothing."""
+"""Pixels of open images: bands, stretched values, transparency and no-data."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from numpy.typing import NDArray
 from PIL import Image
 from rasterio.enums import ColorInterp
@@ -22,10 +23,7 @@ from tests.skill.imagery.files import (
     pillow,
     read_all,
 )
-from vehanchor.errors import (
-    ImageFormatError,
-    InvalidParameterError,
-)
+from vehanchor.errors import ImageFormatError, InvalidParameterError
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Reading
@@ -37,8 +35,7 @@ NEAR_INFRARED = np.dstack([RGB, np.where(LEFT == 0, 0, RGB[..., 0])]).astype(np.
 
 
 def _declared(path: Path, image: NDArray[Any], kind: ColorInterp, **profile: Any) -> Path:
-    import rasterio
-
+    """Write a GeoTIFF whose fourth band is declared to be of a kind."""
     geotiff(path, image, photometric="rgb", **profile)
     with rasterio.open(path, "r+") as dataset:
         dataset.colorinterp = (*dataset.colorinterp[:3], kind)
@@ -60,21 +57,35 @@ def _declared(path: Path, image: NDArray[Any], kind: ColorInterp, **profile: Any
         lambda path: _declared(path, RGBA.astype(np.uint16), ColorInterp.undefined),
     ],
 )
-def test_transparent_pixels_are_not_seen(make: Callable[[Path], Any], tmp_path: Path) -> None:
-    shown = read_all(make(tmp_path / "a.tif"))
-    assert not shown[:, :20].any()
-    assert shown[:, 20:].any(axis=2).all()
+def test_transparent_pixels_are_black(make: Callable[[Path], Any], tmp_path: Path) -> None:
+    pixels = read_all(make(tmp_path / "a.tif"))
+    assert not pixels[:, :20].any()
+    assert pixels[:, 20:].any(axis=2).all()
 
 
-def test_transparent_pixels_of_grey_and_deep_images_are_not_seen_either() -> None:
-    grey = np.dstack([RGB[..., 0], LEFT])
-    deep = RGBA.astype(np.uint16) * 257
-    deep[:, :20, :3] = 65535
-    for image in (grey, pillow("PNG", "LA", grey), deep, encoded(".png", np.roll(deep, 1, axis=2))):
-        shown = read_all(image)
-        assert not shown[:, :20].any()
-        assert shown[:, 25].any()
-    np.testing.assert_array_equal(read_all(deep)[:, 20:], read_all(deep[:, 20:, :3]))
+GREY_WITH_ALPHA = np.dstack([RGB[..., 0], LEFT])
+DEEP_RGBA = RGBA.astype(np.uint16) * 257
+DEEP_RGBA[:, :20, :3] = 65535
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        pytest.param(GREY_WITH_ALPHA, id="grey array"),
+        pytest.param(pillow("PNG", "LA", GREY_WITH_ALPHA), id="grey file"),
+        pytest.param(DEEP_RGBA, id="deep array"),
+        pytest.param(encoded(".png", np.roll(DEEP_RGBA, 1, axis=2)), id="deep file"),
+    ],
+)
+def test_transparent_pixels_of_grey_or_deep_images_are_black(image: Any) -> None:
+    pixels = read_all(image)
+    assert not pixels[:, :20].any()
+    assert pixels[:, 25].any()
+
+
+def test_transparent_pixels_do_not_change_the_stretch() -> None:
+    visible = DEEP_RGBA[:, 20:, :3]
+    np.testing.assert_array_equal(read_all(DEEP_RGBA)[:, 20:], read_all(visible))
 
 
 def test_half_transparent_pixels_are_seen() -> None:
