@@ -37,7 +37,7 @@ HEIGHT_PX = 40
 
 
 def smooth_rgb(width_px: int = WIDTH_PX, height_px: int = HEIGHT_PX) -> NDArray[np.uint8]:
-    """Make a colour ramp that no flip, turn or band swap leaves as it is, gentle enough for JPEG."""
+    """Make a colour ramp, gentle enough for JPEG; every flip, turn or swap of bands changes it."""
     x = np.linspace(0, 1, width_px)[np.newaxis, :]
     y = np.linspace(0, 1, height_px)[:, np.newaxis]
     red = 40 + 180 * x + 0 * y
