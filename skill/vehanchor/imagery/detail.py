@@ -61,7 +61,8 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
     n_patches = 0
     for patch in patches:
         grey = cv2.cvtColor(patch, cv2.COLOR_RGB2GRAY).astype(np.float64)
-        spectrum = np.fft.fft2((grey - grey.mean()) * taper_2d)
+        deviation = grey - grey.mean()
+        spectrum = np.fft.fft2(deviation * taper_2d)
         power = np.abs(spectrum) ** 2
         total_power += np.bincount(rings, weights=power.ravel())
         n_patches += 1
@@ -124,8 +125,9 @@ def measure_detail_share(
     n_patches = min(_MAX_PATCHES, len(centres))
     steps = np.linspace(0, len(centres) - 1, n_patches)
     indexes = np.unique(steps.round().astype(int))
-    corners = np.rint(centres[indexes] / factor).astype(int) - PATCH_PX // 2
-    corners = np.clip(corners, 0, (width - PATCH_PX, height - PATCH_PX))
+    reduced_centres = np.rint(centres[indexes] / factor).astype(int)
+    last_corner = (width - PATCH_PX, height - PATCH_PX)
+    corners = np.clip(reduced_centres - PATCH_PX // 2, 0, last_corner)
     patches = (_read_patch(raster, corner, factor) for corner in corners)
     return spectrum_share(ring_spectrum(patches))
 

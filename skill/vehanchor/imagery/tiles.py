@@ -115,16 +115,20 @@ def read_around(
     x, y, length, width = box[:4] / factor
     distance = reach * length
     # The window is cut off at the image's edges and keeps at least one pixel.
-    left = round(np.clip(x - distance, 0, reduced_width))
-    right = round(np.clip(x + distance, 0, reduced_width))
-    top = round(np.clip(y - distance, 0, reduced_height))
-    bottom = round(np.clip(y + distance, 0, reduced_height))
-    left = min(left, reduced_width - 1)
-    top = min(top, reduced_height - 1)
-    window = Window(left, top, width_px=max(1, right - left), height_px=max(1, bottom - top))
+    left, columns = _span(x - distance, x + distance, reduced_width)
+    top, rows = _span(y - distance, y + distance, reduced_height)
+    window = Window(left, top, width_px=columns, height_px=rows)
     pixels = read_reduced_window(raster, window, factor)
     box_in_window = np.array([x - left, y - top, length, width, box[4]])
     return pixels, box_in_window
+
+
+def _span(start: float, end: float, side_px: int) -> tuple[int, int]:
+    """Round an interval to whole pixels of a side; return its first pixel and its length."""
+    first = round(np.clip(start, 0, side_px))
+    last = round(np.clip(end, 0, side_px))
+    first = min(first, side_px - 1)
+    return first, max(1, last - first)
 
 
 def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:

@@ -9,11 +9,14 @@ from __future__ import annotations
 import re
 import struct
 import sys
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 MAX_SCANS = 25
 """Maximum number of scans, each decoded over the whole image.
@@ -76,52 +79,27 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
     orientation = 1
     complete = False
     metadata: list[tuple[int, int]] = []
-    n_segments = 0
     n_scans = 0
-    position = 2
-    while True:
-        start = data[position : position + 2]
-        if len(start) < 2 or start[0] != 0xFF:
-            break
-        marker = start[1]
-        if marker == _FILL:
-            position = _find(_AFTER_FILL, data, position)
-            continue
-        # Some decoders skip stuffing byte by byte, others read it as a segment.
-        if marker in (_EOI, _STUFFING):
-            complete = marker == _EOI
-            break
-        n_segments += 1
-        if n_segments > MAX_SEGMENTS:
-            raise ImageTooLargeError(
-                f"the JPEG has more than {MAX_SEGMENTS} segments; save it again without metadata"
-            )
-        position += 2
-        if marker in _STANDALONE:
-            continue
-        head = data[position : position + 8]
-        length = int.from_bytes(head[:2], "big")
-        if len(head) < 2 or length < 2:
-            break
-        if marker in _SOF:
+    for marker, start, end in _segments(data):
+        if marker == _EOI:
+            complete = True
+        elif marker in _SOF:
             if frame is not None:
                 raise ImageDecodeError("the JPEG has two frame headers: damaged")
-            height, width, n_components = struct.unpack_from(">HHB", head, 3)
+            height, width, n_components = struct.unpack_from(">HHB", data, start + 1)
             frame = _Frame(marker, height, width_px=width, n_components=n_components)
         elif marker == _APP1:
-            metadata.append((position + 2, length - 2))
-            if head[2:8] == EXIF_PREFIX:
-                exif = data[position + 8 : position + length]
+            metadata.append((start, end - start))
+            if data.startswith(EXIF_PREFIX, start):
+                exif = data[start + len(EXIF_PREFIX) : end]
                 orientation = exif_orientation(exif)
-        position += length
-        if marker == _SOS:
+        elif marker == _SOS:
             n_scans += 1
             if n_scans > MAX_SCANS:
                 raise ImageTooLargeError(
                     f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; "
                     "save it again as a baseline JPEG"
                 )
-            position = _find(_MARKER_IN_SCAN, data, position)
     if frame is None:
         raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
     return ImageHeader(
@@ -133,6 +111,51 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
         decoding_bytes=_decoding_bytes(frame, n_scans),
         metadata=tuple(metadata),
     )
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield the marker of each segment, and start and end of its content.
+
+    The end marker comes last; without it, the file is truncated or damaged.
+
+    Raises:
+        ImageTooLargeError: there are too many segments.
+    """
+    n_segments = 0
+    position = 2
+    while True:
+        head = data[position : position + 2]
+        if len(head) < 2 or head[0] != 0xFF:
+            return
+        marker = head[1]
+        if marker == _FILL:
+            position = _find(_AFTER_FILL, data, position)
+            continue
+        position += 2
+        if marker == _EOI:
+            yield marker, position, position
+            return
+        # Some decoders skip stuffing byte by byte, others read it as a segment.
+        if marker == _STUFFING:
+            return
+        n_segments += 1
+        if n_segments > MAX_SEGMENTS:
+            raise ImageTooLargeError(
+                f"the JPEG has more than {MAX_SEGMENTS} segments; save it again without metadata"
+            )
+        if marker in _STANDALONE:
+            continue
+        # The length counts its own two bytes.
+        length_bytes = data[position : position + 2]
+        length = int.from_bytes(length_bytes, "big")
+        if len(length_bytes) < 2 or length < 2:
+            return
+        end = position + length
+        yield marker, position + 2, end
+        position = end
+        # Entropy-coded data follow the header of a scan.
+        if marker == _SOS:
+            position = _find(_MARKER_IN_SCAN, data, position)
 
 
 def _find(pattern: re.Pattern[bytes], data: bytes, position: int) -> int:

@@ -49,7 +49,9 @@ _POSITION_NAMES = {
 }
 _CAMERA_DIRECTORY = 0x8769
 _POSITION_DIRECTORY = 0x8825
-_POINTERS = (_CAMERA_DIRECTORY, _POSITION_DIRECTORY)
+_NAMES_BY_POINTER = {_CAMERA_DIRECTORY: _NAMES, _POSITION_DIRECTORY: _POSITION_NAMES}
+"""Tags of the directories to which the first one points."""
+
 _SEXAGESIMAL = ("GPSLatitude", "GPSLongitude")
 _MAX_ENTRIES = 512  # a real directory has some dozens
 _MAX_TEXT_BYTES = 64
@@ -106,7 +108,7 @@ def read_exif(read_at: ReadAt) -> ExifTags:
     tags: ExifTags = {}
     (first,) = struct.unpack_from(order + "I", head, 4)
     pointers = _read_directory(read_at, order, offset=first, tags=tags, names=_NAMES)
-    for pointer, names in ((_CAMERA_DIRECTORY, _NAMES), (_POSITION_DIRECTORY, _POSITION_NAMES)):
+    for pointer, names in _NAMES_BY_POINTER.items():
         offset = pointers.get(pointer)
         if offset is not None and offset != first:
             _read_directory(read_at, order, offset=offset, tags=tags, names=names)
@@ -131,7 +133,7 @@ def _read_directory(
         tag, kind, n_values = struct.unpack_from(order + "HHI", table, start)
         value = table[start + _VALUE_OFFSET : start + _ENTRY_BYTES]
         entry = _Entry(tag, kind, n_values=n_values, value=value)
-        if tag in _POINTERS and kind in (_LONG, _IFD):
+        if tag in _NAMES_BY_POINTER and kind in (_LONG, _IFD):
             pointers.setdefault(tag, _offset_in(entry, order))
         name = names.get(tag)
         if name is None or name in tags or kind not in _SIZES or n_values == 0:

@@ -82,7 +82,7 @@ class Statements:
         self._texts: dict[tuple[str, str], list[str]] = {}
         for packet in packets:
             for (namespace, name), texts in packet.items():
-                # Some programs flatten the names of structures.
+                # Some programs flatten the names of structures, so all are flattened.
                 key = (namespace, _flat(name))
                 self._texts.setdefault(key, []).extend(texts)
 

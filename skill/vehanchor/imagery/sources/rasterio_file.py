@@ -113,11 +113,54 @@ def open_file(
         ImageFormatError: the image cannot be measured.
     """
     layout = header.tiff
+    _check_layout(header, source, limits)
+    rasterio = _import_rasterio(source, header)
+    with ExitStack() as stack:
+        # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could
+        # name any other file.
+        isolation = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
+        with gdal_environment(source, **isolation), warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            if isinstance(file, bytes):
+                memory_file = stack.enter_context(rasterio.MemoryFile(file))
+                file = memory_file.name
+            driver = _DRIVERS[header.format]
+            opened = rasterio.open(file, driver=driver, sharing=False, GEOREF_SOURCES="INTERNAL")
+            dataset = stack.enter_context(opened)
+            # The limits were applied to the size in the header.
+            if (dataset.width, dataset.height) != (header.width_px, header.height_px):
+                raise ImageDecodeError(
+                    f"the {header.format} ({source}) declares two different sizes: damaged"
+                )
+            _check_block(dataset, header.format, limits)
+        if layout is not None:
+            check_block(
+                "TIFF's mask", layout.mask_block_px, samples=1, sample_bytes=1, limits=limits
+            )
+        # A geotransform refers to the stored frame, so georeferenced files keep their stored
+        # orientation.
+        is_georeferenced = layout is not None and layout.georeferenced
+        orientation = 1 if is_georeferenced else header.orientation
+        with gdal_environment(source):
+            raster = DatasetRaster(dataset, source, bands, orientation=orientation)
+        raster.closing = stack.pop_all()
+    return raster
+
+
+def _check_layout(header: ImageHeader, source: str, limits: ImageLimits) -> None:
+    """Check a header before GDAL opens the file.
+
+    Raises:
+        ImageFormatError: the photometric interpretation is unsupported.
+        ImageTooLargeError: a tile of a JPEG 2000 has too many pixels.
+    """
+    layout = header.tiff
     if layout is not None and layout.photometric not in _SUPPORTED_PHOTOMETRIC:
         raise ImageFormatError(
             f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is "
             "neither grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
         )
+    # A TIFF has no tile here: its pixels are 0.
     check_block(
         "JPEG 2000",
         header.tile_px,
@@ -125,41 +168,6 @@ def open_file(
         sample_bytes=_OPENJPEG_SAMPLE_BYTES,
         limits=limits,
     )
-    rasterio = _import_rasterio(source, header)
-    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name
-    # any other file.
-    isolation = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
-    with ExitStack() as stack:
-        with gdal_environment(source, **isolation), warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            if isinstance(file, bytes):
-                memory_file = stack.enter_context(rasterio.MemoryFile(file))
-                path = memory_file.name
-            else:
-                path = file
-            dataset = rasterio.open(
-                path, driver=_DRIVERS[header.format], sharing=False, GEOREF_SOURCES="INTERNAL"
-            )
-            stack.enter_context(dataset)
-            # The limits were applied to the size in the header.
-            if (dataset.width, dataset.height) != (header.width_px, header.height_px):
-                raise ImageDecodeError(
-                    f"the {header.format} ({source}) declares two different sizes: damaged"
-                )
-            _check_block(dataset, header.format, limits)
-        orientation = header.orientation
-        if layout is not None:
-            check_block(
-                "TIFF's mask", layout.mask_block_px, samples=1, sample_bytes=1, limits=limits
-            )
-            # A geotransform refers to the stored frame, so georeferenced files keep their stored
-            # orientation.
-            if layout.georeferenced:
-                orientation = 1
-        with gdal_environment(source):
-            raster = DatasetRaster(dataset, source, bands, orientation=orientation)
-        raster.closing = stack.pop_all()
-    return raster
 
 
 def _import_rasterio(source: str, header: ImageHeader) -> Any:
@@ -348,15 +356,15 @@ class DatasetRaster(Raster):
 
     def _read_stored(self, window: Window, shape: Shape | None = None) -> StoredPixels:
         """Read a window of the stored frame, reduced to ``shape`` if it is given."""
-        rgb_indexes = self._indexes
-        unique_indexes = self._unique_indexes
+        indexes = self._unique_indexes
         with gdal_environment(self.source):
-            bands = self._read_bands(unique_indexes, window, shape)
+            bands = self._read_bands(indexes, window, shape)
             valid = self._read_valid(window, shape)
-        plane_of = dict(zip(unique_indexes, bands, strict=True))
+        band_of_index = dict(zip(indexes, bands, strict=True))
         if self._palette is not None:
-            return StoredPixels(self._palette[plane_of[1]], valid)
-        rgb = merge_bands([plane_of[index] for index in rgb_indexes])
+            values = band_of_index[1]
+            return StoredPixels(self._palette[values], valid)
+        rgb = merge_bands([band_of_index[index] for index in self._indexes])
         if rgb.dtype.kind == "f":
             finite = np.isfinite(rgb).all(axis=2)
             valid = _both(valid, finite)
@@ -407,19 +415,20 @@ class DatasetRaster(Raster):
         last = len(roles)
         if last not in (2, 4) or roles[-1] != "undefined" or last in self._indexes:
             return None
+        samples = []
         with gdal_environment(self.source):
-            parts = [
-                self._read_bands([last], window, shape).ravel()
-                for window, shape in self._sample_windows()
-            ]
-        return last if is_alpha(np.concatenate(parts)) else None
+            for window, shape in self._sample_windows():
+                (band,) = self._read_bands([last], window, shape)
+                samples.append(band.ravel())
+        return last if is_alpha(np.concatenate(samples)) else None
 
     def _sample(self) -> NDArray[Any]:
         """Sample valid values ``[n, 3]``."""
         samples = []
         for window, shape in self._sample_windows():
             rgb, valid = self._read_stored(window, shape)
-            samples.append(rgb.reshape(-1, 3) if valid is None else rgb[valid])
+            values = rgb.reshape(-1, 3) if valid is None else rgb[valid]
+            samples.append(values)
         return np.concatenate(samples)
 
     def _sample_windows(self) -> list[tuple[Window, Shape | None]]:
@@ -470,10 +479,10 @@ def _both(valid: NDArray[np.bool_] | None, other_valid: NDArray[np.bool_]) -> ND
 
 def _read_palette(dataset: Any) -> NDArray[np.uint8] | None:
     """Read the colours of a palette image, ``[values, 3]``; None for other images."""
-    if dataset.count != 1 or dataset.colorinterp[0].name != "palette":
+    if _band_roles(dataset) != ["palette"]:
         return None
-    n_values = 1 << 16 if dataset.dtypes[0] == "uint16" else 1 << 8
-    palette = np.zeros((n_values, 3), np.uint8)
+    n_bits = 16 if dataset.dtypes[0] == "uint16" else 8
+    palette = np.zeros((1 << n_bits, 3), np.uint8)
     for value, (red, green, blue, _) in dataset.colormap(1).items():
         palette[value] = (red, green, blue)
     return palette
