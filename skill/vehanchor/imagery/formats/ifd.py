@@ -97,11 +97,6 @@ class _Entry(NamedTuple):
     n_values: int
     value_offset: int
 
-    @property
-    def n_bytes(self) -> int:
-        """Bytes of all its values; 0 for an unknown type."""
-        return self.n_values * _TYPE_BYTES.get(self.kind, 0)
-
 
 def read_ifd(
     read_at: ReadAt,
@@ -129,27 +124,30 @@ def read_ifd(
         struct.error: the file ends within the directory or a value.
     """
     form = _read_form(read_at)
-    table_start, n_entries = _locate_table(
-        read_at, form, offset=form.first if offset is None else offset
-    )
-    table_bytes = n_entries * form.entry_bytes
+    if offset is None:
+        offset = form.first
+    table_start, n_entries = _locate_table(read_at, form, offset=offset)
+    entry_bytes = form.entry_bytes
+    value_start = form.value_start
+    table_bytes = n_entries * entry_bytes
     table = read_at(table_start, table_bytes)
     read_tags: set[int] = set()
     values: dict[int, tuple[int, ...]] = {}
     n_bytes_outside = 0
-    for start in range(0, table_bytes, form.entry_bytes):
+    for start in range(0, table_bytes, entry_bytes):
         tag, kind, n_values = struct.unpack_from(form.entry, table, start)
         if tag in read_tags:
             raise ImageDecodeError(
                 f"the TIFF directory holds tag {tag} twice, and decoders disagree on it: damaged"
             )
         read_tags.add(tag)
-        entry = _Entry(tag, kind, n_values=n_values, value_offset=start + form.value_start)
-        if entry.n_bytes > form.value_bytes:
-            n_bytes_outside += entry.n_bytes
+        n_bytes = n_values * _TYPE_BYTES.get(kind, 0)
+        if n_bytes > form.value_bytes:
+            n_bytes_outside += n_bytes
         if tag in presence_tags:
             values[tag] = ()
         elif tag in integer_tags:
+            entry = _Entry(tag, kind, n_values=n_values, value_offset=start + value_start)
             values[tag] = _read_integers(read_at, table, form=form, entry=entry)
     # Decoders read all values. If many entries share bytes, a small file can cost much memory.
     if whole and n_bytes_outside and not read_at(n_bytes_outside - 1, 1):
@@ -246,7 +244,7 @@ def _read_integers(read_at: ReadAt, table: bytes, *, form: _Form, entry: _Entry)
             "whole numbers: damaged"
         )
     values_format = f"{form.order}{min(entry.n_values, MAX_VALUES)}{code}"
-    if entry.n_bytes <= form.value_bytes:
+    if entry.n_values * _TYPE_BYTES[entry.kind] <= form.value_bytes:
         return struct.unpack_from(values_format, table, entry.value_offset)
     (values_offset,) = struct.unpack_from(form.offset, table, entry.value_offset)
     values = read_at(values_offset, struct.calcsize(values_format))
