@@ -153,7 +153,8 @@ def _read_properties(read_at: ReadAt, iprp: Box) -> _Properties:
     mirrors = read_values(b"imir", "B")
     if not sizes or len(turns) > 1 or len(mirrors) > 1:
         raise ImageDecodeError(
-            "the AVIF declares no size or several rotations: damaged or no photo; save it again"
+            "the AVIF declares no size or several rotations: damaged, or not a photograph; save it "
+            "again"
         )
     width, height = max(sizes, key=math.prod)
     quarter_turns = next((turn & 3 for (turn,) in turns), 0)

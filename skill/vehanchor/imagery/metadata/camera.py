@@ -291,8 +291,7 @@ def _pixel_mm(
         max_mm = sensor.width_mm * _SENSOR_TOLERANCE
     if not min_mm <= sensor_mm <= max_mm:
         statements.refused.append(
-            f"FocalPlaneXResolution makes the sensor {sensor_mm:.2g} mm wide, as in a copy of "
-            "another size"
+            f"FocalPlaneXResolution implies a sensor {sensor_mm:.2g} mm wide, as in a resized copy"
         )
         return None
     return pixel_mm

@@ -58,10 +58,11 @@ def find_images(inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]
     if not images:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
     if not any(Path(image).exists() for image in images):
-        first = next(iter(images))
-        raise ImageNotFoundError(
-            f"there is no file {first!r}, nor any other of the {len(images)} named"
-        )
+        first, *others = images
+        message = f"there is no file {first!r}"
+        if others:
+            message += f", nor any of the {len(others)} others"
+        raise ImageNotFoundError(message)
     return list(images)
 
 
