@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class ImageFacts(NamedTuple):
-    """Facts of an image that stay when it is closed.
+    """Facts of an image, usable after it is closed.
 
     Attributes:
         width_px: columns.

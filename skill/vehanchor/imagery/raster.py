@@ -161,6 +161,7 @@ class Raster(ABC):
     def _to_rgb(self, stored: StoredPixels) -> NDArray[np.uint8]:
         """Convert stored pixels to upright 8-bit RGB."""
         pixels = stored.rgb if self._stretch is None else to_uint8(stored.rgb, self._stretch)
+        # Sources give a mask only with pixels of their own, which may be overwritten.
         if stored.valid is not None:
             pixels[~stored.valid] = 0
         if self._no_data is not None:

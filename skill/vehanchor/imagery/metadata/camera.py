@@ -146,34 +146,36 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
     make = statements.text("Make")
     model = statements.text("Model")
     makers = makers_of(make)
-    height, height_tag = _first(statements, makers, field="height", units=METRES)
-    focal_px, _ = _first(statements, makers, field="focal_px", units=PIXELS)
-    centre_px, _ = _first(statements, makers, field="centre_px", units=PIXELS)
+    height_m, height_tag = _first_quantity(statements, makers, field="height", units=METRES)
+    focal_px, _ = _first_quantity(statements, makers, field="focal_px", units=PIXELS)
+    centre_px, _ = _first_quantity(statements, makers, field="centre_px", units=PIXELS)
     focal_mm = statements.lens_number("FocalLength")
+    # A maker's millimetres replace those of EXIF; its pixels only fill a gap.
     maker_focal, unit = _maker_focal(statements, makers)
     if maker_focal is not None:
         if unit == "mm":
             focal_mm = maker_focal
         else:
             focal_px = focal_px or maker_focal
-    width = statements.whole("PixelXDimension")
-    height_px = statements.whole("PixelYDimension")
-    if not width or not height_px:
-        width = None
-        height_px = None
+    taken_width_px = statements.whole("PixelXDimension")
+    taken_height_px = statements.whole("PixelYDimension")
+    # One side alone does not give the size of the original image.
+    if not taken_width_px or not taken_height_px:
+        taken_width_px = None
+        taken_height_px = None
     off_nadir, roll = _attitude(statements, makers)
     latitude, longitude = _position(tags)
     return CameraMetadata(
         make=make,
         model=model,
-        height_m=height,
+        height_m=height_m,
         height_tag=height_tag,
         focal_mm=focal_mm,
         focal_35mm=statements.lens_number("FocalLengthIn35mmFilm"),
         focal_px=focal_px,
-        pixel_mm=_pixel_mm(statements, width, make=make, model=model),
-        taken_width_px=width,
-        taken_height_px=height_px,
+        pixel_mm=_pixel_mm(statements, taken_width_px, make=make, model=model),
+        taken_width_px=taken_width_px,
+        taken_height_px=taken_height_px,
         centre_x_px=centre_px,
         off_nadir_deg=off_nadir,
         digital_zoom=statements.lens_number("DigitalZoomRatio") or 1.0,
@@ -185,7 +187,7 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
     )
 
 
-def _first(
+def _first_quantity(
     statements: Statements, makers: Sequence[Maker], *, field: str, units: Mapping[str, float]
 ) -> tuple[float | None, str]:
     """Read a quantity of the first maker that has it, and the maker's and the property's name."""

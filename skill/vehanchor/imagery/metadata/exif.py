@@ -133,10 +133,12 @@ def _read_directory(
         tag, kind, n_values = struct.unpack_from(order + "HHI", table, start)
         value = table[start + _VALUE_OFFSET : start + _ENTRY_BYTES]
         entry = _Entry(tag, kind, n_values=n_values, value=value)
-        if tag in _NAMES_BY_POINTER and kind in (_LONG, _IFD):
+        is_pointer = tag in _NAMES_BY_POINTER and kind in (_LONG, _IFD)
+        if is_pointer:
             pointers.setdefault(tag, _offset_in(entry, order))
+        has_value = kind in _SIZES and n_values > 0
         name = names.get(tag)
-        if name is None or name in tags or kind not in _SIZES or n_values == 0:
+        if name is None or name in tags or not has_value:
             continue
         tag_value = _read_tag(read_at, order, name=name, entry=entry)
         if tag_value is not None:
@@ -155,11 +157,16 @@ def _read_tag(read_at: ReadAt, order: str, *, name: str, entry: _Entry) -> ExifV
         if entry.kind != _RATIONAL or entry.n_values != 3:
             return None
         raw = _read_value_bytes(read_at, order, entry, entry.n_bytes)
-        return None if raw is None else _degrees(raw, order)
-    # Of several numbers the first one counts.
-    n_bytes = min(entry.n_bytes, _MAX_TEXT_BYTES) if is_text else _SIZES[entry.kind]
+        if raw is None:
+            return None
+        return _degrees(raw, order)
+    n_bytes = _SIZES[entry.kind]  # of several numbers the first one counts
+    if is_text:
+        n_bytes = min(entry.n_bytes, _MAX_TEXT_BYTES)
     raw = _read_value_bytes(read_at, order, entry, n_bytes)
-    return None if raw is None else _text_or_number(raw, entry.kind, order)
+    if raw is None:
+        return None
+    return _text_or_number(raw, entry.kind, order)
 
 
 def _read_value_bytes(read_at: ReadAt, order: str, entry: _Entry, n_bytes: int) -> bytes | None:
@@ -202,6 +209,8 @@ def _text_or_number(raw: bytes, kind: int, order: str) -> str | float | None:
     numbers = struct.unpack_from(order + _FORMATS[kind], raw)
     if kind in (_RATIONAL, _SIGNED_RATIONAL):
         numerator, denominator = numbers
-        return numerator / denominator if denominator else None
+        if denominator == 0:
+            return None
+        return float(numerator / denominator)
     number = float(numbers[0])
     return number if math.isfinite(number) else None

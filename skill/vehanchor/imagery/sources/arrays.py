@@ -98,7 +98,7 @@ class ArrayRaster(Raster):
         rows = slice(window.y_px, window.y_px + window.height_px)
         columns = slice(window.x_px, window.x_px + window.width_px)
         part = self._pixels[rows, columns].view()
-        # A view of the caller's array leaves this class, so nobody may write through it.
+        # A view of the caller's array leaves this class; it must not be written.
         part.flags.writeable = False
         n_bands = part.shape[2]
         if n_bands == 3 and self._channels == (0, 1, 2):

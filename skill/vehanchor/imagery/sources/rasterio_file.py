@@ -410,10 +410,11 @@ class DatasetRaster(Raster):
         """
         roles = _band_roles(self._dataset)
         if "alpha" in roles:
-            index = roles.index("alpha") + 1
-            return None if index in self._indexes else index
+            declared = roles.index("alpha") + 1
+            return None if declared in self._indexes else declared
         last = len(roles)
-        if last not in (2, 4) or roles[-1] != "undefined" or last in self._indexes:
+        can_be_alpha = last in (2, 4) and roles[-1] == "undefined"
+        if not can_be_alpha or last in self._indexes:
             return None
         samples = []
         with gdal_environment(self.source):
