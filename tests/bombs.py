@@ -85,7 +85,8 @@ HEADER_BOMBS: dict[str, Callable[[int], bytes]] = {
 
 def jpeg_of_scans(n_scans: int, side_px: int = 512) -> bytes:
     """Make a progressive JPEG that refines the same coefficients again and again."""
-    noise = np.random.default_rng(1).integers(0, 256, (side_px, side_px, 3), dtype=np.uint8)
+    rng = np.random.default_rng(1)
+    noise = rng.integers(0, 256, (side_px, side_px, 3), dtype=np.uint8)
     image = cv2.GaussianBlur(noise, (0, 0), 8).astype(np.uint8)
     options = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 30]
     done, encoded = cv2.imencode(".jpg", image, options)
@@ -310,7 +311,8 @@ FAMILIES: dict[str, Family] = {
 def _noise(side_px: int, bands: int, dtype: str = "uint8") -> NDArray[Any]:
     """Make smooth noise, which every format compresses somewhat; alpha has many values."""
     coarse_shape = (side_px // 8, side_px // 8, bands)
-    coarse = np.random.default_rng(1).integers(1, 255, coarse_shape, dtype=np.uint8)
+    rng = np.random.default_rng(1)
+    coarse = rng.integers(1, 255, coarse_shape, dtype=np.uint8)
     fine = cv2.resize(coarse, (side_px, side_px), interpolation=cv2.INTER_LINEAR)
     factor = 1 if dtype == "uint8" else 4
     return fine.reshape(side_px, side_px, bands).astype(dtype) * factor

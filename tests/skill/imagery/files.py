@@ -286,7 +286,8 @@ def png_with_xmp(packet: bytes, exif_block: bytes) -> bytes:
 
 def webp_with_exif(exif_block: bytes, packet: bytes) -> bytes:
     """Make the chunks of a WebP with both blocks, without pixels but with their size."""
-    body = b"WEBPVP8L" + struct.pack("<IBI", 5, 0x2F, 79 | 59 << 14) + b"\0"
+    sides = 79 | 59 << 14
+    body = b"WEBPVP8L" + struct.pack("<IBI", 5, 0x2F, sides) + b"\0"
     for kind, block in ((b"EXIF", exif_block), (b"XMP ", packet)):
         padding = b"\0" * (len(block) % 2)
         body += kind + struct.pack("<I", len(block)) + block + padding

@@ -18,10 +18,11 @@ def _texture(side: int, seed: int = 0) -> NDArray[np.uint8]:
     rng = np.random.default_rng(seed)
     image = np.full((side, side, 3), 120, np.uint8)
     for _ in range(side * 3):
-        left, top = rng.integers(0, side, 2).tolist()
-        width, height = (np.exp(rng.uniform(0.5, 4, 2)).astype(int) + 1).tolist()
+        corner = rng.integers(0, side, 2)
+        size = np.exp(rng.uniform(0.5, 4, 2)).astype(int) + 1
+        opposite = corner + size
         colour = rng.integers(0, 256, 3).tolist()
-        cv2.rectangle(image, (left, top), (left + width, top + height), colour, -1)
+        cv2.rectangle(image, corner.tolist(), opposite.tolist(), colour, cv2.FILLED)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.4), dtype=np.uint8)
 
 

@@ -237,8 +237,8 @@ def test_a_plain_tiff_of_floats_needs_no_rasterio(tmp_path: Path) -> None:
 
 def test_a_png_of_16_bits_with_alpha_is_read_in_rgb_order() -> None:
     deep = RGB.astype(np.uint16) * 257
-    alpha = np.full((HEIGHT_PX, WIDTH_PX, 1), 65535)
-    bgra = np.concatenate([deep[..., ::-1], alpha], axis=2).astype(np.uint16)
+    opaque = np.full((HEIGHT_PX, WIDTH_PX), 65535, np.uint16)
+    bgra = np.dstack([deep[..., ::-1], opaque])
     _, data = cv2.imencode(".png", bgra)
     np.testing.assert_array_equal(read_all(data.tobytes()), read_all(deep))
 

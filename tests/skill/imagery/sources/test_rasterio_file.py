@@ -103,16 +103,27 @@ def test_nan_in_a_geotiff_is_no_data(nodata: float | None, tmp_path: Path) -> No
     assert not pixels[:10].any()
 
 
-def test_a_palette_geotiff_shows_its_colours(tmp_path: Path) -> None:
-    indices = (np.arange(20 * 20, dtype=np.uint8) % 3).reshape(20, 20, 1)
-    path = geotiff(tmp_path / "a.tif", indices, photometric="palette")
-    colours = {0: (10, 20, 30, 255), 1: (200, 100, 0, 255), 2: (7, 8, 9, 255)}
+PALETTE = np.array([(10, 20, 30), (200, 100, 0), (7, 8, 9)])
+INDEXES = (np.arange(20 * 20, dtype=np.uint8) % 3).reshape(20, 20)
+
+
+@pytest.fixture(scope="module")
+def palette_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("palette") / "a.tif"
+    geotiff(path, INDEXES[..., np.newaxis], photometric="palette")
+    opaque = {index: (*colour, 255) for index, colour in enumerate(PALETTE.tolist())}
     with rasterio.open(path, "r+") as dataset:
-        dataset.write_colormap(1, colours)
-    palette = np.array([colours[index][:3] for index in range(3)])
-    expected = palette[indices[..., 0]]
-    np.testing.assert_array_equal(read_all(path), expected)
-    np.testing.assert_array_equal(read_all(path, bands=(3, 2, 1)), expected[..., ::-1])
+        dataset.write_colormap(1, opaque)
+    return path
+
+
+def test_a_palette_geotiff_has_its_colours(palette_path: Path) -> None:
+    np.testing.assert_array_equal(read_all(palette_path), PALETTE[INDEXES])
+
+
+def test_bands_choose_the_colours_of_a_palette(palette_path: Path) -> None:
+    reversed_colours = PALETTE[INDEXES][..., ::-1]
+    np.testing.assert_array_equal(read_all(palette_path, bands=(3, 2, 1)), reversed_colours)
 
 
 @pytest.fixture
