@@ -111,7 +111,7 @@ class Statements:
         return self._agreed(name, positive, _LENS_TOLERANCE)
 
     def quantity(self, maker: Maker, name: str, units: Mapping[str, float]) -> float | None:
-        """Read a maker's property; None if it is missing, not a number, or stated twice."""
+        """Read a maker's property; None if it is missing, not a number, or stated differently."""
         label = f"{maker.name} {name}"
         values = []
         for text in self._texts_of(maker, name):

@@ -55,7 +55,7 @@ Shape: TypeAlias = tuple[int, int]
 
 
 class Dataset(Protocol):
-    """Image that rasterio has opened for reading: of ``rasterio.open``, or a ``WarpedVRT``."""
+    """Image that rasterio has opened for reading, such as a ``WarpedVRT``."""
 
     def read_masks(self, indexes: Any = None, /, *, window: Any = None) -> NDArray[Any]:
         """Read masks: 255 where a band holds data."""
