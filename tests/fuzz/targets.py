@@ -189,7 +189,7 @@ def arguments(data: bytes) -> None:
     tool = tools.get(name, tools["estimate_gsd"])
     logging.disable()  # one line for each call
     try:
-        context = _Silent()  # type: ignore[call-arg] # private fields of the SDK's, which have defaults
+        context = _Silent()  # type: ignore[call-arg] # private fields have defaults
         result = loop.run_until_complete(tool.run(call, context, convert_result=True))
     except CallError as error:  # an UnexpectedToolError is not one
         if len(str(error)) > _MAX_MESSAGE_CHARS:
