@@ -1,4 +1,4 @@
-"""Images that cost more than they weigh, each in any size: what an attacker sends."""
+"""Images that cost more than they weigh, each in any size, as an attacker would send them."""
 
 from __future__ import annotations
 
@@ -17,106 +17,133 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-_SOF = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 64, 64, 3) + bytes(9)
+_FRAME = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 64, 64, 3) + bytes(9)
+"""Frame header of a JPEG of 64 x 64 px."""
+
+_JPEG_START = b"\xff\xd8"
+_JPEG_END = b"\xff\xd9"
+_SCAN = b"\xff\xda\x00\x02"
+"""Header of an empty scan of a JPEG."""
 
 
 def _jpeg(filling: bytes) -> Callable[[int], bytes]:
-    """``FF D8``, then ``filling`` over and over, up to so many bytes."""
+    """Make a JPEG of about so many bytes that repeats ``filling``."""
 
     def make(n_bytes: int) -> bytes:
-        return b"\xff\xd8" + _SOF + filling * (n_bytes // len(filling)) + b"\xff\xd9"
+        n_fillings = n_bytes // len(filling)
+        return _JPEG_START + _FRAME + filling * n_fillings + _JPEG_END
 
     return make
 
 
+def _jpeg_of_stuffing(n_bytes: int) -> bytes:
+    """Make a JPEG of one scan with stuffing only."""
+    stuffing = b"\xff\0" * (n_bytes // 2)
+    return _JPEG_START + _FRAME + _SCAN + stuffing + _JPEG_END
+
+
 def _webp_chunks(n_bytes: int) -> bytes:
-    image = b"VP8L" + struct.pack("<I", 5) + b"\x2f" + struct.pack("<I", 63 | 63 << 14) + b"\0"
+    """Make a WebP of unknown, empty chunks."""
+    sides = 63 | 63 << 14
+    image = b"VP8L" + struct.pack("<I", 5) + b"\x2f" + struct.pack("<I", sides) + b"\0"
     body = b"WEBP" + b"junk\0\0\0\0" * (n_bytes // 8) + image
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
 def _chunk(kind: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    """Make a chunk of a PNG."""
+    checksum = zlib.crc32(kind + body)
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", checksum)
 
 
 def _png(between: bytes, side_px: int = 64) -> bytes:
+    """Make a PNG of zeros with these chunks between its head and its pixels."""
     rows = (b"\0" + bytes(3 * side_px)) * side_px
-    header = _chunk(b"IHDR", struct.pack(">IIBBBBB", side_px, side_px, 8, 2, 0, 0, 0))
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + header
-        + between
-        + _chunk(b"IDAT", zlib.compress(rows))
-        + _chunk(b"IEND", b"")
-    )
+    head = _chunk(b"IHDR", struct.pack(">IIBBBBB", side_px, side_px, 8, 2, 0, 0, 0))
+    pixels = _chunk(b"IDAT", zlib.compress(rows))
+    return b"\x89PNG\r\n\x1a\n" + head + between + pixels + _chunk(b"IEND", b"")
 
 
 def _png_chunks(n_bytes: int) -> bytes:
+    """Make a PNG of empty texts."""
     return _png(_chunk(b"tEXt", b"") * (n_bytes // 12))
 
 
 HEADER_BOMBS: dict[str, Callable[[int], bytes]] = {
-    "jpeg scan headers": _jpeg(b"\xff\xda\x00\x02"),
-    "jpeg scan headers and stuffing": _jpeg(b"\xff\xda\x00\x02\xff\x00"),
+    "jpeg scan headers": _jpeg(_SCAN),
+    "jpeg scan headers and stuffing": _jpeg(_SCAN + b"\xff\x00"),
     "jpeg fill bytes": _jpeg(b"\xff"),
     "jpeg TEM markers": _jpeg(b"\xff\x01"),
     "jpeg empty comments": _jpeg(b"\xff\xfe\x00\x02"),
-    "jpeg restart markers": _jpeg(b"\xff\xda\x00\x02" + b"\xff\xd0" * 30),
-    "jpeg stuffing": lambda n_bytes: (
-        _jpeg(b"\xff\xda\x00\x02")(4)[:-2] + b"\xff\0" * (n_bytes // 2) + b"\xff\xd9"
-    ),
+    "jpeg restart markers": _jpeg(_SCAN + b"\xff\xd0" * 30),
+    "jpeg stuffing": _jpeg_of_stuffing,
     "webp empty chunks": _webp_chunks,
     "png empty chunks": _png_chunks,
 }
-"""Family -> an image of about so many bytes, most of them for the reader of its header."""
+"""Images of about so many bytes, most of them for the reader of the header, by family."""
 
 
 def jpeg_of_scans(n_scans: int, side_px: int = 512) -> bytes:
-    """A progressive JPEG that refines the same coefficients again and again."""
-    image = np.random.default_rng(1).integers(0, 256, (side_px, side_px, 3), dtype=np.uint8)
-    image = cv2.GaussianBlur(image, (0, 0), 8).astype(np.uint8)
-    done, encoded = cv2.imencode(
-        ".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 30]
-    )
+    """Make a progressive JPEG that refines the same coefficients again and again."""
+    rng = np.random.default_rng(1)
+    noise = rng.integers(0, 256, (side_px, side_px, 3), dtype=np.uint8)
+    image = cv2.GaussianBlur(noise, (0, 0), 8).astype(np.uint8)
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 30]
+    done, encoded = cv2.imencode(".jpg", image, options)
     assert done
     data = encoded.tobytes()
-    last = data.rindex(b"\xff\xda")
-    n_before = data.count(b"\xff\xda") - 1
-    return data[:last] + data[last:-2] * (n_scans - n_before) + b"\xff\xd9"
+    scan_marker = _SCAN[:2]
+    last_scan_start = data.rindex(scan_marker)
+    n_before = data.count(scan_marker) - 1
+    last_scan = data[last_scan_start : -len(_JPEG_END)]
+    return data[:last_scan_start] + last_scan * (n_scans - n_before) + _JPEG_END
 
 
 def png_of_text(n_chunks: int, mebibytes: float = 7.5) -> bytes:
-    """A PNG with compressed texts that are a thousand times larger unpacked."""
-    text = b"Comment\0\0" + zlib.compress(bytes(int(mebibytes * (1 << 20))), 9)
+    """Make a PNG with compressed texts that are a thousand times larger unpacked."""
+    unpacked = bytes(int(mebibytes * (1 << 20)))
+    text = b"Comment\0\0" + zlib.compress(unpacked, 9)
     return _png(_chunk(b"zTXt", text) * n_chunks)
+
+
+_SHORT = 3
+_LONG = 4
+_SIGNED_SHORT = 8
 
 
 def tiff_of_directory(
     entries: list[tuple[int, int, int, int]], order: str = "<", after: bytes = b""
 ) -> bytes:
-    """A TIFF of one directory: tag, type, count, value or offset; ``after`` follows it."""
-    data = (b"II" if order == "<" else b"MM") + struct.pack(order + "HIH", 42, 8, len(entries))
-    for tag, kind, count, value in entries:
-        data += struct.pack(
-            order + ("HHIHxx" if kind in (3, 8) and count == 1 else "HHII"), tag, kind, count, value
-        )
+    """Make a TIFF of one directory.
+
+    Args:
+        entries: tag, type, number of values, and value or offset of each entry.
+        order: byte order.
+        after: bytes after the directory.
+    """
+    mark = b"II" if order == "<" else b"MM"
+    data = mark + struct.pack(order + "HIH", 42, 8, len(entries))
+    for tag, kind, n_values, value in entries:
+        is_short = kind in (_SHORT, _SIGNED_SHORT) and n_values == 1
+        entry_format = "HHIHxx" if is_short else "HHII"
+        data += struct.pack(order + entry_format, tag, kind, n_values, value)
     return data + bytes(4) + after
 
 
 def tiff_with_two_sizes(small_px: int = 64, large_px: int = 20_000) -> bytes:
-    """A TIFF that declares its width and height twice: 64 px for one reader, 20,000 px for another."""
+    """Make a TIFF that declares two sizes: 64 px for one reader, 20,000 px for another."""
     entries = [
-        (256, 4, 1, large_px),
-        (256, 4, 1, small_px),
-        (257, 4, 1, large_px),
-        (257, 4, 1, small_px),
-        (258, 3, 1, 8),
-        (259, 3, 1, 1),
-        (262, 3, 1, 1),
-        (273, 4, 1, 8),
-        (277, 3, 1, 1),
-        (278, 4, 1, large_px),
-        (279, 4, 1, small_px * small_px),
+        (256, _LONG, 1, large_px),
+        (256, _LONG, 1, small_px),
+        (257, _LONG, 1, large_px),
+        (257, _LONG, 1, small_px),
+        (258, _SHORT, 1, 8),
+        (259, _SHORT, 1, 1),
+        (262, _SHORT, 1, 1),
+        (273, _LONG, 1, 8),
+        (277, _SHORT, 1, 1),
+        (278, _LONG, 1, large_px),
+        (279, _LONG, 1, small_px * small_px),
     ]
     return tiff_of_directory(entries, after=bytes(small_px * small_px))
 
@@ -124,48 +151,59 @@ def tiff_with_two_sizes(small_px: int = 64, large_px: int = 20_000) -> bytes:
 def zero_tiff(
     side_px: int, dtype: str = "float64", bands: int = 4, rows: int | None = None
 ) -> bytes:
-    """A small file of a large image: all zeros, in strips of so many rows (None: of one strip), deflated."""
+    """Make a small file of a large image: zeros in deflated strips of so many rows (None: one)."""
     rows = rows or side_px
-    strip = zlib.compress(bytes(rows * side_px * bands * np.dtype(dtype).itemsize), 9)
+    pixel_bytes = bands * np.dtype(dtype).itemsize
+    strip = zlib.compress(bytes(rows * side_px * pixel_bytes), 9)
     return strip_tiff(side_px, dtype, bands=bands, rows=rows, strip=strip)
 
 
-def strip_tiff(side_px: int, dtype: str, bands: int, rows: int, strip: bytes) -> bytes:
-    """A deflated TIFF, all whose strips are the same bytes."""
+def strip_tiff(side_px: int, dtype: str, *, bands: int, rows: int, strip: bytes) -> bytes:
+    """Make a deflated TIFF, all whose strips are the same bytes."""
     depth = np.dtype(dtype)
+    bits = 8 * depth.itemsize
+    sample_format = 3 if depth.kind == "f" else 1
     n_strips = -(-side_px // rows)
-    at = 8 + 2 + (13 if bands in (2, 4) else 12) * 12 + 4
-    bits = struct.pack(f"<{bands}H", *[8 * depth.itemsize] * bands)
-    kinds = struct.pack(f"<{bands}H", *[3 if depth.kind == "f" else 1] * bands)
-    bits_at = at
-    kinds_at = at + len(bits)
-    offsets_at = kinds_at + len(kinds)
-    counts_at = offsets_at + 4 * n_strips
-    strip_at = counts_at + 4 * n_strips
-    several = bands > 2
+    has_extra_band = bands in (2, 4)
+
+    # Values that do not fit into their entries follow the directory, in this order.
+    n_entries = 13 if has_extra_band else 12
+    directory_end = 8 + 2 + n_entries * 12 + 4
+    bits_of_bands = struct.pack(f"<{bands}H", *[bits] * bands)
+    formats_of_bands = struct.pack(f"<{bands}H", *[sample_format] * bands)
+    bits_start = directory_end
+    formats_start = bits_start + len(bits_of_bands)
+    offsets_start = formats_start + len(formats_of_bands)
+    counts_start = offsets_start + 4 * n_strips
+    strip_start = counts_start + 4 * n_strips
+
+    has_many_bands = bands > 2
+    has_many_strips = n_strips > 1
     entries = [
-        (256, 4, 1, side_px),
-        (257, 4, 1, side_px),
-        (258, 3, bands, bits_at if several else 8 * depth.itemsize),
-        (259, 3, 1, 8),
-        (262, 3, 1, 2 if bands >= 3 else 1),
-        (273, 4, n_strips, offsets_at if n_strips > 1 else strip_at),
-        (277, 3, 1, bands),
-        (278, 4, 1, rows),
-        (279, 4, n_strips, counts_at if n_strips > 1 else len(strip)),
-        (284, 3, 1, 1),
-        *([(338, 3, 1, 0)] if bands in (2, 4) else []),
-        (339, 3, bands, kinds_at if several else (3 if depth.kind == "f" else 1)),
-        (317, 3, 1, 1),
+        (256, _LONG, 1, side_px),
+        (257, _LONG, 1, side_px),
+        (258, _SHORT, bands, bits_start if has_many_bands else bits),
+        (259, _SHORT, 1, 8),
+        (262, _SHORT, 1, 2 if bands >= 3 else 1),
+        (273, _LONG, n_strips, offsets_start if has_many_strips else strip_start),
+        (277, _SHORT, 1, bands),
+        (278, _LONG, 1, rows),
+        (279, _LONG, n_strips, counts_start if has_many_strips else len(strip)),
+        (284, _SHORT, 1, 1),
+        (339, _SHORT, bands, formats_start if has_many_bands else sample_format),
+        (317, _SHORT, 1, 1),
     ]
+    if has_extra_band:
+        entries.append((338, _SHORT, 1, 0))
     entries.sort()
-    after = bits + kinds + struct.pack(f"<{n_strips}I", *[strip_at] * n_strips)
-    after += struct.pack(f"<{n_strips}I", *[len(strip)] * n_strips) + strip
+    offsets = struct.pack(f"<{n_strips}I", *[strip_start] * n_strips)
+    counts = struct.pack(f"<{n_strips}I", *[len(strip)] * n_strips)
+    after = bits_of_bands + formats_of_bands + offsets + counts + strip
     return tiff_of_directory(entries, after=after)
 
 
 def one_strip_tiff(pixels: NDArray[np.uint8]) -> bytes:
-    """An honest TIFF of one strip."""
+    """Make an honest TIFF of one strip."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "TIFF", tiffinfo={278: len(pixels)})
     return buffer.getvalue()
@@ -176,7 +214,7 @@ GENEROUS = 3.0
 
 FLOOR_S = 0.1
 FLOOR_MIB = 64.0
-"""Below them nothing is compared: a process has as much of its own."""
+"""Costs below the floors are not compared: a process has as much of its own."""
 
 MIB = 1 << 20
 _WORK = """
@@ -185,8 +223,11 @@ from vehanchor.errors import ImageError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.raster import Window
 
-def peak_kib():  # not getrusage: a child inherits its parent's ru_maxrss
-    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+def peak_kib():
+    # Not getrusage: a child inherits its parent's ru_maxrss.
+    for line in open("/proc/self/status"):
+        if line.startswith("VmHWM"):
+            return int(line.split()[1])
 
 data = open(sys.argv[1], "rb").read()
 before = peak_kib()
@@ -197,9 +238,9 @@ try:
     answer = "opened"
 except ImageError as error:
     answer = error.code
-taken = time.process_time() - started
-held = peak_kib() - before
-print(json.dumps([taken, held / 1024, answer]))
+seconds = time.process_time() - started
+mebibytes = (peak_kib() - before) / 1024
+print(json.dumps([seconds, mebibytes, answer]))
 """
 
 
@@ -207,10 +248,10 @@ class Family(NamedTuple):
     """A way to be expensive.
 
     Attributes:
-        make: an image of a size.
-        size: the smaller of two, of which the other is four times as large: bytes, scans, chunks or
-            pixels.
-        unit: of the size.
+        make: makes an image of a size.
+        size: bytes, scans, chunks or pixels of the smaller of two images; the other is four times
+            as large.
+        unit: unit of the size.
     """
 
     make: Callable[[int], bytes]
@@ -219,11 +260,11 @@ class Family(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What opening an image took.
+    """Cost of opening an image.
 
     Attributes:
-        seconds: of the processor.
-        mebibytes: of memory, above what the process held before.
+        seconds: time of the processor.
+        mebibytes: peak of memory, above the memory of the process before.
         answer: ``opened``, or the code of the error.
     """
 
@@ -232,60 +273,65 @@ class Cost(NamedTuple):
     answer: str
 
 
-def _square(dtype: str, bands: int, rows: int | None) -> Callable[[int], bytes]:
+def _zeros(dtype: str, bands: int, rows: int | None) -> Callable[[int], bytes]:
+    """Make a square TIFF of zeros with so many pixels."""
     return lambda n_pixels: zero_tiff(int(n_pixels**0.5), dtype, bands=bands, rows=rows)
 
 
-FAMILIES: dict[str, Family] = {
-    **{name: Family(make, MIB, "bytes") for name, make in HEADER_BOMBS.items()},
-    "progressive JPEG, 1 megapixel": Family(
-        lambda n_scans: jpeg_of_scans(n_scans, 1024), 25, "scans"
-    ),
-    "progressive JPEG, beyond the limit": Family(
-        lambda n_scans: jpeg_of_scans(n_scans, 1024), 625, "scans"
-    ),
-    "PNG with zipped texts": Family(png_of_text, 50, "texts"),
-    "TIFF float64 RGBA, strips": Family(_square("float64", 4, 16), 16_000_000, "pixels"),
-    "TIFF float64 grey, one strip": Family(_square("float64", 1, None), 16_000_000, "pixels"),
-    "TIFF 16-bit RGBA, one strip": Family(_square("uint16", 4, None), 16_000_000, "pixels"),
-    "TIFF 8-bit RGB, one strip": Family(_square("uint8", 3, None), 16_000_000, "pixels"),
-    "TIFF of two sizes": Family(
-        lambda side_px: tiff_with_two_sizes(large_px=side_px), 5_000, "pixels a side"
-    ),
-}
+def _progressive_jpeg(n_scans: int) -> bytes:
+    """Make a progressive JPEG of 1 megapixel."""
+    return jpeg_of_scans(n_scans, 1024)
+
+
+def _tiff_of_two_sizes(side_px: int) -> bytes:
+    return tiff_with_two_sizes(large_px=side_px)
 
 
 def _tiff_of_shared_tags(n_bytes: int) -> bytes:
-    """4,000 unknown tags, all with the same bytes."""
-    entries = [(256, 4, 1, 64), (257, 4, 1, 64), (258, 3, 1, 8), (262, 3, 1, 1)]
+    """Make a TIFF of 4,000 unknown tags, all with the same bytes."""
+    entries = [(256, _LONG, 1, 64), (257, _LONG, 1, 64), (258, _SHORT, 1, 8), (262, _SHORT, 1, 1)]
     shared = [(tag, 1, n_bytes - 60_000, 50_000) for tag in range(40_000, 44_000)]
     return tiff_of_directory([*entries, *shared], after=bytes(n_bytes - 12 * 4004 - 14))
 
 
-FAMILIES["TIFF of shared tags"] = Family(_tiff_of_shared_tags, 1 << 18, "bytes")
+FAMILIES: dict[str, Family] = {
+    **{name: Family(make, MIB, "bytes") for name, make in HEADER_BOMBS.items()},
+    "progressive JPEG, 1 megapixel": Family(_progressive_jpeg, 25, "scans"),
+    "progressive JPEG, beyond the limit": Family(_progressive_jpeg, 625, "scans"),
+    "PNG with zipped texts": Family(png_of_text, 50, "texts"),
+    "TIFF float64 RGBA, strips": Family(_zeros("float64", 4, 16), 16_000_000, "pixels"),
+    "TIFF float64 grey, one strip": Family(_zeros("float64", 1, None), 16_000_000, "pixels"),
+    "TIFF 16-bit RGBA, one strip": Family(_zeros("uint16", 4, None), 16_000_000, "pixels"),
+    "TIFF 8-bit RGB, one strip": Family(_zeros("uint8", 3, None), 16_000_000, "pixels"),
+    "TIFF of two sizes": Family(_tiff_of_two_sizes, 5_000, "pixels a side"),
+    "TIFF of shared tags": Family(_tiff_of_shared_tags, 1 << 18, "bytes"),
+}
 
 
 def _noise(side_px: int, bands: int, dtype: str = "uint8") -> NDArray[Any]:
-    """Smooth noise, which every format compresses somewhat; alpha is neither 0 nor 255 all over."""
-    coarse = np.random.default_rng(1).integers(
-        1, 255, (side_px // 8, side_px // 8, bands), dtype=np.uint8
-    )
-    fine = cv2.resize(coarse, (side_px, side_px), interpolation=cv2.INTER_LINEAR).reshape(
-        side_px, side_px, bands
-    )
-    return fine.astype(dtype) * (1 if dtype == "uint8" else 4)
+    """Make smooth noise, which every format compresses somewhat; alpha has many values."""
+    coarse_shape = (side_px // 8, side_px // 8, bands)
+    rng = np.random.default_rng(1)
+    coarse = rng.integers(1, 255, coarse_shape, dtype=np.uint8)
+    fine = cv2.resize(coarse, (side_px, side_px), interpolation=cv2.INTER_LINEAR)
+    factor = 1 if dtype == "uint8" else 4
+    return fine.reshape(side_px, side_px, bands).astype(dtype) * factor
 
 
 def _encoded(
     suffix: str, bands: int, dtype: str = "uint8", *parameters: int
 ) -> Callable[[int], bytes]:
-    return lambda side_px: cv2.imencode(suffix, _noise(side_px, bands, dtype), parameters)[
-        1
-    ].tobytes()
+    """Make a square image of a format."""
+
+    def make(side_px: int) -> bytes:
+        _, data = cv2.imencode(suffix, _noise(side_px, bands, dtype), parameters)
+        return data.tobytes()
+
+    return make
 
 
-_FAST_AVIF = cv2.IMWRITE_AVIF_SPEED, 10
-_DEEP_AVIF = *_FAST_AVIF, cv2.IMWRITE_AVIF_DEPTH, 10
+_FAST_AVIF = (cv2.IMWRITE_AVIF_SPEED, 10)
+_DEEP_AVIF = (*_FAST_AVIF, cv2.IMWRITE_AVIF_DEPTH, 10)
 FORMATS: dict[str, Callable[[int], bytes]] = {
     "JPEG": _encoded(".jpg", 3),
     "JPEG, grey": _encoded(".jpg", 1),
@@ -312,11 +358,11 @@ FORMATS: dict[str, Callable[[int], bytes]] = {
     "TIFF of one strip, grey": lambda side_px: one_strip_tiff(_noise(side_px, 1)[..., 0]),
     "TIFF of one strip, 16 bits": lambda side_px: zero_tiff(side_px, "uint16", 3),
 }
-"""Honest images of every format that is decoded whole, by their sides in pixels."""
+"""Honest images of every format that is decoded whole, of so many pixels a side."""
 
 
 def cost(data: bytes, folder: Path) -> Cost:
-    """Open an image in a new process."""
+    """Measure the cost of opening an image, in a new process."""
     path = folder / "bomb"
     path.write_bytes(data)
     done = subprocess.run(
@@ -330,7 +376,7 @@ def cost(data: bytes, folder: Path) -> Cost:
 
 
 def grows_too_fast(small: Cost, large: Cost, factor: int = 4) -> bool:
-    """Whether the larger image costs more than in proportion, generously."""
-    return large.seconds > GENEROUS * factor * max(
-        small.seconds, FLOOR_S / factor
-    ) or large.mebibytes > GENEROUS * factor * max(small.mebibytes, FLOOR_MIB / factor)
+    """Test whether the larger image costs more than in proportion, generously."""
+    allowed_s = GENEROUS * factor * max(small.seconds, FLOOR_S / factor)
+    allowed_mib = GENEROUS * factor * max(small.mebibytes, FLOOR_MIB / factor)
+    return large.seconds > allowed_s or large.mebibytes > allowed_mib

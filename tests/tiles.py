@@ -1,4 +1,4 @@
-"""Tiles that a test holds and counts, so that it need not know how long a call takes."""
+"""Tiles that a test holds and counts, so that it does not depend on the duration of a call."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _PATIENCE_S = 60
 
 
 class Tiles:
-    """The tiles that detectors have begun.
+    """Tiles that detectors have begun.
 
     Attributes:
-        n_begun: how many.
-        least_s: seconds that each takes at least.
+        n_begun: number of tiles.
+        least_s: minimum time of a tile, seconds.
     """
 
     def __init__(self) -> None:
@@ -51,16 +51,14 @@ class Tiles:
         with self._change:
             self.n_begun += 1
             self._change.notify_all()
-            assert self._change.wait_for(lambda: not self._held, _PATIENCE_S), (
-                "the test held a tile for too long"
-            )
+            released = self._change.wait_for(lambda: not self._held, _PATIENCE_S)
+        assert released, "the test held a tile for too long"
         time.sleep(self.least_s)
 
     def _wait(self, n: int) -> None:
         with self._change:
-            assert self._change.wait_for(lambda: self.n_begun >= n, _PATIENCE_S), (
-                f"{n} tiles never began"
-            )
+            begun = self._change.wait_for(lambda: self.n_begun >= n, _PATIENCE_S)
+        assert begun, f"{n} tiles never began"
 
 
 @contextmanager

@@ -54,15 +54,21 @@ class InvalidParameterError(VehAnchorError, ValueError, code="invalid_parameter"
 
 
 class PromptError(InvalidParameterError, code="invalid_prompt"):
-    """The box or points cannot select an object: outside the image, reversed, empty, not finite, missing, or both."""
+    """The box or points cannot select an object.
+
+    They are outside the image, reversed, empty, not finite, missing, or both are given.
+    """
 
 
 class KnownLengthError(InvalidParameterError, code="invalid_known_length"):
-    """The line of known length cannot be used: under five pixels, outside the image, or without length."""
+    """The line of known length cannot be used.
+
+    It is shorter than five pixels, outside the image, or has no length in metres.
+    """
 
 
 class FrameError(VehAnchorError, ValueError, code="frame_mismatch"):
-    """The caller's frame has another aspect ratio than the image."""
+    """The caller's frame and the image have different aspect ratios."""
 
 
 class ScaleMismatchError(VehAnchorError, ValueError, code="scale_mismatch"):
@@ -74,7 +80,7 @@ class ImageError(VehAnchorError, ValueError, code="image_error"):
 
 
 class ImageNotFoundError(ImageError, code="image_not_found"):
-    """There is no file at the path, or it is not a regular file."""
+    """There is no file at the path, or it is a folder, pipe, device or socket."""
 
 
 class ImageDecodeError(ImageError, code="image_undecodable"):
@@ -86,11 +92,17 @@ class ImageTooLargeError(ImageError, code="image_too_large"):
 
 
 class ImageFormatError(ImageError, code="image_unsupported"):
-    """The image decodes but cannot be measured: a single pixel, NaN values, an unsupported dtype or shape."""
+    """The image decodes but cannot be measured.
+
+    It is too small, has NaN values, or has an unsupported dtype or shape.
+    """
 
 
 class TooObliqueError(ImageError, code="too_oblique"):
-    """The image is too oblique for a scale: the horizon is visible, or a measured place is too close to it."""
+    """The image is too oblique for a scale.
+
+    The horizon is visible, or a measured place is too close to it.
+    """
 
 
 class ImageListError(ImageError, code="images_unusable"):
@@ -106,7 +118,10 @@ class ImageListError(ImageError, code="images_unusable"):
 
 
 class ReconstructionError(VehAnchorError, ValueError, code="reconstruction_unusable"):
-    """The reconstruction cannot be read or measured: unknown format, damaged file, too few points, no photographs."""
+    """The reconstruction cannot be read or measured.
+
+    Its format is unknown, a file is damaged, or it has too few points or no photographs.
+    """
 
 
 class ModelError(VehAnchorError, code="model_error"):
@@ -114,7 +129,7 @@ class ModelError(VehAnchorError, code="model_error"):
 
 
 class ModelNotFoundError(ModelError, code="model_not_found"):
-    """There is no model file at the path, and no bundled model of that name."""
+    """There is no model file at the path and no bundled model of that name."""
 
 
 class ModelContractError(ModelError, ValueError, code="model_contract"):
@@ -130,7 +145,7 @@ class CalibrationError(VehAnchorError, code="calibration_error"):
 
 
 class CalibrationFileError(CalibrationError, ValueError, code="calibration_unreadable"):
-    """There is no file at the path, or it is not a calibration."""
+    """There is no file at the path, or the file is not a calibration."""
 
 
 class CalibrationMismatchError(CalibrationError, ValueError, code="calibration_mismatch"):
@@ -146,12 +161,18 @@ class MissingExtraError(VehAnchorError, ImportError, code="missing_extra"):
 
 
 class OutputError(VehAnchorError, code="output_unwritable"):
-    """A file cannot be written: its folder does not exist, its suffix is unknown, or the disk refuses."""
+    """A file cannot be written.
+
+    Its folder does not exist, its suffix is unknown, or the system refuses to write it.
+    """
 
 
 class WorkerDiedError(VehAnchorError, code="worker_died"):
-    """A worker process of a batch run was killed, usually for lack of memory; finished rows are kept."""
+    """A worker process of a batch run was killed, usually for lack of memory.
+
+    Finished rows are kept.
+    """
 
 
 class OutOfMemoryError(VehAnchorError, MemoryError, code="out_of_memory"):
-    """The machine has too little free memory now; the same input may succeed later."""
+    """The machine has too little free memory at the moment; the same input may succeed later."""

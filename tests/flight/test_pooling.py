@@ -127,7 +127,9 @@ def test_a_prior_counts_once_per_place() -> None:
 
 def test_photographs_of_one_take_off_share_its_error() -> None:
     height = Shared("height above take-off", 0.12)
-    own = point_witness("camera", 0.1, log_sd=0.02, chance_wrong=0.05, statement="{}", shared=[height])
+    own = point_witness(
+        "camera", 0.1, log_sd=0.02, chance_wrong=0.05, statement="{}", shared=[height]
+    )
     pooled = _pooled_witness("camera", [(own, 0.0), (own, 0.05)])
     assert pooled.shared == (height,)
     assert pooled.chance_wrong == 0.05

@@ -1,7 +1,7 @@
-"""What is fuzzed: a door for strangers' bytes, and what may come out of it: an answer, or an error of ours.
+"""Targets of the fuzzer: functions that take bytes of strangers.
 
-A target takes bytes and returns nothing. ``CORPUS`` makes the bytes to begin with, by our own
-generators.
+A target returns nothing. It may raise errors of VehAnchor or of the server; all others are bugs.
+``CORPUS`` makes the bytes to begin with, by our own generators.
 """
 
 from __future__ import annotations
@@ -9,12 +9,11 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
-import io
 import json
 import logging
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,6 +24,7 @@ import numpy as np
 import rasterio
 from mcp.server.mcpserver import Context
 from mcp.types import CallToolResult
+from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
@@ -36,6 +36,7 @@ from vehanchor import estimate_gsd
 from vehanchor.detection.card import ChipCard, VerifierCard, read_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.formats.header import read_header
+from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.metadata.exif import read_exif
@@ -71,31 +72,35 @@ from vehanchor_server.tools.view_image import ViewedImage
 FUZZ_LIMITS = ImageLimits(
     max_bytes=1 << 20, max_pixels=1 << 20, max_windowed_pixels=1 << 22, max_decoded_bytes=64 << 20
 )
-"""Small enough that no input is slow, so that what is slow is a bug."""
+"""Limits so small that no input may be slow; one that is slow is a bug."""
 
 _SIDE_PX = 48
-_MAX_COMPLAINT_CHARS = 4000
-_EXIF = b"Exif\0\0II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"
+_MAX_MESSAGE_CHARS = 4000
+_EXIF_PREFIX = b"Exif\0\0"
+_EXIF = _EXIF_PREFIX + b"II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"
+"""EXIF block of orientation 6."""
 
 
 def header(data: bytes) -> None:
-    """Read what an image says of itself."""
+    """Read the header of an image."""
     with contextlib.suppress(VehAnchorError):
-        read_header(lambda offset, count: data[offset : offset + count])
+        read_header(in_memory(data))
 
 
 def image(data: bytes) -> None:
     """Open an image and read a window and the whole of it."""
-    try:
-        with warnings.catch_warnings(), open_raster(data, Reading(limits=FUZZ_LIMITS)) as raster:
-            warnings.simplefilter("ignore")
-            raster.read(
-                Window(0, 0, width_px=min(16, raster.width_px), height_px=min(16, raster.height_px))
-            )
-            if raster.width_px * raster.height_px <= FUZZ_LIMITS.max_pixels:
-                raster.read()
-    except VehAnchorError:
-        pass
+    reading = Reading(limits=FUZZ_LIMITS)
+    with (
+        contextlib.suppress(VehAnchorError),
+        warnings.catch_warnings(),
+        open_raster(data, reading) as raster,
+    ):
+        warnings.simplefilter("ignore")
+        width = min(16, raster.width_px)
+        height = min(16, raster.height_px)
+        raster.read(Window(0, 0, width_px=width, height_px=height))
+        if raster.width_px * raster.height_px <= FUZZ_LIMITS.max_pixels:
+            raster.read()
 
 
 def calibration(data: bytes) -> None:
@@ -104,14 +109,14 @@ def calibration(data: bytes) -> None:
         with TemporaryDirectory(dir=_memory()) as folder:
             path = Path(folder, "c.json")
             path.write_bytes(data)
-            found = load_calibration(path)
+            loaded = load_calibration(path)
     except VehAnchorError:
         return
-    assert 2 <= found.reference_length_m <= 20
+    assert 2 <= loaded.reference_length_m <= 20
     assert (
-        found.reference_length_ci95_low_m
-        <= found.reference_length_m
-        <= found.reference_length_ci95_high_m
+        loaded.reference_length_ci95_low_m
+        <= loaded.reference_length_m
+        <= loaded.reference_length_ci95_high_m
     )
 
 
@@ -135,60 +140,59 @@ def card(data: bytes) -> None:
 
 
 def metadata(data: bytes) -> None:
-    """Read what a file says of its camera, or what its EXIF block or XMP packet alone does."""
-
-    def read_at(offset: int, count: int) -> bytes:
-        return data[offset : offset + count]
-
-    for tags in (read_exif(read_at), read_exif(lambda at, count: data[6 + at : 6 + at + count])):
+    """Read the camera metadata of a file, and the bytes as an EXIF block and as an XMP packet."""
+    read_at = in_memory(data)
+    after_prefix = in_memory(data[len(_EXIF_PREFIX) :])
+    for tags in (read_exif(read_at), read_exif(after_prefix)):
         assert all(isinstance(value, str | float | bytes) for value in tags.values())
-    for texts in read_xmp(data, ("RelativeAltitude", "CalibratedFocalLength/X"))[0].values():
+    properties, _ = read_xmp(data, ("RelativeAltitude", "CalibratedFocalLength/X"))
+    for texts in properties.values():
         assert all(len(text) <= MAX_XMP_BYTES for text in texts)
-    found = None
+    camera = None
     with contextlib.suppress(VehAnchorError):
-        found = read_camera(read_at, read_header(read_at))
-    if found is not None:
-        numbers = [value for value in vars(found).values() if isinstance(value, int | float)]
-        assert all(math.isfinite(number) for number in numbers), found
+        camera = read_camera(read_at, read_header(read_at))
+    if camera is not None:
+        numbers = [value for value in vars(camera).values() if isinstance(value, int | float)]
+        assert all(math.isfinite(number) for number in numbers), camera
 
 
 class _Silent(Context[Any, Any]):
-    """A call that nobody follows."""
+    """Context of a call without a listener."""
 
     @property
     def client_capabilities(self) -> None:
-        """None are known."""
+        """State no capabilities."""
 
     async def report_progress(
         self, progress: float, total: float | None = None, message: str | None = None
     ) -> None:
-        """Tell nobody."""
+        """Ignore progress."""
 
 
 @cache
 def _tools() -> tuple[asyncio.AbstractEventLoop, dict[str, StrictTool]]:
     settings = Settings(detector="/nowhere.onnx", isolation="in-process", max_megapixels=1)
-    return asyncio.new_event_loop(), {
-        tool.name: tool for tool in create_tools(create_services(settings))
-    }
+    tools = create_tools(create_services(settings))
+    return asyncio.new_event_loop(), {tool.name: tool for tool in tools}
 
 
 def arguments(data: bytes) -> None:
-    """Call a tool as a model would; what needs a detector ends there."""
+    """Call a tool as a model would; a call that needs a detector ends there."""
     try:
-        given = json.loads(data)
+        call = json.loads(data)
     except (ValueError, RecursionError):
         return
-    if not isinstance(given, dict):
+    if not isinstance(call, dict):
         return
     loop, tools = _tools()
-    tool = tools.get(str(given.pop("tool", "")), tools["estimate_gsd"])
-    logging.disable()  # a line a call
+    name = str(call.pop("tool", ""))
+    tool = tools.get(name, tools["estimate_gsd"])
+    logging.disable()  # one line for each call
     try:
-        context = _Silent()  # type: ignore[call-arg] # private fields of the SDK's, which have defaults
-        result = loop.run_until_complete(tool.run(given, context, convert_result=True))
-    except CallError as error:  # UnexpectedToolError is none
-        if len(str(error)) > _MAX_COMPLAINT_CHARS:
+        context = _Silent()  # type: ignore[call-arg] # private fields have defaults
+        result = loop.run_until_complete(tool.run(call, context, convert_result=True))
+    except CallError as error:  # an UnexpectedToolError is not one
+        if len(str(error)) > _MAX_MESSAGE_CHARS:
             raise
     else:
         assert isinstance(result, CallToolResult), type(result)
@@ -202,46 +206,61 @@ def graph(data: bytes) -> None:
 
 
 def _memory() -> str | None:
+    """Find a folder in memory; None without one."""
     return "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
+_ENCODINGS: list[tuple[str, list[int]]] = [
+    (".jpg", []),
+    (".jpg", [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]),
+    (".png", []),
+    (".webp", [cv2.IMWRITE_WEBP_QUALITY, 60]),
+    (".webp", [cv2.IMWRITE_WEBP_QUALITY, 101]),
+    (".avif", [cv2.IMWRITE_AVIF_QUALITY, 60]),
+    (".bmp", []),
+    (".tif", []),
+]
+
+
+def _encoded(suffix: str, pixels: NDArray[Any], parameters: Sequence[int] = ()) -> bytes:
+    _, data = cv2.imencode(suffix, pixels, parameters)
+    return data.tobytes()
+
+
 def _images() -> list[bytes]:
-    x = np.linspace(0, 255, _SIDE_PX).astype(np.uint8)
-    rgb = np.dstack(
-        [
-            np.tile(x, (_SIDE_PX, 1)),
-            np.tile(x[:, None], (1, _SIDE_PX)),
-            np.full((_SIDE_PX,) * 2, 90, np.uint8),
-        ]
-    )
-    found: list[bytes] = []
-    for suffix, parameters in (
-        (".jpg", []),
-        (".jpg", [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]),
-        (".png", []),
-        (".webp", [cv2.IMWRITE_WEBP_QUALITY, 60]),
-        (".webp", [cv2.IMWRITE_WEBP_QUALITY, 101]),
-        (".avif", [cv2.IMWRITE_AVIF_QUALITY, 60]),
-        (".bmp", []),
-        (".tif", []),
-    ):
-        found.append(cv2.imencode(suffix, rgb, parameters)[1].tobytes())
-    found.append(
-        found[0][:2] + b"\xff\xe1" + (len(_EXIF) + 2).to_bytes(2, "big") + _EXIF + found[0][2:]
-    )
-    found.append(cv2.imencode(".png", rgb.astype(np.uint16) * 200)[1].tobytes())
-    found += [
-        bombs.zero_tiff(_SIDE_PX, dtype, bands=bands, rows=16)
-        for dtype, bands in (("float64", 4), ("uint16", 3), ("uint8", 1))
-    ]
-    found += [make(200) for make in bombs.HEADER_BOMBS.values()]
-    found += [bombs.tiff_with_two_sizes(), *_geotiffs(rgb)]
-    rgba = np.dstack([rgb, np.where(rgb[..., 0] < 99, 0, 255)]).astype(np.uint8)
-    found += [cv2.imencode(suffix, rgba)[1].tobytes() for suffix in (".png", ".webp", ".tif")]
-    found.append(
-        cv2.imencode(".tif", np.where(rgb < 40, -9999, rgb).astype(np.float32))[1].tobytes()
-    )
-    raw = [
+    """Make honest images of every format, and small bombs."""
+    ramp = np.linspace(0, 255, _SIDE_PX).astype(np.uint8)
+    red = np.tile(ramp, (_SIDE_PX, 1))
+    green = np.tile(ramp[:, None], (1, _SIDE_PX))
+    blue = np.full((_SIDE_PX, _SIDE_PX), 90, np.uint8)
+    rgb = np.dstack([red, green, blue])
+    images = [_encoded(suffix, rgb, parameters) for suffix, parameters in _ENCODINGS]
+    jpeg = images[0]
+    images.append(blocks.after_start(jpeg, blocks.segment(_EXIF)))
+    images.append(_encoded(".png", rgb.astype(np.uint16) * 200))
+    for dtype, bands in (("float64", 4), ("uint16", 3), ("uint8", 1)):
+        images.append(bombs.zero_tiff(_SIDE_PX, dtype, bands=bands, rows=16))
+    images += [make(200) for make in bombs.HEADER_BOMBS.values()]
+    images.append(bombs.tiff_with_two_sizes())
+    images += _geotiffs(rgb)
+    images += _images_with_holes(rgb)
+    images += _raw_files()
+    return images
+
+
+def _images_with_holes(rgb: NDArray[np.uint8]) -> list[bytes]:
+    """Make images with transparent pixels, and one with values of no data."""
+    alpha = np.where(rgb[..., 0] < 99, 0, 255)
+    rgba = np.dstack([rgb, alpha]).astype(np.uint8)
+    with_no_data = np.where(rgb < 40, -9999, rgb).astype(np.float32)
+    images = [_encoded(suffix, rgba) for suffix in (".png", ".webp", ".tif")]
+    images.append(_encoded(".tif", with_no_data))
+    return images
+
+
+def _raw_files() -> list[bytes]:
+    """Make the directories of cameras' raw files, without and with the version of DNG."""
+    entries = [
         (254, 4, 1, 1),
         (256, 4, 1, 24),
         (257, 4, 1, 24),
@@ -249,40 +268,41 @@ def _images() -> list[bytes]:
         (330, 13, 1, 80),
         (50706, 1, 4, 1025),
     ]
-    found += [bombs.tiff_of_directory(raw[:n], after=bytes(200)) for n in (5, 6)]
-    return found
+    return [bombs.tiff_of_directory(entries[:n], after=bytes(200)) for n in (5, 6)]
 
 
-def _geotiffs(rgb: Any) -> list[bytes]:
-    found = []
-    for options in (
-        {},
-        {"tiled": True, "blockxsize": 16, "blockysize": 16},
-        {"compress": "jpeg"},
-        {"nodata": 0},
-    ):
-        buffer = io.BytesIO()
-        with warnings.catch_warnings():
+_GEOTIFF_OPTIONS: list[dict[str, Any]] = [
+    {},
+    {"tiled": True, "blockxsize": 16, "blockysize": 16},
+    {"compress": "jpeg"},
+    {"nodata": 0},
+]
+
+
+def _geotiffs(rgb: NDArray[np.uint8]) -> list[bytes]:
+    """Make GeoTIFFs of several layouts."""
+    images = []
+    for options in _GEOTIFF_OPTIONS:
+        with warnings.catch_warnings(), rasterio.MemoryFile() as memory:
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.MemoryFile() as memory:
-                with memory.open(
-                    driver="GTiff",
-                    width=_SIDE_PX,
-                    height=_SIDE_PX,
-                    count=3,
-                    dtype="uint8",
-                    crs="EPSG:32631",
-                    transform=Affine(0.25, 0, 500_000, 0, -0.25, 5_000_000),
-                    **options,
-                ) as dataset:
-                    dataset.write(np.moveaxis(rgb, -1, 0))
-                buffer.write(memory.read())
-        found.append(buffer.getvalue())
-    return found
+            with memory.open(
+                driver="GTiff",
+                width=_SIDE_PX,
+                height=_SIDE_PX,
+                count=3,
+                dtype="uint8",
+                crs="EPSG:32631",
+                transform=Affine(0.25, 0, 500_000, 0, -0.25, 5_000_000),
+                **options,
+            ) as dataset:
+                dataset.write(np.moveaxis(rgb, -1, 0))
+            images.append(memory.read())
+    return images
 
 
 def _calibrations() -> list[bytes]:
-    made = CALIBRATION.model_copy(update={"detector": "vehicles", "detector_sha256": "0" * 64})
+    changes = {"detector": "vehicles", "detector_sha256": "0" * 64}
+    made = CALIBRATION.model_copy(update=changes)
     return [made.model_dump_json().encode(), made.model_dump_json(indent=1).encode()]
 
 
@@ -313,9 +333,11 @@ def _cards() -> list[bytes]:
             }
         ),
     }
-    # of a pair
-    half = dict.fromkeys(("names", "vehanchor.region_lengths_m", "vehanchor.bodies"), '{"�": 4.1}')
-    return [json.dumps(each).encode() for each in (detector, chips, detector | chips, chips | half)]
+    half_of_a_pair = dict.fromkeys(
+        ("names", "vehanchor.region_lengths_m", "vehanchor.bodies"), '{"�": 4.1}'
+    )
+    cards = (detector, chips, detector | chips, chips | half_of_a_pair)
+    return [json.dumps(card).encode() for card in cards]
 
 
 def _metadata() -> list[bytes]:
@@ -344,36 +366,35 @@ def _metadata() -> list[bytes]:
             {"Camera": "http://pix4d.com/camera/1.0"},
             "<Camera:Pitch>2.1</Camera:Pitch><Camera:Roll>1/2</Camera:Roll>",
         ),
-    ]
-    skydio = {"s": "https://www.skydio.com/drone-skydio/1.0/"}
-    packets.append(
         blocks.xmp(
-            skydio,
-            "<s:CalibratedFocalLength "
-            'rdf:parseType="Resource"><s:X>1</s:X></s:CalibratedFocalLength>',
-        )
-    )
-    exifs = [blocks.exif(camera, order) for order in "<>"] + [blocks.exif(camera, pointer_kind=13)]
-    damaged = [each.replace(b"Meta Data", b"A & B") for each in packets]
-    further = b"http://ns.adobe.com/xmp/extension/\0" + b"0" * 32 + bytes(8) + packets[0]
+            {"s": "https://www.skydio.com/drone-skydio/1.0/"},
+            '<s:CalibratedFocalLength rdf:parseType="Resource"><s:X>1</s:X>'
+            "</s:CalibratedFocalLength>",
+        ),
+    ]
+    little_endian = blocks.exif(camera, "<")
+    big_endian = blocks.exif(camera, ">")
+    with_directories = blocks.exif(camera, pointer_kind=13)
+    exifs = [little_endian, big_endian, with_directories]
+    damaged = [packet.replace(b"Meta Data", b"A & B") for packet in packets]
+    digest_size_offset = b"0" * 32 + bytes(8)
+    extended = b"http://ns.adobe.com/xmp/extension/\0" + digest_size_offset + packets[0]
+    more = blocks.segment(blocks.XMP_PREFIX + damaged[1]) + blocks.segment(extended)
     return [
         *packets,
         *damaged,
         packets[0].decode().encode("utf-16-le"),
-        blocks.jpeg(
-            xmp=packets[0],
-            more=blocks.segment(blocks.XMP_PREFIX + damaged[1]) + blocks.segment(further),
-        ),
+        blocks.jpeg(xmp=packets[0], more=more),
         *exifs,
-        *[_EXIF[:6] + each for each in exifs],
-        blocks.jpeg(exif=exifs[0], xmp=packets[0]),
-        blocks.png_with_xmp(packets[1], exifs[1]),
-        blocks.webp_with_exif(exifs[0], packets[0]),
+        *[_EXIF_PREFIX + block for block in exifs],
+        blocks.jpeg(exif=little_endian, xmp=packets[0]),
+        blocks.png_with_xmp(packets[1], big_endian),
+        blocks.webp_with_exif(little_endian, packets[0]),
     ]
 
 
-class _Lost:
-    """A connection on which a worker that was taken over has sent parts."""
+class _CompromisedConnection:
+    """Connection on which a compromised worker has sent these parts."""
 
     def __init__(self, parts: list[bytes]) -> None:
         self._parts = parts
@@ -383,22 +404,22 @@ class _Lost:
             raise EOFError
         part = self._parts.pop(0)
         if len(part) > most:
-            raise OSError("bad message length")  # as the connection does
+            raise OSError("bad message length")  # as a real connection
         return part
 
 
 def messages(data: bytes) -> None:
-    """Take a worker's message; its parts end at zero bytes."""
+    """Receive a worker's message; its parts end at zero bytes."""
+    max_reply_bytes = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + MAX_PICTURE_BYTES)
     for record in (GsdEstimate, AreaMeasurement, DistanceMeasurement, ViewedImage):
-        lost: Any = _Lost(data.split(b"\0"))
+        connection: Any = _CompromisedConnection(data.split(b"\0"))
         with contextlib.suppress(MessageError, OSError, EOFError):
-            message = receive(lost)
+            message = receive(connection)
             if not isinstance(message, Replied):
                 assert len(message.model_dump_json()) <= HEADER.n_bytes
                 return
-            reply = receive_reply(lost, message, record)
-            most = 8 * (MAX_RECORDS * RECORD.n_bytes + DRAWING.n_bytes + MAX_PICTURE_BYTES)
-            assert len(reply.to_result("found").model_dump_json()) <= most
+            reply = receive_reply(connection, message, record)
+            assert len(reply.to_result("found").model_dump_json()) <= max_reply_bytes
 
 
 def _messages() -> list[bytes]:
@@ -410,25 +431,26 @@ def _messages() -> list[bytes]:
         Refused(code="internal_error", message="Traceback"),
     ]
     box = {"x_min": 0, "y_min": 0, "x_max": 20, "y_max": 20}
-    seen = {"image_width_px": 20, "image_height_px": 20, "part": box, "grid_px": 5}
-    records = [
-        json.dumps(record).encode() for record in (seen, _estimate().model_dump(mode="json"))
-    ]
+    view = {"image_width_px": 20, "image_height_px": 20, "part": box, "grid_px": 5}
+    estimate = _estimate().model_dump(mode="json")
+    records = [json.dumps(record).encode() for record in (view, estimate)]
+    picture = b"\xff\xd8\xff"
     return [
-        *(each.model_dump_json().encode() for each in plain),
-        *(header + b"\0" + record + b"\0\xff\xd8\xff" for record in records),
+        *(message.model_dump_json().encode() for message in plain),
+        *(b"\0".join([header, record, picture]) for record in records),
     ]
 
 
 def _estimate() -> GsdEstimate:
-    """Measure a rendered scene, as a worker does."""
-    return estimate_gsd(render_scene(0.15, width_px=256, height_px=256, seed=5).image)
+    """Estimate the GSD of a rendered scene, as a worker does."""
+    scene = render_scene(0.15, width_px=256, height_px=256, seed=5)
+    return estimate_gsd(scene.image)
 
 
 def _arguments() -> list[bytes]:
     image = {"kind": "base64", "data": base64.b64encode(_images()[2]).decode()}
     path = {"kind": "path", "path": "/images/a.png"}
-    known: dict[str, Any] = {"gsd_m_per_px": 0.15}
+    scale: dict[str, Any] = {"gsd_m_per_px": 0.15}
     points = [{"x": 1, "y": 2}, {"x": 40.5, "y": 30}]
     frame = {"width_px": 24, "height_px": 24}
     box = {"x_min": 1, "y_min": 2, "x_max": 30, "y_max": 40}
@@ -439,12 +461,12 @@ def _arguments() -> list[bytes]:
             {"image": image, "height_m": 60, "focal_35mm": 24, "reference_length_m": 4.6},
         ),
         ("estimate_gsd", {"image": {"kind": "url", "url": "https://a.test/b.png"}}),
-        ("measure_distance", {"image": image, **known, "points": points}),
-        ("measure_distance", {"image": image, **known, "points": points, "frame": frame}),
-        ("measure_area", {"image": image, **known, "targets": [{"box": box}]}),
+        ("measure_distance", {"image": image, **scale, "points": points}),
+        ("measure_distance", {"image": image, **scale, "points": points, "frame": frame}),
+        ("measure_area", {"image": image, **scale, "targets": [{"box": box}]}),
         (
             "measure_area",
-            {"image": path, **known, "targets": [{"points": points}], "coordinates": "per_mille"},
+            {"image": path, **scale, "targets": [{"points": points}], "coordinates": "per_mille"},
         ),
         ("view_image", {"image": image, "width_px": 32}),
         ("view_image", {"image": image, "region": box}),
@@ -458,26 +480,24 @@ def _arguments() -> list[bytes]:
             },
         ),
     ]
-    return [json.dumps({"tool": name, **given}).encode() for name, given in calls]
+    return [json.dumps({"tool": name, **arguments}).encode() for name, arguments in calls]
 
 
 def _graphs() -> list[bytes]:
-    import onnx
     from onnx import TensorProto, helper
 
-    value = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
+    x = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
+    y = helper.make_tensor_value_info("y", TensorProto.FLOAT, [1])
     weight = helper.make_tensor("w", TensorProto.FLOAT, [1], [1.0])
-    external = onnx.TensorProto(name="e", data_type=1, dims=[1], data_location="EXTERNAL")
+    external = TensorProto(
+        name="e", data_type=TensorProto.FLOAT, dims=[1], data_location=TensorProto.EXTERNAL
+    )
     entry = external.external_data.add()
     entry.key = "location"
     entry.value = "weights.bin"
     node = helper.make_node("Add", ["x", "w"], ["y"])
-    made = helper.make_model(
-        helper.make_graph(
-            [node], "g", [value], [helper.make_tensor_value_info("y", 1, [1])], [weight, external]
-        )
-    )
-    return [made.SerializeToString()]
+    graph = helper.make_graph([node], "g", [x], [y], initializer=[weight, external])
+    return [helper.make_model(graph).SerializeToString()]
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {

@@ -14,7 +14,7 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.cli.terminal import FAILED, counts_text, printable, report
 from vehanchor.errors import OutputError, PromptError
 from vehanchor.export.geojson import SUFFIX, check_geojson_path, write_features
-from vehanchor.imagery.sources.files import find_images, where_it_is
+from vehanchor.imagery.sources.files import canonical_path, find_images
 from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets, read_targets
 from vehanchor.records.text import count
 
@@ -85,7 +85,7 @@ def measure_table(
 
 def _check_images(targets_by_image: Iterable[str], images: Iterable[str]) -> None:
     """Check that all targets lie in the images of the command."""
-    unknown = sorted(set(targets_by_image) - {where_it_is(image) for image in images})
+    unknown = sorted(set(targets_by_image) - {canonical_path(image) for image in images})
     if unknown:
         raise PromptError(
             f"a target is in {unknown[0]!r}, which is not one of the images: files are named "

@@ -17,11 +17,11 @@ DTYPES = (np.uint8, np.uint16, np.float32, np.float64)
 """Supported types of stored pixels."""
 
 BandChoice: TypeAlias = tuple[int, int, int] | None
-"""Bands that the caller wants as red, green and blue, counted from 1; None for the default of ``choose_bands``."""
+"""The caller's bands for red, green and blue, counted from 1; None lets ``choose_bands`` decide."""
 
 
 def choose_bands(
-    n_bands: int, wanted: BandChoice
+    n_bands: int, choice: BandChoice
 ) -> tuple[tuple[int, int, int], tuple[RasterNote, ...]]:
     """Choose three of an image's bands.
 
@@ -29,14 +29,15 @@ def choose_bands(
         Bands for red, green and blue, counted from 0, and notices about the choice.
 
     Raises:
-        InvalidParameterError: a wanted band is missing.
+        InvalidParameterError: a chosen band is missing.
     """
-    if wanted is not None:
-        if max(wanted) > n_bands:
+    if choice is not None:
+        if max(choice) > n_bands:
             raise InvalidParameterError(
-                f"bands={wanted!r} names a band above {n_bands}, the image's number of bands"
+                f"bands={choice!r} names a band above {n_bands}, the image's number of bands"
             )
-        return (wanted[0] - 1, wanted[1] - 1, wanted[2] - 1), ()
+        red, green, blue = choice
+        return (red - 1, green - 1, blue - 1), ()
     if n_bands < 3:  # the second of two is alpha
         return (0, 0, 0), ()
     if n_bands <= 4:  # the fourth is alpha or near infrared
@@ -49,10 +50,13 @@ def choose_bands(
 
 
 def is_alpha(values: NDArray[Any]) -> bool:
-    """Test whether a band of unknown meaning holds only 0 and one other value, as alpha does and near infrared not."""
-    return bool(np.array_equal(np.unique(values), np.unique([0, values.max()]))) and bool(
-        values.any()
-    )
+    """Test whether the values of a band of unknown role are those of alpha.
+
+    Alpha has only 0 and one other value; near infrared has many values.
+    """
+    if not values.any():
+        return False
+    return bool(np.array_equal(np.unique(values), np.unique([0, values.max()])))
 
 
 def merge_bands(planes: list[NDArray[Any]]) -> NDArray[Any]:
@@ -78,9 +82,10 @@ def check_finite(values: NDArray[Any]) -> None:
     Raises:
         ImageFormatError: some are NaN or infinite.
     """
-    if values.dtype.kind == "f":
-        n_bad = values.size - int(np.count_nonzero(np.isfinite(values)))
-        if n_bad:
-            raise ImageFormatError(
-                f"{n_bad} of {values.size} pixels are NaN or infinite; fill them before measuring"
-            )
+    if values.dtype.kind != "f":
+        return
+    n_bad = values.size - int(np.count_nonzero(np.isfinite(values)))
+    if n_bad:
+        raise ImageFormatError(
+            f"{n_bad} of {values.size} pixels are NaN or infinite; fill them before measuring"
+        )

@@ -1,4 +1,4 @@
-"""Facts of an image that need none of its pixels."""
+"""Facts of an image: size, scale in its georeference, metadata and checksum."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 
 class ImageFacts(NamedTuple):
-    """Size, own scale and metadata of an image.
+    """Facts of an image, usable after it is closed.
 
     Attributes:
         width_px: columns.
         height_px: rows.
-        georeference_gsd_m_per_px: the scale in the file's georeference; None without one.
+        georeference_gsd_m_per_px: GSD by the file's georeference; None without one.
         notices: warnings from reading the image.
         camera: the camera's metadata; None without any.
         image_id: checksum of the image; empty if unknown.

@@ -1,4 +1,4 @@
-"""Checks before decoding: file size, declared image size, memory that decoding takes."""
+"""Checks before decoding: size of the file, declared size of the image, memory for decoding."""
 
 from __future__ import annotations
 
@@ -13,13 +13,19 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 MIN_SIDE_PX = 16
-"""Smallest side of a measurable image: a 5 m car is 17 px long at 0.3 m/px, the coarsest usable GSD."""
+"""Smallest side of a measurable image.
+
+A 5 m car is 17 px long at 0.3 m/px, the coarsest usable GSD.
+"""
 
 WINDOWED_FORMATS = ("TIFF", "JPEG 2000")
 """Formats that can be read by windows."""
 
-_BLOCK_COPIES = 2  # the decoder copies a strip or tile from one buffer into one for each band
-_SAMPLES_PER_PIXEL = 4  # in a block of the largest allowed image size
+_BLOCK_COPIES = 2
+"""Times that a decoder holds a strip or tile: in one buffer, and in one for each band."""
+
+_MAX_SAMPLES_PER_PIXEL = 4
+"""Bands of the largest block: one with as many pixels as the largest image decoded whole."""
 
 
 def check_bytes(n_bytes: int, limits: ImageLimits) -> None:
@@ -45,7 +51,7 @@ def check_side(width_px: int, height_px: int, hint: str = "") -> None:
         )
 
 
-def check_windowed_size(name: str, width_px: int, height_px: int, limits: ImageLimits) -> None:
+def check_windowed_size(name: str, width_px: int, *, height_px: int, limits: ImageLimits) -> None:
     """Check the declared size of an image that is read by windows.
 
     Raises:
@@ -61,7 +67,7 @@ def check_windowed_size(name: str, width_px: int, height_px: int, limits: ImageL
 
 
 def check_block(
-    name: str, block_px: int, samples: int, sample_bytes: int, limits: ImageLimits
+    name: str, block_px: int, *, samples: int, sample_bytes: int, limits: ImageLimits
 ) -> None:
     """Check the size of a strip or tile, because decoders decode it whole.
 
@@ -75,17 +81,14 @@ def check_block(
     Raises:
         ImageTooLargeError: decoding the block would exceed the limits.
     """
-    decoded = _BLOCK_COPIES * block_px * samples * sample_bytes
-    if (
-        block_px * samples > _SAMPLES_PER_PIXEL * limits.max_pixels
-        or decoded > limits.max_decoded_bytes
-    ):
+    n_samples = block_px * samples
+    decoding_bytes = _BLOCK_COPIES * n_samples * sample_bytes
+    has_too_many_samples = n_samples > _MAX_SAMPLES_PER_PIXEL * limits.max_pixels
+    if has_too_many_samples or decoding_bytes > limits.max_decoded_bytes:
         raise ImageTooLargeError(
             f"the {name} is stored in blocks of {block_px} pixels with {samples} bands of "
-            f"{sample_bytes} bytes, too "
-            f"large to read by windows under the limits of {limits.max_pixels} pixels and "
-            f"{limits.max_decoded_bytes} "
-            "bytes; store it tiled"
+            f"{sample_bytes} bytes, too large to read by windows under the limits of "
+            f"{limits.max_pixels} pixels and {limits.max_decoded_bytes} bytes; store it tiled"
         )
 
 
@@ -109,20 +112,27 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
         ImageTooLargeError: see ``read_checked_header``.
         ImageFormatError: the image is too small to measure.
     """
-    windowed = header.format in WINDOWED_FORMATS
-    if not windowed and header.width_px * header.height_px > limits.max_pixels:
-        raise ImageTooLargeError(
-            f"the {header.format} declares {header.width_px} x {header.height_px} px, the limit is "
-            f"{limits.max_pixels} pixels (--max-megapixels, ImageLimits.max_pixels); convert it "
-            "to a tiled TIFF, "
-            "which is read by windows, or raise the limit"
-        )
-    if not windowed and header.decoding_bytes > limits.max_decoded_bytes:
-        raise ImageTooLargeError(
-            f"decoding the {header.format} of {header.width_px} x {header.height_px} px takes "
-            f"{header.decoding_bytes} "
-            f"bytes, the limit is {limits.max_decoded_bytes}; convert it to 8-bit RGB, or to a "
-            "tiled TIFF, which is "
-            "read by windows"
-        )
+    if header.format not in WINDOWED_FORMATS:
+        _check_whole_decoding(header, limits)
     check_windowed_size(header.format, header.width_px, height_px=header.height_px, limits=limits)
+
+
+def _check_whole_decoding(header: ImageHeader, limits: ImageLimits) -> None:
+    """Check the size and the memory of an image that can only be decoded whole.
+
+    Raises:
+        ImageTooLargeError: it has too many pixels, or decoding it takes too much memory.
+    """
+    size = f"{header.width_px} x {header.height_px} px"
+    if header.width_px * header.height_px > limits.max_pixels:
+        raise ImageTooLargeError(
+            f"the {header.format} declares {size}, the limit is {limits.max_pixels} pixels "
+            "(--max-megapixels, ImageLimits.max_pixels); convert it to a tiled TIFF, which is read "
+            "by windows, or raise the limit"
+        )
+    if header.decoding_bytes > limits.max_decoded_bytes:
+        raise ImageTooLargeError(
+            f"decoding the {header.format} of {size} takes {header.decoding_bytes} bytes, "
+            f"the limit is {limits.max_decoded_bytes}; convert it to 8-bit RGB, or to a tiled "
+            "TIFF, which is read by windows"
+        )

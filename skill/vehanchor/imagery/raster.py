@@ -26,18 +26,32 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.metadata.georeference import Ground
 
-# EXIF orientation -> (swap rows and columns, then flip up-down, flip left-right) that turns the
-# stored image upright.
-_ORIENTATIONS = {
-    1: (False, False, False),
-    2: (False, False, True),
-    3: (False, True, True),
-    4: (False, True, False),
-    5: (True, False, False),
-    6: (True, False, True),
-    7: (True, True, True),
-    8: (True, True, False),
+
+class _Turn(NamedTuple):
+    """Change that turns a stored image upright: first the swap, then the flips.
+
+    Attributes:
+        swap: whether rows and columns are swapped.
+        flip_rows: whether the top becomes the bottom.
+        flip_columns: whether the left side becomes the right one.
+    """
+
+    swap: bool
+    flip_rows: bool
+    flip_columns: bool
+
+
+_TURNS = {
+    1: _Turn(swap=False, flip_rows=False, flip_columns=False),
+    2: _Turn(swap=False, flip_rows=False, flip_columns=True),
+    3: _Turn(swap=False, flip_rows=True, flip_columns=True),
+    4: _Turn(swap=False, flip_rows=True, flip_columns=False),
+    5: _Turn(swap=True, flip_rows=False, flip_columns=False),
+    6: _Turn(swap=True, flip_rows=False, flip_columns=True),
+    7: _Turn(swap=True, flip_rows=True, flip_columns=True),
+    8: _Turn(swap=True, flip_rows=True, flip_columns=False),
 }
+"""Change that turns a stored image upright, by its EXIF orientation."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +72,12 @@ class RasterNote(NamedTuple):
 
 
 class StoredPixels(NamedTuple):
-    """Pixels as stored: ``[h, w, 3]`` RGB in one of ``bands.DTYPES``, and a mask of valid pixels (None: all)."""
+    """Pixels as stored.
+
+    Attributes:
+        rgb: ``[h, w, 3]`` in one of ``bands.DTYPES``.
+        valid: ``[h, w]``, whether a pixel holds data; None if all do.
+    """
 
     rgb: NDArray[Any]
     valid: NDArray[np.bool_] | None
@@ -70,21 +89,21 @@ class Raster(ABC):
     Attributes:
         width_px: width of the oriented frame.
         height_px: height of the oriented frame.
-        source: the given path, or "bytes", "file", "array", "image", "dataset".
+        source: the caller's path, or "bytes", "file", "array", "image", "dataset".
         georeference_gsd_m_per_px: GSD by the file's georeference; None without one.
         warnings: notices for the user.
-        camera: camera metadata of the file; None if it has none or the source is no file.
+        camera: camera metadata of the file; None if it has none or the source is not a file.
         ground: georeference of the image; None without one.
         in_memory: whether all pixels are decoded.
         encoded: path or bytes of the file that is read by windows; None if unknown.
-        known_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
+        cached_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
     """
 
     camera: CameraMetadata | None = None
     ground: Ground | None = None
     in_memory = False
     encoded: str | bytes | None = None
-    known_id = ""
+    cached_id = ""
 
     def __init__(
         self,
@@ -96,9 +115,11 @@ class Raster(ABC):
         georeference_gsd_m_per_px: float | None = None,
         notes: tuple[RasterNote, ...] = (),
     ) -> None:
-        swapped = _ORIENTATIONS[orientation][0]
-        self.width_px = stored_height_px if swapped else stored_width_px
-        self.height_px = stored_width_px if swapped else stored_height_px
+        self.width_px = stored_width_px
+        self.height_px = stored_height_px
+        if _TURNS[orientation].swap:
+            self.width_px = stored_height_px
+            self.height_px = stored_width_px
         self.source = source
         self.georeference_gsd_m_per_px = georeference_gsd_m_per_px
         self.warnings = notes
@@ -107,9 +128,11 @@ class Raster(ABC):
         self._no_data: float | None = None
 
     def read(self, window: Window | None = None) -> NDArray[np.uint8]:
-        """Read a window, or the whole image: [h, w, 3] uint8 RGB, contiguous; pixels without data are black.
+        """Read a window, or the whole image; pixels without data are black.
 
-        The result can be a read-only view of the caller's array if no conversion was needed.
+        Returns:
+            ``[h, w, 3]`` uint8 RGB, contiguous. It can be a read-only view of the caller's array if
+            no conversion was needed.
 
         Raises:
             InvalidParameterError: the window is empty or not inside the image.
@@ -118,36 +141,47 @@ class Raster(ABC):
         """
         if window is None:
             window = Window(0, 0, width_px=self.width_px, height_px=self.height_px)
-        elif not (
-            0 <= window.x_px < window.x_px + window.width_px <= self.width_px
-            and 0 <= window.y_px < window.y_px + window.height_px <= self.height_px
-        ):
+        elif not self._contains(window):
             raise InvalidParameterError(
                 f"{window} is not inside the image of {self.width_px} x {self.height_px} px"
             )
-        return self._to_rgb(
-            self._read_stored(
-                stored_window(
-                    window, self.width_px, height_px=self.height_px, orientation=self._orientation
-                )
-            )
+        stored = stored_window(
+            window, self.width_px, height_px=self.height_px, orientation=self._orientation
         )
+        return self._to_rgb(self._read_stored(stored))
+
+    def _contains(self, window: Window) -> bool:
+        """Test whether a window has pixels and lies inside the image."""
+        right_px = window.x_px + window.width_px
+        bottom_px = window.y_px + window.height_px
+        has_columns = 0 <= window.x_px < right_px <= self.width_px
+        has_rows = 0 <= window.y_px < bottom_px <= self.height_px
+        return has_columns and has_rows
 
     def _to_rgb(self, stored: StoredPixels) -> NDArray[np.uint8]:
         """Convert stored pixels to upright 8-bit RGB."""
-        shown = stored.rgb if self._stretch is None else to_uint8(stored.rgb, self._stretch)
+        pixels = stored.rgb if self._stretch is None else to_uint8(stored.rgb, self._stretch)
+        # Sources give a mask only with pixels of their own, which may be overwritten.
         if stored.valid is not None:
-            shown[~stored.valid] = 0
+            pixels[~stored.valid] = 0
         if self._no_data is not None:
-            shown[(stored.rgb == self._no_data).all(axis=2)] = 0
-        return np.ascontiguousarray(oriented(shown, self._orientation))
+            is_empty = (stored.rgb == self._no_data).all(axis=2)
+            pixels[is_empty] = 0
+        upright = oriented(pixels, self._orientation)
+        return np.ascontiguousarray(upright)
 
-    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:  # noqa: ARG002 - for subclasses
+    def read_overview(
+        self,
+        window: Window,  # noqa: ARG002
+        factor: int,  # noqa: ARG002
+    ) -> NDArray[np.uint8] | None:
         """Read a window of the reduced image from the file's overviews; None if it has none.
 
+        Sources with overviews override this method.
+
         Args:
-            window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px
-                // factor``.
+            window: in pixels of the reduced image, which has ``width_px // factor`` columns and
+                ``height_px // factor`` rows.
             factor: reduction factor, 2 or more.
         """
         return None
@@ -171,25 +205,31 @@ class Raster(ABC):
         """Read a window of the stored frame."""
 
     def _choose_stretch(self, sample: NDArray[Any]) -> None:
-        """Choose no-data value and stretch from a sample of stored values, ``[n, 3]``."""
-        words = []
-        empty = find_no_data(sample)
-        if empty is not None:
-            self._no_data, share = empty
-            sample = sample[(sample != self._no_data).any(axis=1)]
-            words.append(
+        """Choose no-data value and stretch from a sample of stored values, ``[n, 3]``.
+
+        A warning states each choice, except the scaling of 0..1 to 0..255.
+        """
+        clauses = []
+        no_data = find_no_data(sample)
+        if no_data is not None:
+            self._no_data, share = no_data
+            clauses.append(
                 f"the value {self._no_data:g}, in {share * 100:.0f} % of the pixels, counts as "
                 "no data"
             )
+            has_data = (sample != self._no_data).any(axis=1)
+            sample = sample[has_data]
         self._stretch = choose_stretch(sample)
         if self._stretch is not None and self._stretch != UNIT_RANGE:
             low, high = self._stretch
-            percentiles = f"percentiles {STRETCH_PERCENTILES[0]:g} and {STRETCH_PERCENTILES[1]:g}"
-            words.append(
-                f"{sample.dtype} values {low:g} to {high:g} ({percentiles}) become 0 to 255"
+            low_percentile, high_percentile = STRETCH_PERCENTILES
+            clauses.append(
+                f"{sample.dtype} values {low:g} to {high:g} (percentiles {low_percentile:g} and "
+                f"{high_percentile:g}) become 0 to 255"
             )
-        if words:
-            self.warnings = (*self.warnings, RasterNote("pixels_stretched", "; ".join(words)))
+        if clauses:
+            note = RasterNote("pixels_stretched", "; ".join(clauses))
+            self.warnings = (*self.warnings, note)
 
 
 def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
@@ -199,17 +239,28 @@ def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
         stored: pixels in the file's orientation.
         orientation: EXIF orientation, 1 to 8.
     """
-    swap, up_down, left_right = _ORIENTATIONS[orientation]
-    turned = stored.swapaxes(0, 1) if swap else stored
-    return turned[:: -1 if up_down else 1, :: -1 if left_right else 1]
+    turn = _TURNS[orientation]
+    pixels = stored
+    if turn.swap:
+        pixels = pixels.swapaxes(0, 1)
+    if turn.flip_rows:
+        pixels = pixels[::-1]
+    if turn.flip_columns:
+        pixels = pixels[:, ::-1]
+    return pixels
 
 
-def stored_window(window: Window, width_px: int, height_px: int, orientation: int) -> Window:
+def stored_window(window: Window, width_px: int, *, height_px: int, orientation: int) -> Window:
     """Map a window of the oriented frame, ``width_px`` x ``height_px``, to the stored frame."""
-    swap, up_down, left_right = _ORIENTATIONS[orientation]
-    x = width_px - window.x_px - window.width_px if left_right else window.x_px
-    y = height_px - window.y_px - window.height_px if up_down else window.y_px
-    if swap:
+    # The turn is undone in the opposite order: first the flips, then the swap.
+    turn = _TURNS[orientation]
+    x = window.x_px
+    y = window.y_px
+    if turn.flip_columns:
+        x = width_px - window.x_px - window.width_px
+    if turn.flip_rows:
+        y = height_px - window.y_px - window.height_px
+    if turn.swap:
         return Window(y, x, width_px=window.height_px, height_px=window.width_px)
     return Window(x, y, width_px=window.width_px, height_px=window.height_px)
 

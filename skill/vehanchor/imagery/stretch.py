@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 STRETCH_PERCENTILES = (2.0, 98.0)
-"""Percentiles of the whole image that become 0 and 255, as in GIS viewers. All three bands share one range, which
-keeps the colour balance."""
+"""Percentiles of the whole image that become 0 and 255, as in GIS viewers.
+
+All three bands share one range, which keeps the colour balance.
+"""
 
 SAMPLE_PX = 1 << 20
 """Maximum number of pixels in the sample for the percentiles; smaller images are used whole."""
@@ -28,30 +30,39 @@ class Stretch(NamedTuple):
 
 
 UNIT_RANGE = Stretch(0.0, 1.0)
-# share of the pixels from which a value reaches the percentiles
-_LEAST_EMPTY = 1 - STRETCH_PERCENTILES[1] / 100
+"""Stretch of floats within 0..1."""
+
+_MIN_EMPTY_SHARE = 1 - STRETCH_PERCENTILES[1] / 100
+"""Share of the pixels above which an extreme value reaches the percentiles."""
 
 
 def find_no_data(sample: NDArray[Any]) -> tuple[float, float] | None:
-    """Find a value that stands for "no data" without being declared, as -9999 or 65535 beside values of 12 bits.
+    """Find a value that stands for "no data" without being declared.
+
+    Examples are -9999, or 65535 beside values of 12 bits.
 
     Args:
         sample: finite values of the image, ``[n, bands]``.
 
     Returns:
-        The lowest or highest value and its share, if it fills all bands of 2 % of the pixels and is
-        apart from all others by more than their whole range; None otherwise. Clipped highlights are
-        next to other values.
+        The lowest or highest value and its share of the pixels, or None. It must fill all bands of
+        2 % of the pixels, and its distance from all other values must exceed their whole range.
+        Clipped highlights fail the second test, because they are next to other values.
     """
-    for extreme in (sample.min(), sample.max()) if sample.size else ():
-        empty = (sample == extreme).all(axis=1)
-        if not _LEAST_EMPTY < empty.mean() < 1:
+    if sample.size == 0:
+        return None
+    for extreme in (sample.min(), sample.max()):
+        is_extreme = (sample == extreme).all(axis=1)
+        share = is_extreme.mean()
+        if not _MIN_EMPTY_SHARE < share < 1:
             continue
-        others = sample[~empty]
-        least = float(others.min())
-        most = float(others.max())
-        if max(least - float(extreme), float(extreme) - most) > most - least > 0:
-            return float(extreme), float(empty.mean())
+        others = sample[~is_extreme]
+        lowest = float(others.min())
+        highest = float(others.max())
+        value = float(extreme)
+        gap = max(lowest - value, value - highest)
+        if gap > highest - lowest > 0:
+            return value, float(share)
     return None
 
 
@@ -71,17 +82,18 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
         return None
     if sample.size == 0:  # no data: every stretch gives black
         return UNIT_RANGE
-    least = float(sample.min())
-    most = float(sample.max())
-    if sample.dtype.kind == "f" and least >= 0 and most <= 1:
+    lowest = float(sample.min())
+    highest = float(sample.max())
+    if sample.dtype.kind == "f" and lowest >= 0 and highest <= 1:
         return UNIT_RANGE
-    # "nearest" does no arithmetic between values, so the largest floats do not overflow
-    low, high = (
-        float(value) for value in np.percentile(sample, STRETCH_PERCENTILES, method="nearest")
-    )
+    # "nearest" does no arithmetic between values, so the largest floats do not overflow.
+    percentiles = np.percentile(sample, STRETCH_PERCENTILES, method="nearest")
+    low = float(percentiles[0])
+    high = float(percentiles[1])
+    # Nearly all pixels are equal: the few others, such as one bright pixel, span the range.
     if low == high:
-        low = least
-        high = most
+        low = lowest
+        high = highest
     if low == high:
         high = low + max(1.0, abs(low))  # constant: all black
     if not math.isfinite(255 / (high - low)) or math.isinf(high - low):
@@ -94,15 +106,18 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
 def to_uint8(pixels: NDArray[Any], stretch: Stretch) -> NDArray[np.uint8]:
     """Convert stored values of any shape to 0..255."""
     if pixels.dtype == np.uint16:
-        table = _scaled(np.arange(1 << 16, dtype=np.float64), stretch)
-        shown: NDArray[np.uint8] = table[pixels]
-        return shown
-    return _scaled(pixels.astype(np.float64), stretch)
+        # A look-up table of all 65,536 values costs less than arithmetic on every pixel.
+        all_values = np.arange(1 << 16, dtype=np.float64)
+        table = _scale_in_place(all_values, stretch)
+        scaled: NDArray[np.uint8] = table[pixels]
+        return scaled
+    return _scale_in_place(pixels.astype(np.float64), stretch)
 
 
-def _scaled(values: NDArray[np.float64], stretch: Stretch) -> NDArray[np.uint8]:
+def _scale_in_place(values: NDArray[np.float64], stretch: Stretch) -> NDArray[np.uint8]:
     """Scale ``low..high`` to 0..255; overwrites ``values``."""
     np.clip(values, stretch.low, stretch.high, out=values)
     values -= stretch.low
     values *= 255 / (stretch.high - stretch.low)
-    return np.rint(values, out=values).astype(np.uint8)
+    np.rint(values, out=values)
+    return values.astype(np.uint8)

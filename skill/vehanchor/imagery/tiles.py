@@ -14,16 +14,14 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
 
-TILE_SIZE_PX = 1024  # paper, section III-B
-TILE_OVERLAP = 0.25  # paper, section III-B: stride 768 px at 1024 px
-_BLOCK_PX = 1024  # side of a block of a reduced window, 3 MiB
+TILE_SIZE_PX = 1024
+"""Side of a tile (paper, section III-B)."""
 
+TILE_OVERLAP = 0.25
+"""Share of a tile that its neighbour covers, too: a stride of 768 px (paper, section III-B)."""
 
-def _starts(extent: int, tile: int, stride: int) -> list[int]:
-    """Compute tile origins along one axis; the last tile ends at the image's edge."""
-    if extent <= tile:
-        return [0]
-    return [*range(0, extent - tile, stride), extent - tile]
+_BLOCK_PX = 1024
+"""Side of a block in which a window is read before it is reduced: 3 MiB of pixels."""
 
 
 def tile_grid(
@@ -41,23 +39,36 @@ def tile_grid(
     Returns:
         Distinct windows that cover every pixel of the image.
     """
-    step = round(tile_px * (1 - TILE_OVERLAP)) if stride_px is None else stride_px
+    if stride_px is None:
+        stride_px = round(tile_px * (1 - TILE_OVERLAP))
+    tile_width_px = min(tile_px, width_px)
+    tile_height_px = min(tile_px, height_px)
     return [
-        Window(x, y, width_px=min(tile_px, width_px), height_px=min(tile_px, height_px))
-        for y in _starts(height_px, tile_px, step)
-        for x in _starts(width_px, tile_px, step)
+        Window(x, y, width_px=tile_width_px, height_px=tile_height_px)
+        for y in _tile_starts(height_px, tile_px, stride_px)
+        for x in _tile_starts(width_px, tile_px, stride_px)
     ]
 
 
+def _tile_starts(side_px: int, tile_px: int, stride_px: int) -> list[int]:
+    """Compute the tiles' first pixels along a side; the last tile ends at the image's edge."""
+    if side_px <= tile_px:
+        return [0]
+    last = side_px - tile_px
+    return [*range(0, last, stride_px), last]
+
+
 def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
-    """Read a window of a raster reduced by a whole factor; each pixel is the mean of ``factor`` x ``factor`` pixels.
+    """Read a window of a raster reduced by a whole factor.
+
+    Each pixel is the mean of ``factor`` x ``factor`` pixels of the image.
 
     The image is read block by block, so memory holds only the result and one block.
 
     Args:
         raster: the image.
-        window: in pixels of the reduced image, which has ``width_px // factor`` x ``height_px //
-            factor``.
+        window: in pixels of the reduced image, which has ``width_px // factor`` columns and
+            ``height_px // factor`` rows.
         factor: reduction factor; 1 reads the window unreduced.
 
     Returns:
@@ -65,18 +76,23 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
     """
     if factor == 1:
         return raster.read(window)
-    step = max(1, _BLOCK_PX // factor)
     reduced = np.empty((window.height_px, window.width_px, 3), np.uint8)
+    step = max(1, _BLOCK_PX // factor)
+    # Rows, columns, top and left are those of a block in the result.
     for top in range(0, window.height_px, step):
         rows = min(step, window.height_px - top)
         for left in range(0, window.width_px, step):
             columns = min(step, window.width_px - left)
-            x = (window.x_px + left) * factor
-            y = (window.y_px + top) * factor
-            block = raster.read(Window(x, y, width_px=columns * factor, height_px=rows * factor))
-            reduced[top : top + rows, left : left + columns] = cv2.resize(
-                block, (columns, rows), interpolation=cv2.INTER_AREA
+            full_resolution = Window(
+                (window.x_px + left) * factor,
+                (window.y_px + top) * factor,
+                width_px=columns * factor,
+                height_px=rows * factor,
             )
+            block = raster.read(full_resolution)
+            size = (columns, rows)
+            mean = cv2.resize(block, size, interpolation=cv2.INTER_AREA)
+            reduced[top : top + rows, left : left + columns] = mean
     return reduced
 
 
@@ -94,16 +110,25 @@ def read_around(
     Returns:
         ``[h, w, 3]`` uint8 RGB, cut off at the image's edges, and the box ``[5]`` in its pixels.
     """
-    width = raster.width_px // factor
-    height = raster.height_px // factor
-    x, y, length, breadth = box[:4] / factor
-    left, right = (round(np.clip(x + side * reach * length, 0, width)) for side in (-1, 1))
-    top, bottom = (round(np.clip(y + side * reach * length, 0, height)) for side in (-1, 1))
-    left = min(left, width - 1)
-    top = min(top, height - 1)
-    window = Window(left, top, width_px=max(1, right - left), height_px=max(1, bottom - top))
+    reduced_width = raster.width_px // factor
+    reduced_height = raster.height_px // factor
+    x, y, length, width = box[:4] / factor
+    distance = reach * length
+    # The window is cut off at the image's edges and keeps at least one pixel.
+    left, columns = _span(x - distance, x + distance, reduced_width)
+    top, rows = _span(y - distance, y + distance, reduced_height)
+    window = Window(left, top, width_px=columns, height_px=rows)
     pixels = read_reduced_window(raster, window, factor)
-    return pixels, np.array([x - left, y - top, length, breadth, box[4]])
+    box_in_window = np.array([x - left, y - top, length, width, box[4]])
+    return pixels, box_in_window
+
+
+def _span(start: float, end: float, side_px: int) -> tuple[int, int]:
+    """Round an interval to whole pixels of a side; return its first pixel and its length."""
+    first = round(np.clip(start, 0, side_px))
+    last = round(np.clip(end, 0, side_px))
+    first = min(first, side_px - 1)
+    return first, max(1, last - first)
 
 
 def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
@@ -121,4 +146,6 @@ def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint
         ``[h, w, 3]`` uint8 RGB.
     """
     overview = raster.read_overview(window, factor)
-    return read_reduced_window(raster, window, factor) if overview is None else overview
+    if overview is None:
+        return read_reduced_window(raster, window, factor)
+    return overview

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from vehanchor.imagery.sources.files import where_it_is
+from vehanchor.imagery.sources.files import canonical_path
 
 if TYPE_CHECKING:
     import os
@@ -72,7 +72,7 @@ def read_image_table(
                     row = read_row(cells)
                 except ValueError as problem:
                     raise error(f"{str(table)!r}, line {reader.line_num}: {problem}") from None
-                image = where_it_is(table.parent / file)
+                image = canonical_path(table.parent / file)
                 rows[image] = (*rows.get(image, ()), row)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import KnownLengthError
-from vehanchor.imagery.sources.files import where_it_is
+from vehanchor.imagery.sources.files import canonical_path
 from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.records.text import count
 from vehanchor.rulers.image_table import read_image_table
@@ -51,7 +51,7 @@ def lines_in(
     lines = read_image_table(
         path, "known lengths", needed=_COLUMNS, read_row=_line, error=KnownLengthError
     )
-    strangers = sorted(set(lines) - {where_it_is(image) for image in images})
+    strangers = sorted(set(lines) - {canonical_path(image) for image in images})
     if strangers:
         n_others = len(strangers) - 1
         verb = "is" if n_others == 1 else "are"
@@ -69,7 +69,7 @@ def with_lines_of(
     """Add the lines of one image to the options."""
     if not lines:
         return options
-    lines_of_image = lines.get(where_it_is(image))
+    lines_of_image = lines.get(canonical_path(image))
     if lines_of_image is None:
         return options
     rulers = replace(options.rulers, known_lengths=lines_of_image)

@@ -1,4 +1,4 @@
-"""Pixels as they are shown: bands, stretched values, and those that show nothing."""
+"""Pixels of open images: bands, stretched values, transparency and no-data."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from numpy.typing import NDArray
 from PIL import Image
 from rasterio.enums import ColorInterp
@@ -22,10 +23,7 @@ from tests.skill.imagery.files import (
     pillow,
     read_all,
 )
-from vehanchor.errors import (
-    ImageFormatError,
-    InvalidParameterError,
-)
+from vehanchor.errors import ImageFormatError, InvalidParameterError
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Reading
@@ -37,8 +35,7 @@ NEAR_INFRARED = np.dstack([RGB, np.where(LEFT == 0, 0, RGB[..., 0])]).astype(np.
 
 
 def _declared(path: Path, image: NDArray[Any], kind: ColorInterp, **profile: Any) -> Path:
-    import rasterio
-
+    """Write a GeoTIFF whose fourth band is declared to be of a kind."""
     geotiff(path, image, photometric="rgb", **profile)
     with rasterio.open(path, "r+") as dataset:
         dataset.colorinterp = (*dataset.colorinterp[:3], kind)
@@ -60,117 +57,172 @@ def _declared(path: Path, image: NDArray[Any], kind: ColorInterp, **profile: Any
         lambda path: _declared(path, RGBA.astype(np.uint16), ColorInterp.undefined),
     ],
 )
-def test_transparent_pixels_are_not_seen(make: Callable[[Path], Any], tmp_path: Path) -> None:
-    shown = read_all(make(tmp_path / "a.tif"))
-    assert not shown[:, :20].any()
-    assert shown[:, 20:].any(axis=2).all()
+def test_transparent_pixels_are_black(make: Callable[[Path], Any], tmp_path: Path) -> None:
+    pixels = read_all(make(tmp_path / "a.tif"))
+    assert not pixels[:, :20].any()
+    assert pixels[:, 20:].any(axis=2).all()
 
 
-def test_transparent_pixels_of_grey_and_deep_images_are_not_seen_either() -> None:
-    grey = np.dstack([RGB[..., 0], LEFT])
-    deep = RGBA.astype(np.uint16) * 257
-    deep[:, :20, :3] = 65535
-    for image in (grey, pillow("PNG", "LA", grey), deep, encoded(".png", np.roll(deep, 1, axis=2))):
-        shown = read_all(image)
-        assert not shown[:, :20].any()
-        assert shown[:, 25].any()
-    np.testing.assert_array_equal(read_all(deep)[:, 20:], read_all(deep[:, 20:, :3]))
+GREY_WITH_ALPHA = np.dstack([RGB[..., 0], LEFT])
+DEEP_RGBA = RGBA.astype(np.uint16) * 257
+DEEP_RGBA[:, :20, :3] = 65535
 
 
-def test_half_transparent_pixels_are_seen() -> None:
+@pytest.mark.parametrize(
+    "image",
+    [
+        pytest.param(GREY_WITH_ALPHA, id="grey array"),
+        pytest.param(pillow("PNG", "LA", GREY_WITH_ALPHA), id="grey file"),
+        pytest.param(DEEP_RGBA, id="deep array"),
+        pytest.param(encoded(".png", np.roll(DEEP_RGBA, 1, axis=2)), id="deep file"),
+    ],
+)
+def test_transparent_pixels_of_grey_or_deep_images_are_black(image: Any) -> None:
+    pixels = read_all(image)
+    assert not pixels[:, :20].any()
+    assert pixels[:, 25].any()
+
+
+def test_transparent_pixels_do_not_change_the_stretch() -> None:
+    visible = DEEP_RGBA[:, 20:, :3]
+    np.testing.assert_array_equal(read_all(DEEP_RGBA)[:, 20:], read_all(visible))
+
+
+def test_half_transparent_pixels_stay() -> None:
     half = np.dstack([RGB, np.where(LEFT == 0, 1, 128)]).astype(np.uint8)
     np.testing.assert_array_equal(read_all(pillow("PNG", "RGBA", half)), RGB)
 
 
-def test_a_fourth_band_of_many_values_is_near_infrared(tmp_path: Path) -> None:
-    for image in (
-        NEAR_INFRARED,
-        _declared(tmp_path / "a.tif", NEAR_INFRARED, ColorInterp.undefined),
-    ):
-        np.testing.assert_array_equal(read_all(image), RGB)
-        assert read_all(image, bands=(4, 1, 2))[:, 25].any()
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(lambda path: NEAR_INFRARED, id="array"),
+        pytest.param(lambda path: _declared(path, NEAR_INFRARED, ColorInterp.undefined), id="file"),
+    ],
+)
+def test_a_fourth_band_of_many_values_is_near_infrared(
+    make: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    image = make(tmp_path / "a.tif")
+    np.testing.assert_array_equal(read_all(image), RGB)
+    assert read_all(image, bands=(4, 1, 2))[:, 25].any()
+
+
+def test_a_fourth_band_of_zeros_is_not_alpha() -> None:
     np.testing.assert_array_equal(read_all(np.dstack([RGB, np.zeros_like(LEFT)])), RGB)
 
 
-def test_an_alpha_band_that_is_chosen_does_not_hide() -> None:
+def test_an_alpha_band_that_is_read_as_a_colour_hides_nothing() -> None:
     np.testing.assert_array_equal(read_all(RGBA, bands=(1, 2, 4))[..., :2], RGB[..., :2])
 
 
-def test_an_image_without_any_seen_pixel_is_refused() -> None:
+def test_an_image_of_transparent_pixels_is_refused() -> None:
+    transparent = np.dstack([RGB, np.zeros_like(LEFT)])
     with pytest.raises(ImageFormatError, match="transparent"):
-        open_raster(pillow("PNG", "RGBA", np.dstack([RGB, np.zeros_like(LEFT)])))
+        open_raster(pillow("PNG", "RGBA", transparent))
 
 
-@pytest.mark.parametrize(
-    ("dtype", "no_data"),
-    [
-        ("float32", -9999),
-        ("float32", -3.4e38),
-        ("float64", 1.7e308),
-        ("uint16", 65535),
-        ("float32", 1e20),
-    ],
-)
-def test_a_value_far_from_all_others_is_no_data_and_named(
-    dtype: str, no_data: float, tmp_path: Path
-) -> None:
-    values = (RGB.astype(dtype) * 8) + 500
+NO_DATA = [
+    ("float32", -9999),
+    ("float32", -3.4e38),
+    ("float64", 1.7e308),
+    ("uint16", 65535),
+    ("float32", 1e20),
+]
+
+
+def _filled(values: NDArray[Any], no_data: float) -> NDArray[Any]:
     filled = values.copy()
     filled[:4] = no_data
-    for image in (filled, geotiff(tmp_path / "a.tif", filled)):
-        with open_raster(image) as raster:
-            shown = raster.read()
-            assert (
-                f"the value {no_data:g}, in 10 % of the pixels, counts as no data"
-                in raster.warnings[0].message
-            )
-        assert not shown[:4].any()
-        np.testing.assert_array_equal(shown[4:], read_all(values[4:]))
+    return filled
 
 
-def test_no_data_beside_reflectances_is_told_though_nothing_is_stretched() -> None:
-    values = RGB / np.float32(255)
-    values[:4] = -9999
-    with open_raster(values) as raster:
+def _as_file(path: Path, values: NDArray[Any]) -> Path:
+    return geotiff(path, values)
+
+
+def _as_array(path: Path, values: NDArray[Any]) -> NDArray[Any]:
+    return values
+
+
+@pytest.mark.parametrize(("dtype", "no_data"), NO_DATA)
+@pytest.mark.parametrize("make", [_as_array, _as_file])
+def test_a_value_far_from_all_others_is_no_data(
+    make: Callable[[Path, NDArray[Any]], Any], dtype: str, no_data: float, tmp_path: Path
+) -> None:
+    values = (RGB.astype(dtype) * 8) + 500
+    pixels = read_all(make(tmp_path / "a.tif", _filled(values, no_data)))
+    assert not pixels[:4].any()
+    np.testing.assert_array_equal(pixels[4:], read_all(values[4:]))
+
+
+@pytest.mark.parametrize(("dtype", "no_data"), NO_DATA)
+@pytest.mark.parametrize("make", [_as_array, _as_file])
+def test_a_warning_names_the_value_of_no_data(
+    make: Callable[[Path, NDArray[Any]], Any], dtype: str, no_data: float, tmp_path: Path
+) -> None:
+    values = (RGB.astype(dtype) * 8) + 500
+    image = make(tmp_path / "a.tif", _filled(values, no_data))
+    with open_raster(image) as raster:
+        message = raster.warnings[0].message
+    assert f"the value {no_data:g}, in 10 % of the pixels, counts as no data" in message
+
+
+def test_a_warning_names_no_data_without_a_stretch() -> None:
+    reflectances = _filled(RGB / np.float32(255), -9999)
+    with open_raster(reflectances) as raster:
         np.testing.assert_array_equal(raster.read()[4:], RGB[4:])
         assert [note.message for note in raster.warnings] == [
             "the value -9999, in 10 % of the pixels, counts as no data"
         ]
 
 
+TWELVE_BITS = NOISE.astype(np.uint16) * 16
+
+
+def _has_no_data(values: NDArray[Any]) -> bool:
+    with open_raster(values) as raster:
+        return "no data" in raster.warnings[0].message
+
+
+def _with_rows(share: float, value: int) -> NDArray[np.uint16]:
+    """Set a share of the rows to a value."""
+    values = TWELVE_BITS.copy()
+    values[: round(share * len(values))] = value
+    return values
+
+
 @pytest.mark.parametrize("share", [0.01, 0.1])
-def test_clipped_highlights_dead_pixels_and_single_bands_stay(share: float) -> None:
-    values = NOISE.astype(np.uint16) * 16
-    rows = round(share * len(values))
-    for change in (4095, 0):
-        clipped = values.copy()
-        clipped[:rows] = change
-        with open_raster(clipped) as raster:
-            assert "no data" not in raster.warnings[0].message
-    one_band = values.copy()
-    one_band[:rows, :, 0] = 65535
-    with open_raster(one_band) as raster:
-        assert "no data" not in raster.warnings[0].message
-    if share < 0.02:
-        values[:rows] = 65535
-        with open_raster(values) as raster:
-            assert "no data" not in raster.warnings[0].message
+@pytest.mark.parametrize("value", [4095, 0])
+def test_clipped_values_are_data(value: int, share: float) -> None:
+    assert not _has_no_data(_with_rows(share, value))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_a_far_value_of_one_band_is_data(share: float) -> None:
+    one_band = TWELVE_BITS.copy()
+    one_band[..., 0] = _with_rows(share, 65535)[..., 0]
+    assert not _has_no_data(one_band)
+
+
+def test_a_far_value_of_a_few_pixels_is_data() -> None:
+    assert not _has_no_data(_with_rows(0.01, 65535))
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
-def test_sixteen_bits_are_stretched_by_percentiles_and_not_shifted(suffix: str) -> None:
-    twelve_bit = RGB.astype(np.uint16) * 16 + 7
-    with open_raster(encoded(suffix, twelve_bit)) as raster:
-        shown = raster.read()
+def test_sixteen_bits_are_stretched_by_percentiles(suffix: str) -> None:
+    twelve_bits = RGB.astype(np.uint16) * 16 + 7
+    with open_raster(encoded(suffix, twelve_bits)) as raster:
+        pixels = raster.read()
         assert [note.code for note in raster.warnings] == ["pixels_stretched"]
-    low, high = np.percentile(twelve_bit, (2, 98), method="nearest")
-    expected = np.rint(np.clip((twelve_bit - float(low)) / (float(high) - low), 0, 1) * 255)
-    np.testing.assert_allclose(shown, expected, atol=1)
-    np.testing.assert_array_equal(shown, read_all(twelve_bit))
+    low, high = (float(value) for value in np.percentile(twelve_bits, (2, 98), method="nearest"))
+    expected = np.rint(np.clip((twelve_bits - low) / (high - low), 0, 1) * 255)
+    np.testing.assert_allclose(pixels, expected, atol=1)
+    np.testing.assert_array_equal(pixels, read_all(twelve_bits))
 
 
 @pytest.mark.parametrize("dtype", ["float16", ">u2", ">f4", "uint16", "float64"])
-def test_depths_and_byte_orders_give_the_same_picture(dtype: str) -> None:
+def test_every_type_of_pixels_gives_the_same_picture(dtype: str) -> None:
     array = (RGB.astype(int) * 3).astype(dtype)
     np.testing.assert_array_equal(read_all(array), read_all(array.astype(np.float64)))
 
@@ -178,53 +230,76 @@ def test_depths_and_byte_orders_give_the_same_picture(dtype: str) -> None:
 def test_one_bright_pixel_does_not_turn_the_picture_black() -> None:
     array = np.zeros((30, 30), np.uint16)
     array[4, 5] = 60000
-    shown = read_all(array)
-    assert shown[4, 5].tolist() == [255, 255, 255]
-    assert shown.sum() == 3 * 255
+    pixels = read_all(array)
+    assert pixels[4, 5].tolist() == [255, 255, 255]
+    assert pixels.sum() == 3 * 255
 
 
 def test_a_large_array_is_stretched_from_a_sample_spread_over_all_of_it() -> None:
     ramp = np.linspace(1000, 3000, 1500).astype(np.uint16)
     with open_raster(np.tile(ramp, (1200, 1))) as raster:
-        row = raster.read(Window(0, 600, width_px=1500, height_px=1))[0, :, 0].astype(int)
-    assert abs(int(np.argmax(row > 0)) - 30) <= 8
-    assert abs(int(np.argmax(row == 255)) - 1470) <= 8
+        row = raster.read(Window(0, 600, width_px=1500, height_px=1))[0, :, 0]
+    first_above_black = int(np.argmax(row > 0))
+    first_white = int(np.argmax(row == 255))
+    assert abs(first_above_black - 30) <= 8
+    assert abs(first_white - 1470) <= 8
 
 
 def test_values_without_data_do_not_take_part_in_the_stretch(tmp_path: Path) -> None:
     values = RGB.astype(np.uint16) * 20
     values[:20] = 0
-    shown = read_all(geotiff(tmp_path / "a.tif", values, nodata=0))
-    np.testing.assert_array_equal(shown[20:], read_all(values[20:]))
-    assert not shown[:20].any()
+    pixels = read_all(geotiff(tmp_path / "a.tif", values, nodata=0))
+    np.testing.assert_array_equal(pixels[20:], read_all(values[20:]))
+    assert not pixels[:20].any()
 
 
-def test_a_large_raster_is_stretched_alike_in_all_windows(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def ramp_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ramp = np.tile(np.linspace(1000, 3000, 1500).astype(np.uint16), (1200, 1))
-    path = geotiff(tmp_path / "a.tif", ramp[..., np.newaxis], tiled=True, compress="deflate")
-    with open_raster(path) as raster:
+    path = tmp_path_factory.mktemp("ramp") / "a.tif"
+    return geotiff(path, ramp[..., np.newaxis], tiled=True, compress="deflate")
+
+
+def test_a_large_raster_is_stretched_alike_in_all_windows(ramp_path: Path) -> None:
+    with open_raster(ramp_path) as raster:
         whole = raster.read()
-        np.testing.assert_array_equal(
-            raster.read(Window(700, 100, width_px=300, height_px=200)), whole[100:300, 700:1000]
-        )
+        part = raster.read(Window(700, 100, width_px=300, height_px=200))
+    np.testing.assert_array_equal(part, whole[100:300, 700:1000])
+
+
+def test_a_large_raster_is_stretched_to_its_extremes(ramp_path: Path) -> None:
+    with open_raster(ramp_path) as raster:
+        whole = raster.read()
     assert whole[0, 10].max() == 0
     assert whole[0, -10].min() == 255
 
 
-def test_bands_choose_red_green_and_blue() -> None:
-    five = np.concatenate([RGB, 255 - RGB[..., :2]], axis=2)
-    with open_raster(five) as raster:
-        np.testing.assert_array_equal(raster.read(), RGB)
+FIVE_BANDS = np.concatenate([RGB, 255 - RGB[..., :2]], axis=2)
+
+
+def test_the_first_three_of_more_bands_are_read() -> None:
+    np.testing.assert_array_equal(read_all(FIVE_BANDS), RGB)
+
+
+def test_a_warning_says_that_bands_were_selected() -> None:
+    with open_raster(FIVE_BANDS) as raster:
         assert [note.code for note in raster.warnings] == ["bands_selected"]
         assert "5 bands" in raster.warnings[0].message
-    with open_raster(five, Reading(bands=(5, 1, 4))) as raster:
-        np.testing.assert_array_equal(raster.read(), five[..., [4, 0, 3]])
-        assert raster.warnings == ()
+
+
+def test_bands_choose_the_colours() -> None:
+    expected = FIVE_BANDS[..., [4, 0, 3]]
+    np.testing.assert_array_equal(read_all(FIVE_BANDS, bands=(5, 1, 4)), expected)
     np.testing.assert_array_equal(read_all(encoded(".png"), bands=(3, 2, 2)), RGB[..., [2, 1, 1]])
 
 
+def test_chosen_bands_need_no_warning() -> None:
+    with open_raster(FIVE_BANDS, Reading(bands=(5, 1, 4))) as raster:
+        assert raster.warnings == ()
+
+
 @pytest.mark.parametrize("bands", [(0, 1, 2), (1, 2, 4), (1, 2), (-1, 1, 1), "123"])
-def test_bands_that_are_not_there_are_a_wrong_parameter(bands: Any) -> None:
-    for image in (RGB, encoded(".png")):
-        with pytest.raises(InvalidParameterError):
-            open_raster(image, Reading(bands=bands))
+@pytest.mark.parametrize("image", [RGB, encoded(".png")], ids=["array", "file"])
+def test_missing_bands_are_a_wrong_parameter(image: Any, bands: Any) -> None:
+    with pytest.raises(InvalidParameterError):
+        open_raster(image, Reading(bands=bands))

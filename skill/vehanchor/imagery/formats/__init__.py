@@ -1,1 +1,1 @@
-"""File formats: headers and decoders."""
+"""Formats of image files: headers, and decoding of whole images."""

@@ -12,22 +12,29 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.formats.ifd import ReadAt
 
-_MAX_BOXES = 1000  # in one box; real files have a dozen
-_STILL = {b"avif": "AVIF", b"heic": "HEIC", b"heix": "HEIC"}
-"""Brands of still images, and their format; hevc, hevx and avis are sequences."""
+_MAX_BOXES = 1000
+"""Maximum number of boxes in one box; real files have a dozen."""
 
-_ANY_STILL = (b"mif1", b"miaf")  # then the compatible brands tell
+_STILL_FORMATS = {b"avif": "AVIF", b"heic": "HEIC", b"heix": "HEIC"}
+"""Formats of still images by brand; the brands hevc, hevx and avis are sequences."""
+
+_UNSPECIFIC_BRANDS = (b"mif1", b"miaf")
+"""Brands of any still image, for which the compatible brands decide."""
 
 
 def still_format(start: bytes) -> str | None:
-    """Tell AVIF from HEIC by the brands in a file's first 32 bytes; None for any other file."""
+    """Distinguish AVIF and HEIC by the brands in a file's first 32 bytes; None for other files."""
     if start[4:8] != b"ftyp":
         return None
-    compatible = (
-        start[at : at + 4] for at in range(16, min(int.from_bytes(start[:4]), len(start)), 4)
-    )
-    brands = compatible if start[8:12] in _ANY_STILL else (start[8:12],)
-    return next((_STILL[brand] for brand in brands if brand in _STILL), None)
+    major_brand = start[8:12]
+    if major_brand not in _UNSPECIFIC_BRANDS:
+        return _STILL_FORMATS.get(major_brand)
+    box_bytes = int.from_bytes(start[:4])
+    for offset in range(16, min(box_bytes, len(start)), 4):
+        compatible_brand = start[offset : offset + 4]
+        if compatible_brand in _STILL_FORMATS:
+            return _STILL_FORMATS[compatible_brand]
+    return None
 
 
 class Box(NamedTuple):
@@ -56,15 +63,17 @@ def boxes(read_at: ReadAt, start: int = 0, end: int | None = None) -> Iterator[B
         if len(head) < 8 or (end is not None and start + 8 > end):
             return
         length, kind = struct.unpack(">I4s", head[:8])
-        body = start + 8
-        if length == 1:
+        content = start + 8
+        if length == 1:  # a 64-bit length follows
             (length,) = struct.unpack(">Q", head[8:16])
-            body = start + 16
-        after = start + length if length else end
-        if after is not None and (after < body or (end is not None and after > end)):
-            raise ImageDecodeError(f"the image's box {kind!r} has an impossible length: damaged")
-        yield Box(kind, body, after)
-        if after is None:
+            content = start + 16
+        box_end = start + length if length else end
+        if box_end is None:
+            yield Box(kind, content, None)
             return
-        start = after
+        ends_outside = end is not None and box_end > end
+        if box_end < content or ends_outside:
+            raise ImageDecodeError(f"the image's box {kind!r} has an impossible length: damaged")
+        yield Box(kind, content, box_end)
+        start = box_end
     raise ImageTooLargeError(f"the image has more than {_MAX_BOXES} boxes; save it again")

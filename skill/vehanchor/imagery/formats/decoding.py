@@ -17,6 +17,15 @@ if TYPE_CHECKING:
 
 _NO_MEMORY = -4  # cv::Error::StsNoMem
 
+# TIFF's SampleFormat and PhotometricInterpretation.
+_UNSIGNED = 1
+_FLOAT = 3
+_WHITE_IS_ZERO = 0
+_BLACK_IS_ZERO = 1
+_RGB = 2
+_PALETTE = 3
+_YCBCR = 6
+
 
 def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
     """Decode an image to ``[h, w]`` or ``[h, w, 3 or 4]`` in BGR order, in its stored depth.
@@ -43,20 +52,23 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
         if isinstance(error, MemoryError) or error.code == _NO_MEMORY:
-            size = f"{header.width_px} x {header.height_px} px"
             raise OutOfMemoryError(
-                f"not enough memory for the {header.format} of {size}: try again later"
+                f"not enough memory for the {header.format} of {header.width_px} x "
+                f"{header.height_px} px: try again later"
             ) from error
         raise ImageDecodeError(
             f"the {header.format} ({source}) cannot be decoded: {error.err}"
         ) from error
-    # Every OpenCV can return None; the type stubs of older versions omit it.
-    if pixels is None or sorted(pixels.shape[:2]) != sorted((header.height_px, header.width_px)):
-        unknown = f", or unknown to OpenCV {cv2.__version__}: pip install -U opencv-python-headless"
-        raise ImageDecodeError(
-            f"the {header.format} ({source}) cannot be decoded: truncated or damaged"
-            f"{unknown if header.format == 'AVIF' else ''}"
-        )
+    # Every OpenCV can return None; the type stubs of older versions omit it. The sides are sorted
+    # because OpenCV turns a TIFF by its orientation tag.
+    declared_sides = sorted((header.height_px, header.width_px))
+    if pixels is None or sorted(pixels.shape[:2]) != declared_sides:
+        message = f"the {header.format} ({source}) cannot be decoded: truncated or damaged"
+        if header.format == "AVIF":
+            message += (
+                f", or unknown to OpenCV {cv2.__version__}: pip install -U opencv-python-headless"
+            )
+        raise ImageDecodeError(message)
     return pixels
 
 
@@ -65,11 +77,10 @@ def decodes_tiff(layout: TiffLayout) -> bool:
     if layout.bands not in (1, 3, 4) or layout.planar:
         return False
     bits = set(layout.bits)
-    if layout.sample_format == 3:
-        return bits in ({32}, {64}) and layout.photometric in (1, 2)
-    white_is_zero = layout.photometric == 0 and bits in ({1}, {8})
-    return (
-        layout.sample_format == 1
-        and bits in ({1}, {8}, {16})
-        and (white_is_zero or layout.photometric in (1, 2, 3, 6))
-    )
+    if layout.sample_format == _FLOAT:
+        return bits in ({32}, {64}) and layout.photometric in (_BLACK_IS_ZERO, _RGB)
+    if layout.sample_format != _UNSIGNED or bits not in ({1}, {8}, {16}):
+        return False
+    if layout.photometric == _WHITE_IS_ZERO:
+        return bits != {16}
+    return layout.photometric in (_BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR)

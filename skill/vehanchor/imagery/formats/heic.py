@@ -17,10 +17,11 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ImageLimits
 
-_BYTES_PER_PIXEL = 12  # two 16-bit planes of HEVC's colours, and RGB with alpha twice
+_BYTES_PER_PIXEL = 12
+"""Memory for decoding: two 16-bit planes of HEVC's colours, and RGB with alpha twice."""
 
 
-def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) -> Raster:
+def open_heic(data: bytes, source: str, *, bands: BandChoice, limits: ImageLimits) -> Raster:
     """Decode a HEIC; libheif applies its orientation.
 
     Args:
@@ -39,24 +40,33 @@ def open_heic(data: bytes, source: str, bands: BandChoice, limits: ImageLimits) 
     try:
         image = heif.open_heif(io.BytesIO(data))
         width_px, height_px = image.size
-        decoding_bytes = width_px * height_px * _BYTES_PER_PIXEL
-        check_header(
-            ImageHeader("HEIC", width_px, height_px, decoding_bytes=decoding_bytes), limits
+        header = ImageHeader(
+            "HEIC",
+            width_px,
+            height_px,
+            decoding_bytes=width_px * height_px * _BYTES_PER_PIXEL,
         )
-        # the memory is libheif's and ends with the image
+        check_header(header, limits)
+        # libheif owns this memory and frees it with the image. Its rows can be longer than the
+        # image is wide.
         pixels = np.asarray(image)[:, :width_px].copy()
     except MemoryError as error:
         raise OutOfMemoryError(
             f"not enough memory for the HEIC ({source}): try again later"
         ) from error
+    except VehAnchorError:
+        raise
     except (ValueError, RuntimeError, EOFError, OSError, SyntaxError) as error:
-        if isinstance(error, VehAnchorError):
-            raise
         raise ImageDecodeError(f"the HEIC ({source}) cannot be decoded: {error}") from error
     return ArrayRaster(pixels, source, bands, alpha=True)
 
 
 def _import_heif(source: str) -> Any:
+    """Import pillow-heif, or pi-heif, which has the same names but no encoder.
+
+    Raises:
+        MissingExtraError: neither is installed.
+    """
     try:
         import pillow_heif as heif
     except ImportError:

@@ -17,9 +17,14 @@ from vehanchor.errors import ImageDecodeError
 ReadAt = Callable[[int, int], bytes]
 """``read_at(offset, count)`` returns ``count`` bytes, fewer only at the end of the file."""
 
-TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # classic and BigTIFF, either byte order
+TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of a classic TIFF and a BigTIFF, in either byte order."""
+
+_BIGTIFF = 43
 TAG_ORIENTATION = 274
-_INTEGER_TYPES = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
+_INTEGER_CODES = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
+"""Codes of ``struct`` for the types of whole numbers."""
+
 _TYPE_BYTES = {
     1: 1,
     2: 1,
@@ -41,23 +46,62 @@ _TYPE_BYTES = {
 _MAX_DIRECTORIES = 1000
 _MAX_ENTRIES = 4096  # a real directory has some dozens
 MAX_VALUES = 64
-"""Maximum number of values read from a tag, one per band. If the first 64 are equal, all count as equal."""
+"""Maximum number of values read from a tag, one per band.
+
+If the first 64 are equal, all count as equal.
+"""
 
 
 class _Form(NamedTuple):
-    """Number formats of a TIFF's directories, and the offset of the first directory."""
+    """Form of a TIFF's directories, classic or BigTIFF, in the codes of ``struct``.
+
+    Attributes:
+        order: byte order.
+        first: offset of the first directory.
+        n_entries: format of the number of entries, before a directory's table.
+        entry: format of an entry's tag, type and count; its value follows.
+        offset: format of an offset.
+        value_bytes: bytes of a value, or of the offset of a longer one.
+    """
 
     order: str
     first: int
     n_entries: str
     entry: str
+    offset: str
     value_bytes: int
+
+    @property
+    def value_start(self) -> int:
+        """Bytes of an entry before its value."""
+        return struct.calcsize(self.entry)
+
+    @property
+    def entry_bytes(self) -> int:
+        """Bytes of an entry."""
+        return self.value_start + self.value_bytes
+
+
+class _Entry(NamedTuple):
+    """Entry of a directory.
+
+    Attributes:
+        tag: its number.
+        kind: type of its values.
+        n_values: number of its values.
+        value_offset: offset of its value, or of the value's offset, in the table.
+    """
+
+    tag: int
+    kind: int
+    n_values: int
+    value_offset: int
 
 
 def read_ifd(
     read_at: ReadAt,
-    wanted: frozenset[int],
-    bare: frozenset[int] = frozenset(),
+    integer_tags: frozenset[int],
+    presence_tags: frozenset[int] = frozenset(),
     *,
     offset: int | None = None,
     whole: bool = True,
@@ -66,8 +110,8 @@ def read_ifd(
 
     Args:
         read_at: reads the file, or a block that begins with a TIFF signature.
-        wanted: tags with integer values to read.
-        bare: tags to test for presence; their values are not read.
+        integer_tags: tags with integer values to read.
+        presence_tags: tags to test for presence; their values are not read.
         offset: offset of the directory; None for the first.
         whole: whether the file is there to its end.
 
@@ -75,42 +119,43 @@ def read_ifd(
         Up to 64 values for each of these tags that is present.
 
     Raises:
-        ImageDecodeError: a tag occurs twice, a wanted tag holds no integers, or all values
+        ImageDecodeError: a tag occurs twice, an integer tag holds no integers, or all values
             together, which decoders read, are longer than the file.
         struct.error: the file ends within the directory or a value.
     """
-    form = _form(read_at)
-    entry_format = form.entry
-    value_bytes = form.value_bytes
-    order = form.order
-    value_at = struct.calcsize(entry_format)
-    entry_bytes = value_at + value_bytes
-    table_at, n_entries = _table(read_at, form, form.first if offset is None else offset)
-    table = read_at(table_at, n_entries * entry_bytes)
-    seen: set[int] = set()
-    tags: dict[int, tuple[int, ...]] = {}
-    outside = 0
-    for start in range(0, n_entries * entry_bytes, entry_bytes):
-        tag, kind, count = struct.unpack_from(entry_format, table, start)
-        if tag in seen:
+    form = _read_form(read_at)
+    if offset is None:
+        offset = form.first
+    table_start, n_entries = _locate_table(read_at, form, offset=offset)
+    entry_bytes = form.entry_bytes
+    value_start = form.value_start
+    table_bytes = n_entries * entry_bytes
+    table = read_at(table_start, table_bytes)
+    read_tags: set[int] = set()
+    values: dict[int, tuple[int, ...]] = {}
+    n_bytes_outside = 0
+    for start in range(0, table_bytes, entry_bytes):
+        tag, kind, n_values = struct.unpack_from(form.entry, table, start)
+        if tag in read_tags:
             raise ImageDecodeError(
                 f"the TIFF directory holds tag {tag} twice, and decoders disagree on it: damaged"
             )
-        seen.add(tag)
-        n_bytes = count * _TYPE_BYTES.get(kind, 0)
-        outside += n_bytes if n_bytes > value_bytes else 0
-        if tag in bare:
-            tags[tag] = ()
-        elif tag in wanted:
-            tags[tag] = _values(
-                read_at, table, start + value_at, order, (tag, kind, count), value_bytes
-            )
-    if whole and outside and not read_at(outside - 1, 1):
+        read_tags.add(tag)
+        n_bytes = n_values * _TYPE_BYTES.get(kind, 0)
+        if n_bytes > form.value_bytes:
+            n_bytes_outside += n_bytes
+        if tag in presence_tags:
+            values[tag] = ()
+        elif tag in integer_tags:
+            entry = _Entry(tag, kind, n_values=n_values, value_offset=start + value_start)
+            values[tag] = _read_integers(read_at, table, form=form, entry=entry)
+    # Decoders read all values. If many entries share bytes, a small file can cost much memory.
+    if whole and n_bytes_outside and not read_at(n_bytes_outside - 1, 1):
         raise ImageDecodeError(
-            f"the TIFF directory declares values of {outside} bytes, more than the file has: "
-            "damaged"
+            f"the TIFF directory declares values of {n_bytes_outside} bytes, more than the file "
+            "has: damaged"
         )
-    return tags
+    return values
 
 
 def later_directories(read_at: ReadAt) -> Iterator[int]:
@@ -119,41 +164,65 @@ def later_directories(read_at: ReadAt) -> Iterator[int]:
     Raises:
         ImageDecodeError: the chain has more than a thousand directories.
     """
-    form = _form(read_at)
-    at = form.first
-    seen = {form.first}
-    entry_bytes = struct.calcsize(form.entry) + form.value_bytes
+    form = _read_form(read_at)
+    offset = form.first
+    visited = {offset}
     with contextlib.suppress(struct.error):  # the chain leaves the file: every decoder stops here
         while True:
-            table_at, n_entries = _table(read_at, form, at)
-            offset_format = form.order + ("I" if form.value_bytes == 4 else "Q")
-            next_at = read_at(table_at + n_entries * entry_bytes, form.value_bytes)
-            (at,) = struct.unpack(offset_format, next_at)
-            if at == 0 or at in seen:
+            table_start, n_entries = _locate_table(read_at, form, offset=offset)
+            table_end = table_start + n_entries * form.entry_bytes
+            next_offset = read_at(table_end, form.value_bytes)
+            (offset,) = struct.unpack(form.offset, next_offset)
+            if offset == 0 or offset in visited:
                 return
-            if len(seen) > _MAX_DIRECTORIES:
+            if len(visited) > _MAX_DIRECTORIES:
                 raise ImageDecodeError(
                     f"the TIFF has more than {_MAX_DIRECTORIES} directories; save only the first"
                 )
-            seen.add(at)
-            yield at
+            visited.add(offset)
+            yield offset
 
 
-def _form(read_at: ReadAt) -> _Form:
+def _read_form(read_at: ReadAt) -> _Form:
+    """Read the byte order and the version of a TIFF.
+
+    Raises:
+        ImageDecodeError: the byte order is unknown.
+        struct.error: the file ends within its header.
+    """
     head = read_at(0, 16)
     order = {b"II": "<", b"MM": ">"}.get(head[:2])
     if order is None:
         raise ImageDecodeError("the TIFF directory has no byte order: damaged")
     (version,) = struct.unpack_from(order + "H", head, 2)
-    if version == 43:  # BigTIFF
+    if version == _BIGTIFF:
         (first,) = struct.unpack_from(order + "Q", head, 8)
-        return _Form(order, first, n_entries=order + "Q", entry=order + "HHQ", value_bytes=8)
+        return _Form(
+            order,
+            first,
+            n_entries=order + "Q",
+            entry=order + "HHQ",
+            offset=order + "Q",
+            value_bytes=8,
+        )
     (first,) = struct.unpack_from(order + "I", head, 4)
-    return _Form(order, first, n_entries=order + "H", entry=order + "HHI", value_bytes=4)
+    return _Form(
+        order,
+        first,
+        n_entries=order + "H",
+        entry=order + "HHI",
+        offset=order + "I",
+        value_bytes=4,
+    )
 
 
-def _table(read_at: ReadAt, form: _Form, offset: int) -> tuple[int, int]:
-    """Give the offset of a directory's entries and their number."""
+def _locate_table(read_at: ReadAt, form: _Form, *, offset: int) -> tuple[int, int]:
+    """Read the offset of a directory's entries, and their number.
+
+    Raises:
+        ImageDecodeError: there are too many entries.
+        struct.error: the file ends before the directory.
+    """
     count_bytes = struct.calcsize(form.n_entries)
     (n_entries,) = struct.unpack(form.n_entries, read_at(offset, count_bytes))
     if n_entries > _MAX_ENTRIES:
@@ -161,24 +230,25 @@ def _table(read_at: ReadAt, form: _Form, offset: int) -> tuple[int, int]:
     return offset + count_bytes, n_entries
 
 
-def _values(
-    read_at: ReadAt,
-    table: bytes,
-    at: int,
-    order: str,
-    entry: tuple[int, int, int],
-    value_bytes: int,
-) -> tuple[int, ...]:
-    tag, kind, count = entry
-    if kind not in _INTEGER_TYPES or count == 0:
+def _read_integers(read_at: ReadAt, table: bytes, *, form: _Form, entry: _Entry) -> tuple[int, ...]:
+    """Read up to 64 values of an entry, from the table or from their own offset.
+
+    Raises:
+        ImageDecodeError: the entry holds no integers.
+        struct.error: the file ends within the values.
+    """
+    code = _INTEGER_CODES.get(entry.kind)
+    if code is None or entry.n_values == 0:
         raise ImageDecodeError(
-            f"the TIFF's tag {tag} has {count} values of type {kind}, not whole numbers: damaged"
+            f"the TIFF's tag {entry.tag} has {entry.n_values} values of type {entry.kind}, not "
+            "whole numbers: damaged"
         )
-    values = f"{order}{min(count, MAX_VALUES)}{_INTEGER_TYPES[kind]}"
-    if count * struct.calcsize(order + _INTEGER_TYPES[kind]) <= value_bytes:
-        return struct.unpack_from(values, table, at)
-    (elsewhere,) = struct.unpack_from(order + ("I" if value_bytes == 4 else "Q"), table, at)
-    return struct.unpack(values, read_at(elsewhere, struct.calcsize(values)))
+    values_format = f"{form.order}{min(entry.n_values, MAX_VALUES)}{code}"
+    if entry.n_values * _TYPE_BYTES[entry.kind] <= form.value_bytes:
+        return struct.unpack_from(values_format, table, entry.value_offset)
+    (values_offset,) = struct.unpack_from(form.offset, table, entry.value_offset)
+    values = read_at(values_offset, struct.calcsize(values_format))
+    return struct.unpack(values_format, values)
 
 
 def in_memory(data: bytes) -> ReadAt:
@@ -197,5 +267,6 @@ def exif_orientation(payload: bytes) -> int:
 
 def orientation_of(tags: dict[int, tuple[int, ...]]) -> int:
     """Get the orientation from a directory's tags, 1 to 8; 1 if it is absent or invalid."""
-    value = (tags.get(TAG_ORIENTATION) or (1,))[0]
-    return value if 1 <= value <= 8 else 1
+    values = tags.get(TAG_ORIENTATION) or (1,)
+    orientation = values[0]
+    return orientation if 1 <= orientation <= 8 else 1

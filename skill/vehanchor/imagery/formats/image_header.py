@@ -1,11 +1,14 @@
-"""What the header of an image file declares."""
+"""Header of an image file: the declarations on which limits and decoding depend."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 COPIES = 2
-"""Images that OpenCV holds while it decodes one: OpenCV 5 copies the decoded image before it returns it (measured)."""
+"""Copies of an image that OpenCV holds while it decodes it.
+
+OpenCV 5 copies the decoded image before it returns it (measured).
+"""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,8 @@ class TiffLayout:
     @property
     def pixel_bytes(self) -> int:
         """Bytes of a decoded pixel with all bands."""
-        return self.bands * next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
+        sample_bytes = next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
+        return self.bands * sample_bytes
 
 
 @dataclass(frozen=True)

@@ -9,34 +9,65 @@ from __future__ import annotations
 import re
 import struct
 import sys
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
 MAX_SCANS = 25
-"""Maximum number of scans, each decoded over the whole image; progressive JPEGs of mozjpeg have up to as many."""
+"""Maximum number of scans, each decoded over the whole image.
+
+Progressive JPEGs of mozjpeg have up to as many.
+"""
 
 MAX_SEGMENTS = 10_000
-"""Maximum number of segments; 512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192."""
+"""Maximum number of segments.
+
+512 MiB of metadata in segments of 64 KiB, the largest possible, are 8,192.
+"""
 
 EXIF_PREFIX = b"Exif\0\0"
-_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # DHT, JPG and DAC share the range
-# sequential and lossless; all others refine earlier scans
+
+# Markers: DHT, JPG and DAC share the range of SOF, the frame headers. TEM and RSTn have no length.
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _SOF_ONE_PASS = frozenset({0xC0, 0xC1, 0xC3, 0xC9, 0xCB})
-_STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})  # TEM and RSTn carry no length
+"""Frame headers of sequential and lossless JPEGs; in all others, scans refine earlier ones."""
+
+_STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 _SOS = 0xDA
 _EOI = 0xD9
 _APP1 = 0xE1
 _STUFFING = 0x00
+_FILL = 0xFF
+
 # In entropy-coded data, 0 (stuffing), a restart marker or a fill byte follows 0xFF; anything else
 # is a marker.
 _MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _AFTER_FILL = re.compile(rb"\xff[^\xff]")
 
 
+class _Frame(NamedTuple):
+    """Frame header of a JPEG.
+
+    Attributes:
+        marker: kind of the JPEG, one of ``_SOF``.
+        height_px: rows.
+        width_px: columns.
+        n_components: bands as stored.
+    """
+
+    marker: int
+    height_px: int
+    width_px: int
+    n_components: int
+
+
 def read_jpeg(read_at: ReadAt) -> ImageHeader:
-    """Read the header of a JPEG from its markers; the file is held in memory, since it is decoded whole.
+    """Read the header of a JPEG from its markers; loads the file, because it is decoded whole.
 
     Raises:
         ImageDecodeError: the file has no frame header, or more than one.
@@ -44,81 +75,101 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
         struct.error: the file ends within the frame header.
     """
     data = read_at(0, sys.maxsize)
-    frame: tuple[int, int, int, int] | None = None
+    frame: _Frame | None = None
     orientation = 1
     complete = False
     metadata: list[tuple[int, int]] = []
-    n_segments = n_scans = 0
+    n_scans = 0
+    for marker, start, end in _segments(data):
+        if marker == _EOI:
+            complete = True
+        elif marker in _SOF:
+            if frame is not None:
+                raise ImageDecodeError("the JPEG has two frame headers: damaged")
+            height, width, n_components = struct.unpack_from(">HHB", data, start + 1)
+            frame = _Frame(marker, height, width_px=width, n_components=n_components)
+        elif marker == _APP1:
+            metadata.append((start, end - start))
+            if data.startswith(EXIF_PREFIX, start):
+                exif = data[start + len(EXIF_PREFIX) : end]
+                orientation = exif_orientation(exif)
+        elif marker == _SOS:
+            n_scans += 1
+            if n_scans > MAX_SCANS:
+                raise ImageTooLargeError(
+                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; "
+                    "save it again as a baseline JPEG"
+                )
+    if frame is None:
+        raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
+    return ImageHeader(
+        "JPEG",
+        frame.width_px,
+        frame.height_px,
+        orientation=orientation,
+        complete=complete,
+        decoding_bytes=_decoding_bytes(frame, n_scans),
+        metadata=tuple(metadata),
+    )
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield the marker of each segment, and start and end of its content.
+
+    The end marker comes last; without it, the file is truncated or damaged.
+
+    Raises:
+        ImageTooLargeError: there are too many segments.
+    """
+    n_segments = 0
     position = 2
     while True:
-        start = data[position : position + 2]
-        if len(start) < 2 or start[0] != 0xFF:
-            break
-        marker = start[1]
-        if marker == 0xFF:  # fill bytes
-            found = _AFTER_FILL.search(data, position)
-            position = found.start() if found else len(data)
+        head = data[position : position + 2]
+        if len(head) < 2 or head[0] != 0xFF:
+            return
+        marker = head[1]
+        if marker == _FILL:
+            position = _find(_AFTER_FILL, data, position)
             continue
-        # some decoders skip stuffing byte by byte, others read it as a segment
-        if marker in (_EOI, _STUFFING):
-            complete = marker == _EOI
-            break
+        position += 2
+        if marker == _EOI:
+            yield marker, position, position
+            return
+        # Some decoders skip stuffing byte by byte, others read it as a segment.
+        if marker == _STUFFING:
+            return
         n_segments += 1
         if n_segments > MAX_SEGMENTS:
             raise ImageTooLargeError(
                 f"the JPEG has more than {MAX_SEGMENTS} segments; save it again without metadata"
             )
-        position += 2
         if marker in _STANDALONE:
             continue
-        head = data[position : position + 8]
-        length = int.from_bytes(head[:2], "big")
-        if len(head) < 2 or length < 2:
-            break
-        if marker in _SOF:
-            if frame is not None:
-                raise ImageDecodeError("the JPEG has two frame headers: damaged")
-            frame = (marker, *struct.unpack_from(">HHB", head, 3))
-        elif marker == _APP1:
-            metadata.append((position + 2, length - 2))
-            if head[2:8] == EXIF_PREFIX:
-                orientation = exif_orientation(data[position + 8 : position + length])
-        position += length
+        # The length counts its own two bytes.
+        length_bytes = data[position : position + 2]
+        length = int.from_bytes(length_bytes, "big")
+        if len(length_bytes) < 2 or length < 2:
+            return
+        end = position + length
+        yield marker, position + 2, end
+        position = end
+        # Entropy-coded data follow the header of a scan.
         if marker == _SOS:
-            n_scans += 1
-            if n_scans > MAX_SCANS:
-                raise ImageTooLargeError(
-                    f"the JPEG has more than {MAX_SCANS} scans, each covering the whole image; "
-                    "save it again as a "
-                    "baseline JPEG"
-                )
-            found = _MARKER_IN_SCAN.search(data, position)
-            position = found.start() if found else len(data)
-    if frame is None:
-        raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
-    return _header(frame, n_scans, orientation=orientation, complete=complete, metadata=metadata)
+            position = _find(_MARKER_IN_SCAN, data, position)
 
 
-def _header(
-    frame: tuple[int, int, int, int],
-    n_scans: int,
-    orientation: int,
-    complete: bool,
-    metadata: list[tuple[int, int]],
-) -> ImageHeader:
-    """Predict the memory of a JPEG with this frame: its marker, height, width and number of components."""
-    kind, height, width, components = frame
-    # the decoder holds the 16-bit coefficients of the whole image
-    held = kind not in _SOF_ONE_PASS or n_scans > 1
-    shown = 1 if components == 1 else 3
-    return ImageHeader(
-        "JPEG",
-        width,
-        height,
-        orientation=orientation,
-        complete=complete,
-        decoding_bytes=width
-        * height
-        * max(COPIES * shown, shown + (2 * components if held else 0)),
-        metadata=tuple(metadata),
-    )
+def _find(pattern: re.Pattern[bytes], data: bytes, position: int) -> int:
+    """Find the offset of the next match; the end of the data without one."""
+    match = pattern.search(data, position)
+    return match.start() if match else len(data)
+
+
+def _decoding_bytes(frame: _Frame, n_scans: int) -> int:
+    """Predict the memory that OpenCV takes to decode a JPEG."""
+    decoded_bytes = 1 if frame.n_components == 1 else 3
+    # If scans refine each other, the decoder holds the 16-bit coefficients of the whole image.
+    coefficient_bytes = 0
+    if frame.marker not in _SOF_ONE_PASS or n_scans > 1:
+        coefficient_bytes = 2 * frame.n_components
+    pixel_bytes = max(COPIES * decoded_bytes, decoded_bytes + coefficient_bytes)
+    return frame.width_px * frame.height_px * pixel_bytes

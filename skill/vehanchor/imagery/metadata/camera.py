@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import TYPE_CHECKING
 
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, metadata_blocks
@@ -29,18 +28,31 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.makers import Maker
     from vehanchor.imagery.metadata.xmp import Properties
 
-# FocalPlaneResolutionUnit: inch, cm; TIFF/EP's mm, micrometre
-_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-# a choice: from phones to medium format; a resized copy has a narrower one
+_INCH = 2
+_MM_PER_UNIT = {_INCH: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+"""Millimetres by FocalPlaneResolutionUnit: inch, cm, and TIFF/EP's mm and micrometre."""
+
 _SENSOR_WIDTHS_MM = (4.0, 60.0)
-_SENSOR_TOLERANCE = 1.25  # a choice: pictures of another shape leave a fifth of the columns out
-_OF_MAKERS = dict.fromkeys(name for each in MAKERS for name in each.names)
-_NAMES = (
-    *IN_XMP,
-    *_OF_MAKERS,
-    *{name.replace("/", ""): None for name in _OF_MAKERS if "/" in name},
-)
-"""Properties to find in XMP; some programs flatten structures."""
+"""Possible widths of an unknown sensor, from phones to medium format; our assumption.
+
+A resized copy makes the sensor narrower.
+"""
+
+_SENSOR_TOLERANCE = 1.25
+"""Ratio of a stated to a known width of a sensor; our assumption.
+
+Pictures of another shape leave out a fifth of the columns.
+"""
+
+
+def _xmp_names() -> tuple[str, ...]:
+    """List the properties to find in XMP, each once; some programs flatten structures."""
+    of_makers = dict.fromkeys(name for maker in MAKERS for name in maker.names)
+    flattened = dict.fromkeys(name.replace("/", "") for name in of_makers if "/" in name)
+    return (*IN_XMP, *of_makers, *flattened)
+
+
+_XMP_NAMES = _xmp_names()
 
 
 @dataclass(frozen=True)
@@ -48,8 +60,8 @@ class CameraMetadata:
     """Camera and its position; None for values that the file lacks.
 
     Attributes:
-        make: of the camera, from EXIF; empty if unknown.
-        model: of the camera, from EXIF; empty if unknown.
+        make: maker of the camera, from EXIF; empty if unknown.
+        model: model of the camera, from EXIF; empty if unknown.
         height_m: metres above take-off, or above ground if the maker knows it; never above sea
             level.
         height_tag: maker and property of the height, for example ``DJI RelativeAltitude``.
@@ -67,7 +79,7 @@ class CameraMetadata:
         longitude_deg: longitude, positive to the east.
         taken_at: local time of the photograph, as EXIF writes it (2025:10:05 16:40:31); empty if
             unknown.
-        refused: what was not used and why, as clauses with semicolons; empty if all was read.
+        refused: why metadata were not used, as clauses with semicolons; empty if all was read.
     """
 
     make: str = ""
@@ -98,128 +110,190 @@ def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
     exif, xmp = metadata_blocks(read_at, header)
     if not exif and not xmp:
         return None
-    tags = [read_exif(each) for each in exif]
-    xmp += [notes for each in tags if isinstance(notes := each.get("ApplicationNotes"), bytes)]
-    starts = accumulate(map(len, xmp), initial=0)
-    packets = [
-        packet[: max(0, MAX_XMP_BYTES - start)] for start, packet in zip(starts, xmp, strict=False)
-    ]
-    read = [read_xmp(each, _NAMES) for each in packets if each]
-    without = DAMAGED if any(found for found, _ in read) else ""  # of others: one had what there is
-    refused = [reason for _, reason in read if reason not in ("", without)]
-    camera = _combine(tags, [found for found, _ in read], refused)
+    tags = [read_exif(block) for block in exif]
+    for block_tags in tags:
+        packet_of_tiff = block_tags.get("ApplicationNotes")
+        if isinstance(packet_of_tiff, bytes):
+            xmp.append(packet_of_tiff)
+    packets, refused = _read_packets(xmp)
+    statements = Statements(tags, packets, refused)
+    camera = _combine(statements, tags)
     return None if camera == CameraMetadata() else camera
 
 
-def _combine(
-    tags: Sequence[ExifTags], packets: Sequence[Properties], refused: Sequence[str]
-) -> CameraMetadata:
-    stated = Statements(tags, packets, refused)
-    make = stated.text("Make")
-    model = stated.text("Model")
+def _read_packets(xmp: Sequence[bytes]) -> tuple[list[Properties], list[str]]:
+    """Read the properties of XMP packets, and the reasons why packets were refused.
+
+    The packets share ``MAX_XMP_BYTES``; the last ones can be cut or left out.
+    """
+    packets: list[Properties] = []
+    reasons: list[str] = []
+    bytes_left = MAX_XMP_BYTES
+    for packet in xmp:
+        limited = packet[: max(0, bytes_left)]
+        bytes_left -= len(packet)
+        if limited:
+            properties, reason = read_xmp(limited, _XMP_NAMES)
+            packets.append(properties)
+            reasons.append(reason)
+    # A damaged packet does not matter if another one has the properties.
+    ignored = {"", DAMAGED} if any(packets) else {""}
+    return packets, [reason for reason in reasons if reason not in ignored]
+
+
+def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata:
+    """Combine the statements of all blocks."""
+    make = statements.text("Make")
+    model = statements.text("Model")
     makers = makers_of(make)
-    height, height_tag = _first(stated, makers, field="height", units=METRES)
-    focal_px, _ = _first(stated, makers, field="focal_px", units=PIXELS)
-    centre_px, _ = _first(stated, makers, field="centre_px", units=PIXELS)
-    focal_mm = stated.lens_number("FocalLength")
-    for each in makers:
-        value, unit = stated.focal(each) if each.focal else (None, "")
-        if value is not None:
-            focal_px, focal_mm = (
-                (focal_px or value, focal_mm) if unit == "px" else (focal_px, value)
-            )
-            break
-    width = stated.whole("PixelXDimension")
-    rows = stated.whole("PixelYDimension")
-    off_nadir, roll = _attitude(stated, makers)
+    height_m, height_tag = _first_quantity(statements, makers, field="height", units=METRES)
+    focal_px, _ = _first_quantity(statements, makers, field="focal_px", units=PIXELS)
+    centre_px, _ = _first_quantity(statements, makers, field="centre_px", units=PIXELS)
+    focal_mm = statements.lens_number("FocalLength")
+    # A maker's millimetres replace those of EXIF; its pixels only fill a gap.
+    maker_focal, unit = _maker_focal(statements, makers)
+    if maker_focal is not None:
+        if unit == "mm":
+            focal_mm = maker_focal
+        else:
+            focal_px = focal_px or maker_focal
+    taken_width_px = statements.whole("PixelXDimension")
+    taken_height_px = statements.whole("PixelYDimension")
+    # One side alone does not give the size of the original image.
+    if not taken_width_px or not taken_height_px:
+        taken_width_px = None
+        taken_height_px = None
+    off_nadir, roll = _attitude(statements, makers)
+    latitude, longitude = _position(tags)
     return CameraMetadata(
         make=make,
         model=model,
-        height_m=height,
+        height_m=height_m,
         height_tag=height_tag,
         focal_mm=focal_mm,
-        focal_35mm=stated.lens_number("FocalLengthIn35mmFilm"),
+        focal_35mm=statements.lens_number("FocalLengthIn35mmFilm"),
         focal_px=focal_px,
-        pixel_mm=_pixel_mm(stated, width if rows else None, make=make, model=model),
-        taken_width_px=width if width and rows else None,
-        taken_height_px=rows if width and rows else None,
+        pixel_mm=_pixel_mm(statements, taken_width_px, make=make, model=model),
+        taken_width_px=taken_width_px,
+        taken_height_px=taken_height_px,
         centre_x_px=centre_px,
         off_nadir_deg=off_nadir,
-        digital_zoom=stated.lens_number("DigitalZoomRatio") or 1.0,
+        digital_zoom=statements.lens_number("DigitalZoomRatio") or 1.0,
         roll_deg=roll,
-        **_position(next((each for each in tags if "GPSLatitude" in each), {})),
-        taken_at=stated.text("DateTimeOriginal"),
-        refused="; ".join(dict.fromkeys(stated.refused)),
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        taken_at=statements.text("DateTimeOriginal"),
+        refused="; ".join(dict.fromkeys(statements.refused)),
     )
 
 
-def _first(
-    stated: Statements, makers: Sequence[Maker], field: str, units: Mapping[str, float]
+def _first_quantity(
+    statements: Statements, makers: Sequence[Maker], *, field: str, units: Mapping[str, float]
 ) -> tuple[float | None, str]:
-    """Take a quantity from the first maker that has it; give it with the maker's and the property's name."""
-    for each in makers:
-        name = getattr(each, field)
-        value = stated.quantity(each, name, units) if name else None
+    """Read a quantity of the first maker that has it, and the maker's and the property's name."""
+    for maker in makers:
+        name = getattr(maker, field)
+        if not name:
+            continue
+        value = statements.quantity(maker, name, units)
         if value is not None:
-            return value, f"{each.name} {name}"
+            return value, f"{maker.name} {name}"
     return None, ""
 
 
-def _attitude(stated: Statements, makers: Sequence[Maker]) -> tuple[float | None, float | None]:
-    """Compute the off-nadir angle and the gimbal's roll from the first maker with a pitch; None for unknown ones."""
-    for each in makers:
-        pitch = stated.quantity(each, each.pitch, DEGREES)
+def _maker_focal(statements: Statements, makers: Sequence[Maker]) -> tuple[float | None, str]:
+    """Read the focal length of the first maker that has one with a unit, and the unit."""
+    for maker in makers:
+        if not maker.focal:
+            continue
+        value, unit = statements.focal(maker)
+        if value is not None:
+            return value, unit
+    return None, ""
+
+
+def _attitude(statements: Statements, makers: Sequence[Maker]) -> tuple[float | None, float | None]:
+    """Compute the off-nadir angle and the gimbal's roll from the first maker with a pitch.
+
+    Returns:
+        Degrees; None for an unknown angle.
+    """
+    for maker in makers:
+        pitch = statements.quantity(maker, maker.pitch, DEGREES)
         if pitch is None:
             continue
-        roll = stated.quantity(each, each.roll, DEGREES) or 0.0
-        level = pitch < each.level_below_deg
-        if level and pitch == roll == 0:
-            stated.refused.append(
-                f"{each.name} {each.pitch} and {each.roll} are 0, as some drones write unknown "
+        roll = statements.quantity(maker, maker.roll, DEGREES) or 0.0
+        is_from_horizon = pitch < maker.level_below_deg
+        if is_from_horizon and pitch == roll == 0:
+            statements.refused.append(
+                f"{maker.name} {maker.pitch} and {maker.roll} are 0, as some drones write unknown "
                 "angles"
             )
             continue
-        from_down = math.radians(pitch + 90 if level else pitch)
-        # a gimbal's roll turns the image about the optical axis
-        if each.level_below_deg == math.inf:
-            return math.degrees(math.acos(math.cos(from_down))), roll or None
-        tilt = math.cos(from_down) * (1.0 if level else math.cos(math.radians(roll)))
-        return math.degrees(math.acos(max(-1.0, min(1.0, tilt)))), None
+        from_nadir = math.radians(pitch + 90 if is_from_horizon else pitch)
+        # A gimbal's roll turns the image about the optical axis, so it does not tilt the camera.
+        if maker.level_below_deg == math.inf:
+            # Any angle becomes one of 0 to 180 degrees.
+            off_nadir = math.acos(math.cos(from_nadir))
+            return math.degrees(off_nadir), roll or None
+        # Counted from nadir, the roll tilts the camera, too: the cosines of both tilts multiply.
+        # Counted from the horizon, it turns the image about the optical axis.
+        cosine = math.cos(from_nadir)
+        if not is_from_horizon:
+            cosine *= math.cos(math.radians(roll))
+        off_nadir = math.acos(max(-1.0, min(1.0, cosine)))
+        return math.degrees(off_nadir), None
     return None, None
 
 
-def _position(tags: ExifTags) -> dict[str, float]:
-    """Give latitude and longitude; empty if one is invalid."""
-    north = tags.get("GPSLatitude")
-    east = tags.get("GPSLongitude")
-    if not isinstance(north, float) or not isinstance(east, float):
-        return {}
-    if north > 90 or east > 180 or north == east == 0:  # 0, 0 is "no fix"
-        return {}
-    return {
-        "latitude_deg": -north if tags.get("GPSLatitudeRef") == "S" else north,
-        "longitude_deg": -east if tags.get("GPSLongitudeRef") == "W" else east,
-    }
+def _position(tags: Sequence[ExifTags]) -> tuple[float | None, float | None]:
+    """Get latitude and longitude from the first block with a position; None if one is invalid."""
+    block = next((block for block in tags if "GPSLatitude" in block), {})
+    latitude = block.get("GPSLatitude")
+    longitude = block.get("GPSLongitude")
+    if not isinstance(latitude, float) or not isinstance(longitude, float):
+        return None, None
+    has_no_fix = latitude == longitude == 0
+    if has_no_fix or latitude > 90 or longitude > 180:
+        return None, None
+    if block.get("GPSLatitudeRef") == "S":
+        latitude = -latitude
+    if block.get("GPSLongitudeRef") == "W":
+        longitude = -longitude
+    return latitude, longitude
 
 
-def _pixel_mm(stated: Statements, width_px: int | None, make: str, model: str) -> float | None:
-    """Compute the pixel pitch from the focal plane's resolution; None if the sensor that it makes is impossible."""
-    per_unit = stated.lens_number("FocalPlaneXResolution")
-    unit = stated.whole("FocalPlaneResolutionUnit") or 2
-    if not per_unit or per_unit < 0 or unit not in _MM_PER_UNIT:
+def _pixel_mm(
+    statements: Statements, width_px: int | None, *, make: str, model: str
+) -> float | None:
+    """Compute the pixel pitch from the focal plane's resolution.
+
+    Args:
+        statements: statements of the file.
+        width_px: columns of the original image; None if unknown.
+        make: EXIF's Make.
+        model: EXIF's Model.
+
+    Returns:
+        Millimetres; None if the pitch is unknown, or if it makes the sensor impossibly wide.
+    """
+    pixels_per_unit = statements.lens_number("FocalPlaneXResolution")
+    unit = statements.whole("FocalPlaneResolutionUnit") or _INCH
+    if not pixels_per_unit or unit not in _MM_PER_UNIT:
         return None
-    pixel_mm = _MM_PER_UNIT[unit] / per_unit
-    wide = pixel_mm * (width_px or 0)
+    pixel_mm = _MM_PER_UNIT[unit] / pixels_per_unit
+    if width_px is None:
+        return pixel_mm
+    sensor_mm = pixel_mm * width_px
     sensor = sensor_of(make, model)
-    least, most = (
-        _SENSOR_WIDTHS_MM
-        if sensor is None
-        else (sensor.width_mm / _SENSOR_TOLERANCE, sensor.width_mm * _SENSOR_TOLERANCE)
-    )
-    if width_px and not least <= wide <= most:
-        stated.refused.append(
-            f"FocalPlaneXResolution makes the sensor {wide:.2g} mm wide, as in a copy of "
-            "another size"
+    if sensor is None:
+        min_mm, max_mm = _SENSOR_WIDTHS_MM
+    else:
+        min_mm = sensor.width_mm / _SENSOR_TOLERANCE
+        max_mm = sensor.width_mm * _SENSOR_TOLERANCE
+    if not min_mm <= sensor_mm <= max_mm:
+        statements.refused.append(
+            f"FocalPlaneXResolution implies a sensor {sensor_mm:.2g} mm wide, as in a resized copy"
         )
         return None
     return pixel_mm

@@ -11,7 +11,10 @@ import re
 from typing import Any, NamedTuple
 
 AffineCoefficients = tuple[float, float, float, float, float, float]
-"""(a, b, c, d, e, f): x = a*column + b*row + c and y = d*column + e*row + f, as in ``affine.Affine``."""
+"""(a, b, c, d, e, f), as in ``affine.Affine``.
+
+x = a*column + b*row + c, and y = d*column + e*row + f.
+"""
 
 
 class Ground(NamedTuple):
@@ -29,17 +32,25 @@ class Ground(NamedTuple):
 WGS84_SEMI_MAJOR_AXIS_M = 6_378_137.0  # EPSG:7030
 WGS84_FLATTENING = 1 / 298.257223563  # EPSG:7030
 
-_IDENTITY: AffineCoefficients = (1, 0, 0, 0, 1, 0)  # GDAL's value for a file without a transform
+_IDENTITY: AffineCoefficients = (1, 0, 0, 0, 1, 0)
+"""GDAL's transform of a file without one."""
 
-_MAX_COORDINATE = 1e9  # off the Earth in any unit; PROJ loops for hours on coordinates such as 1e20
+_MAX_COORDINATE = 1e9
+"""Largest coordinate; greater ones are off the Earth in any unit.
 
-# Mercator and Web Mercator (EPSG:3857) in WKT 1 and WKT 2; Transverse and Oblique Mercator are
-# other methods.
+PROJ loops for hours on coordinates such as 1e20.
+"""
+
 _MERCATOR_WKT = re.compile(r'(?:PROJECTION|METHOD)\["(?:Mercator|Popular Visualisation)')
+"""Mercator and Web Mercator (EPSG:3857) in WKT 1 and WKT 2.
+
+Transverse and Oblique Mercator are other methods, with other names.
+"""
 
 
 def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
-    """Compute the length of one degree of latitude and of longitude on the WGS84 ellipsoid, in metres."""
+    """Compute the length of one degree of latitude and of longitude, in metres, on WGS84."""
+    # Radii of curvature of the ellipsoid in the meridian and in the prime vertical.
     latitude = math.radians(latitude_deg)
     eccentricity2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
     w2 = 1 - eccentricity2 * math.sin(latitude) ** 2
@@ -55,7 +66,10 @@ def gsd_units_per_px(transform: AffineCoefficients) -> float:
 
 
 def geographic_gsd_m_per_px(transform: AffineCoefficients, latitude_deg: float) -> float:
-    """Compute the GSD of a raster in degrees: geometric mean of a pixel's sides on the ground at this latitude."""
+    """Compute the GSD of a raster in degrees at a latitude.
+
+    It is the geometric mean of a pixel's sides on the ground.
+    """
     latitude_m, longitude_m = metres_per_degree(latitude_deg)
     return gsd_units_per_px(transform) * math.sqrt(latitude_m * longitude_m)
 
@@ -63,10 +77,10 @@ def geographic_gsd_m_per_px(transform: AffineCoefficients, latitude_deg: float) 
 def dataset_gsd_m_per_px(dataset: Any) -> float | None:
     """Compute the GSD at the centre of an open rasterio dataset, in metres per pixel.
 
-    In projected systems it is the pixel's side times the linear unit in metres. Mercator
+    In projected systems the GSD is the pixel's side times the linear unit in metres. Mercator
     (EPSG:3857, 3395) stretches metres by 1/cos(latitude), so its pixels are converted to degrees
     first. The grid scale of other projections is ignored; it is within 0.1 % in UTM and most
-    national grids. Geographic systems: see :func:`geographic_gsd_m_per_px`.
+    national grids. For geographic systems, see :func:`geographic_gsd_m_per_px`.
 
     Args:
         dataset: a ``rasterio.DatasetReader``.
@@ -83,7 +97,7 @@ def dataset_gsd_m_per_px(dataset: Any) -> float | None:
         if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
             return None
         gsd = _gsd_in_crs(transform, crs, column=dataset.width / 2, row=dataset.height / 2)
-    # PROJ cannot use the system; CRSError is a ValueError
+    # PROJ cannot use the system; CRSError is a ValueError.
     except (RasterioError, ValueError, ArithmeticError):
         return None
     return gsd if math.isfinite(gsd) and gsd > 0 else None
@@ -99,22 +113,24 @@ def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: flo
     if max(abs(x), abs(y)) > _MAX_COORDINATE:
         return math.nan
     if crs.is_geographic:
-        degrees = math.degrees(crs.units_factor[1])
-        if abs(y * degrees) > 90:
+        unit_deg = math.degrees(crs.units_factor[1])
+        latitude_deg = y * unit_deg
+        if abs(latitude_deg) > 90:
             return math.nan
-        return degrees * geographic_gsd_m_per_px(transform, y * degrees)
+        return unit_deg * geographic_gsd_m_per_px(transform, latitude_deg)
     if not crs.is_projected:
         return math.nan
-    # scale depends on the latitude and on the latitude of true scale
+    # Mercator's scale depends on the latitude, and on the latitude of true scale: the pixel and its
+    # neighbours to the right and below are converted to degrees.
     if _MERCATOR_WKT.search(crs.to_wkt()):
-        east, north = reproject(crs, "EPSG:4326", [x, x + a, x + b], [y, y + d, y + e])
-        in_degrees = (
-            east[1] - east[0],
-            east[2] - east[0],
+        longitudes, latitudes = reproject(crs, "EPSG:4326", [x, x + a, x + b], [y, y + d, y + e])
+        transform_in_degrees = (
+            longitudes[1] - longitudes[0],
+            longitudes[2] - longitudes[0],
             0.0,
-            north[1] - north[0],
-            north[2] - north[0],
+            latitudes[1] - latitudes[0],
+            latitudes[2] - latitudes[0],
             0.0,
         )
-        return geographic_gsd_m_per_px(in_degrees, north[0])
+        return geographic_gsd_m_per_px(transform_in_degrees, latitudes[0])
     return gsd_units_per_px(transform) * float(crs.linear_units_factor[1])

@@ -1,7 +1,7 @@
-"""The field of view of a camera, from its metadata or a 35 mm equivalent focal length.
+"""Field of view of a camera, from its metadata or a 35 mm equivalent focal length.
 
-Metadata describe the picture as it was taken. For a resized copy the focal length is scaled; a crop
-has none.
+Metadata describe the picture as it was taken. For a resized copy the focal length is scaled. For a
+crop it is unknown.
 """
 
 from __future__ import annotations
@@ -16,26 +16,39 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
 
 _FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
-# some makers mean the diagonal (CIPA DCG-001), some the width: 4 % apart at 4:3; whole mm
+
 _EQUIVALENT_LOG_SD = 0.04
-# length of a sensor's long side over its short one; wider pictures leave rows out
-_WIDEST_SENSOR = 1.55
-# of a sensor of 4:3 (1.25) or 3:2 (1.202) whose full width a wider picture takes
+"""Error of a 35 mm equivalent.
+
+Some makers mean the diagonal (CIPA DCG-001), some the width, which differ by 4 % at 4:3. The number
+is rounded to whole millimetres.
+"""
+
+_MAX_SENSOR_RATIO = 1.55
+"""Largest ratio of a sensor's long side to its short one; wider pictures leave out rows."""
+
 _DIAGONAL_PER_WIDTH = 1.226
+"""Ratio of a sensor's diagonal to its width: the mean of 4:3 (1.25) and 3:2 (1.202)."""
+
 _WIDE_LOG_SD = 0.02
+"""Error by the unknown shape of the sensor, for a picture that leaves out rows."""
+
 _CALIBRATED_LOG_SD = 0.02
 _SENSOR_LOG_SD = 0.03
-_TABLE_LOG_SD = 0.02  # root mean square of sixteen such sensors against OpenAthena's calibrations
+_TABLE_LOG_SD = 0.02
+"""Root mean square of sixteen sensors of the table against OpenAthena's calibrations."""
+
 _CENTRE_TOLERANCE = 0.05
+"""Distance of an optical centre from the middle, relative to half the width."""
 
 
 class Lens(NamedTuple):
-    """The field of view of an image.
+    """Field of view of an image.
 
     Attributes:
         pixels: focal length in pixels of the image: height in metres over metres per pixel.
         log_sd: standard deviation of its log.
-        source: the data behind it, in words.
+        source: data on which it rests, in words.
     """
 
     pixels: float
@@ -44,91 +57,136 @@ class Lens(NamedTuple):
 
 
 def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
-    """Ratio of the picture's size when it was taken to the image's size.
+    """Compute the ratio of the picture's size when it was taken to the image's size.
 
     Args:
-        image: its size.
-        camera: the size when it was taken.
+        image: size of the image.
+        camera: size of the picture when it was taken.
 
     Returns:
         Original pixels per pixel of the image; 1 if the original size is unknown, None for a crop.
     """
     if not camera.taken_width_px or not camera.taken_height_px:
         return 1.0
-    long = max(image.width_px, image.height_px)
-    short = min(image.width_px, image.height_px)
-    taken_short, taken_long = sorted((camera.taken_width_px, camera.taken_height_px))
-    fitting = taken_short * long / taken_long
-    slack = 1.0 + short / long  # one pixel of rounding in either side
-    return taken_long / long if abs(short - fitting) <= slack else None
+    long_px = max(image.width_px, image.height_px)
+    short_px = min(image.width_px, image.height_px)
+    taken_short_px, taken_long_px = sorted((camera.taken_width_px, camera.taken_height_px))
+    # A resized copy keeps the shape of the original, up to one pixel of rounding in either side.
+    expected_short_px = taken_short_px * long_px / taken_long_px
+    tolerance_px = 1.0 + short_px / long_px
+    if abs(short_px - expected_short_px) > tolerance_px:
+        return None
+    return taken_long_px / long_px
 
 
 def lens(
-    image: ImageFacts, camera: CameraMetadata | None, given_35mm: float | None = None
+    image: ImageFacts, camera: CameraMetadata | None, focal_35mm: float | None = None
 ) -> Lens | None:
-    """Read the focal length from the most exact of the metadata; its spread grows if they contradict each other.
+    """Compute the field of view from the most exact of the metadata.
+
+    Its error grows if the metadata contradict each other.
 
     Args:
-        image: its size.
-        camera: its metadata.
-        given_35mm: the caller's 35 mm equivalent focal length, millimetres, in place of the
+        image: size of the image.
+        camera: metadata of the image.
+        focal_35mm: the caller's 35 mm equivalent focal length, millimetres, in place of the
             metadata.
 
     Returns:
         None without a focal length, or for a crop.
     """
-    if given_35mm is not None:
-        return equivalent_lens(image.width_px, image.height_px, given_35mm)
-    ratio = None if camera is None else taken_ratio(image, camera)
-    if camera is None or ratio is None:
+    if focal_35mm is not None:
+        return equivalent_lens(image.width_px, image.height_px, focal_35mm)
+    if camera is None:
         return None
-    known = []
-    sized = camera.taken_width_px is not None
-    if camera.focal_px and camera.focal_px > 0 and _centred(image, camera):
-        source = f"a calibrated focal length of {camera.focal_px:g} px"
-        known.append(Lens(camera.focal_px / ratio, _CALIBRATED_LOG_SD, source))
-    sensor = sensor_of(camera.make, camera.model)
-    focal_mm = None if sensor is None else sensor.focal_mm(camera.focal_mm)
-    if sensor is not None and focal_mm is not None:
-        pixels = focal_mm / sensor.pixel_mm(image.width_px, image.height_px)
-        source = (
-            f"{focal_mm:g} mm over the {sensor.width_mm:g} mm wide sensor of the {camera.model}"
+    ratio = taken_ratio(image, camera)
+    if ratio is None:
+        return None
+    lenses = _lenses_of_metadata(image, camera, ratio)
+    if not lenses:
+        return None
+    # Half of the largest contradiction is a further error.
+    best = lenses[0]
+    contradiction = max(abs(math.log(best.pixels / other.pixels)) for other in lenses)
+    return best._replace(log_sd=math.hypot(best.log_sd, contradiction / 2))
+
+
+def _lenses_of_metadata(image: ImageFacts, camera: CameraMetadata, ratio: float) -> list[Lens]:
+    """List the fields of view that metadata state, from the most to the least exact.
+
+    Args:
+        image: size of the image.
+        camera: metadata of the image.
+        ratio: original pixels per pixel of the image.
+    """
+    lenses = []
+    if camera.focal_px and camera.focal_px > 0 and _is_centred(image, camera):
+        lenses.append(
+            Lens(
+                camera.focal_px / ratio,
+                _CALIBRATED_LOG_SD,
+                f"a calibrated focal length of {camera.focal_px:g} px",
+            )
         )
-        known.append(Lens(pixels, _TABLE_LOG_SD, source))
-    if camera.focal_mm and camera.focal_mm > 0 and camera.pixel_mm and sized:
-        source = f"{camera.focal_mm:g} mm on pixels of {1000 * camera.pixel_mm:.3g} um"
-        known.append(Lens(camera.focal_mm / camera.pixel_mm / ratio, _SENSOR_LOG_SD, source))
+    sensor = sensor_of(camera.make, camera.model)
+    if sensor is not None:
+        focal_mm = sensor.focal_mm(camera.focal_mm)
+        if focal_mm is not None:
+            lenses.append(
+                Lens(
+                    focal_mm / sensor.pixel_mm(image.width_px, image.height_px),
+                    _TABLE_LOG_SD,
+                    f"{focal_mm:g} mm over the {sensor.width_mm:g} mm wide sensor of the "
+                    f"{camera.model}",
+                )
+            )
+    # A pixel pitch belongs to the original size, which must be known.
+    has_taken_size = camera.taken_width_px is not None
+    if camera.focal_mm and camera.focal_mm > 0 and camera.pixel_mm and has_taken_size:
+        lenses.append(
+            Lens(
+                camera.focal_mm / camera.pixel_mm / ratio,
+                _SENSOR_LOG_SD,
+                f"{camera.focal_mm:g} mm on pixels of {1000 * camera.pixel_mm:.3g} um",
+            )
+        )
     if camera.focal_35mm and camera.focal_35mm > 0:
-        known.append(equivalent_lens(image.width_px, image.height_px, camera.focal_35mm))
-    if not known:
-        return None
-    apart = max(abs(math.log(known[0].pixels / other.pixels)) for other in known)
-    return known[0]._replace(log_sd=math.hypot(known[0].log_sd, apart / 2))
+        lenses.append(equivalent_lens(image.width_px, image.height_px, camera.focal_35mm))
+    return lenses
 
 
 def equivalent_lens(width_px: int, height_px: int, focal_35mm: float) -> Lens:
     """Convert a 35 mm equivalent focal length, by the diagonal of the sensor.
 
     Args:
-        width_px: of the whole picture.
-        height_px: of it.
+        width_px: width of the whole picture.
+        height_px: height of the whole picture.
         focal_35mm: millimetres.
     """
-    long = max(width_px, height_px)
-    short = min(width_px, height_px)
-    wide = long / short > _WIDEST_SENSOR
-    diagonal = long * _DIAGONAL_PER_WIDTH if wide else math.hypot(long, short)
-    spread = math.hypot(_EQUIVALENT_LOG_SD, _WIDE_LOG_SD if wide else 0.0)
+    long_px = max(width_px, height_px)
+    short_px = min(width_px, height_px)
+    if long_px / short_px > _MAX_SENSOR_RATIO:
+        diagonal_px = long_px * _DIAGONAL_PER_WIDTH
+        log_sd = math.hypot(_EQUIVALENT_LOG_SD, _WIDE_LOG_SD)
+    else:
+        diagonal_px = math.hypot(long_px, short_px)
+        log_sd = _EQUIVALENT_LOG_SD
     return Lens(
-        focal_35mm * diagonal / _FILM_DIAGONAL_MM, spread, f"{focal_35mm:g} mm (35 mm equivalent)"
+        focal_35mm * diagonal_px / _FILM_DIAGONAL_MM,
+        log_sd,
+        f"{focal_35mm:g} mm (35 mm equivalent)",
     )
 
 
-def _centred(image: ImageFacts, camera: CameraMetadata) -> bool:
-    """Whether a calibrated optical centre lies in the middle of the stated size: then both mean the same picture."""
+def _is_centred(image: ImageFacts, camera: CameraMetadata) -> bool:
+    """Test whether a calibrated optical centre lies in the middle of the stated width.
+
+    If it does, the calibration and the size describe the same picture. Without an original size,
+    either side of the image can be the width.
+    """
     if camera.centre_x_px is None:
         return camera.taken_width_px is not None
-    widths = (
-        (camera.taken_width_px,) if camera.taken_width_px else (image.width_px, image.height_px)
-    )
+    widths = [image.width_px, image.height_px]
+    if camera.taken_width_px:
+        widths = [camera.taken_width_px]
     return any(abs(2 * camera.centre_x_px / width - 1) <= _CENTRE_TOLERANCE for width in widths)

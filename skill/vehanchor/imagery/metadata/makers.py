@@ -1,4 +1,4 @@
-"""Names that makers write into XMP: one row for each maker, as the file has them."""
+"""Names that makers write into XMP: one row for each maker, in the spelling of the files."""
 
 from __future__ import annotations
 
@@ -6,17 +6,23 @@ import math
 from typing import NamedTuple
 
 PIX4D = "http://pix4d.com/camera/1.0"
-_ALWAYS = math.inf
+_FROM_HORIZON_BELOW_DEG = -59.5
+"""Limit of pitches from nadir; the camera would look backwards at one below it.
+
+Writers of such pitches count from the horizon.
+"""
 
 
 class Maker(NamedTuple):
-    """XMP names of one maker; ``A/B`` is the field B of the structure A, and a name is empty if the maker has none.
+    """XMP names of one maker.
+
+    ``A/B`` is the field B of the structure A. A name is empty if the maker has none.
 
     Attributes:
         name: the maker.
-        namespace: of its properties, without a final slash; a word without a colon is one that it
-            contains.
-        source: of the names.
+        namespace: namespace of its properties, without a final slash. A word without a colon is a
+            part of it.
+        source: source of the names.
         height: metres above take-off or above ground.
         pitch: degrees.
         roll: degrees.
@@ -36,7 +42,7 @@ class Maker(NamedTuple):
     height: str
     pitch: str
     roll: str
-    level_below_deg: float = _ALWAYS
+    level_below_deg: float = math.inf
     focal_px: str = ""
     centre_px: str = ""
     focal: str = ""
@@ -45,87 +51,104 @@ class Maker(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of its properties."""
-        units = f"{self.focal}Units" if self.focal else ""
-        names = self.height, self.pitch, self.roll, self.focal_px, self.centre_px, self.focal, units
-        return tuple(filter(None, names))
+        """Names of all its properties."""
+        names = (
+            self.height,
+            self.pitch,
+            self.roll,
+            self.focal_px,
+            self.centre_px,
+            self.focal,
+            f"{self.focal}Units" if self.focal else "",
+        )
+        return tuple(name for name in names if name)
 
 
-_DJI_ATTITUDE = ("GimbalPitchDegree", "GimbalRollDegree")
-_DJI_LENS = ("CalibratedFocalLength", "CalibratedOpticalCenterX")
-_PIX4D_NAMES = ("AboveGroundAltitude", "Pitch", "Roll")
-_PIX4D_FOCAL = "PerspectiveFocalLength"
-_ORIENTATION = ("CameraOrientationNED/Pitch", "CameraOrientationNED/Roll")
-_TRIED = "read so by OpenAthena; no document of the maker"
+_NO_DOCUMENT = "read so by OpenAthena; no document of the maker"
 
 MAKERS: tuple[Maker, ...] = (
     Maker(
-        "DJI",
-        "http://www.dji.com/drone-dji/1.0",  # newer Autel drones write it, too
-        "DJI, Zenmuse P1 manual, XMP data list; Mavic 3M image processing guide",
-        "RelativeAltitude",
-        *_DJI_ATTITUDE,
-        _ALWAYS,
-        *_DJI_LENS,
-    ),
-    Maker("Autel", "autel", _TRIED, "RelativeAltitude", *_DJI_ATTITUDE, _ALWAYS, *_DJI_LENS),
-    Maker(
-        "Skydio",
-        "https://www.skydio.com/drone-skydio/1.0",
-        "Skydio, camera and metadata overview; OpenAthenaIOS, issue 41",
-        "RelativeAltitude",
-        *_ORIENTATION,
-        _ALWAYS,
-        "CalibratedFocalLength/X",
-        "CalibratedOpticalCenter/X",
+        name="DJI",
+        namespace="http://www.dji.com/drone-dji/1.0",  # newer Autel drones write it, too
+        source="DJI, Zenmuse P1 manual, XMP data list; Mavic 3M image processing guide",
+        height="RelativeAltitude",
+        pitch="GimbalPitchDegree",
+        roll="GimbalRollDegree",
+        focal_px="CalibratedFocalLength",
+        centre_px="CalibratedOpticalCenterX",
     ),
     Maker(
-        "Parrot",
-        "http://www.parrot.com/drone-parrot/1.0",
+        name="Autel",
+        namespace="autel",
+        source=_NO_DOCUMENT,
+        height="RelativeAltitude",
+        pitch="GimbalPitchDegree",
+        roll="GimbalRollDegree",
+        focal_px="CalibratedFocalLength",
+        centre_px="CalibratedOpticalCenterX",
+    ),
+    Maker(
+        name="Skydio",
+        namespace="https://www.skydio.com/drone-skydio/1.0",
+        source="Skydio, camera and metadata overview; OpenAthenaIOS, issue 41",
+        height="RelativeAltitude",
+        pitch="CameraOrientationNED/Pitch",
+        roll="CameraOrientationNED/Roll",
+        focal_px="CalibratedFocalLength/X",
+        centre_px="CalibratedOpticalCenter/X",
+    ),
+    Maker(
+        name="Parrot",
+        namespace="http://www.parrot.com/drone-parrot/1.0",
         source="Parrot, embedded photo metadata",
         height="",  # in Pix4D's namespace
         pitch="CameraPitchDegree",
         roll="CameraRollDegree",
     ),
     Maker(
-        "MicaSense",
-        PIX4D,
-        "MicaSense, imageprocessing, metadata.py: without a unit, pixels",
-        *_PIX4D_NAMES,
-        -59.5,
-        focal=_PIX4D_FOCAL,
+        name="MicaSense",
+        namespace=PIX4D,
+        source="MicaSense, imageprocessing, metadata.py: without a unit, pixels",
+        height="AboveGroundAltitude",
+        pitch="Pitch",
+        roll="Roll",
+        level_below_deg=_FROM_HORIZON_BELOW_DEG,
+        focal="PerspectiveFocalLength",
         focal_unit="px",
         makes=("micasense",),
     ),
     Maker(
-        "Autel, older",
-        PIX4D,
-        _TRIED,
-        *_PIX4D_NAMES,
-        0.0,
-        focal=_PIX4D_FOCAL,
+        name="Autel, older",
+        namespace=PIX4D,
+        source=_NO_DOCUMENT,
+        height="AboveGroundAltitude",
+        pitch="Pitch",
+        roll="Roll",
+        level_below_deg=0.0,
+        focal="PerspectiveFocalLength",
         makes=("autel", "camera"),
     ),
-    # senseFly, Parrot; below -59.5 degrees the camera would look backwards: the writer counts from
-    # the horizon
+    # Also senseFly and Parrot.
     Maker(
-        "Pix4D",
-        PIX4D,
-        "Pix4D, specification of xmp.camera tags",
-        *_PIX4D_NAMES,
-        -59.5,
-        focal=_PIX4D_FOCAL,
+        name="Pix4D",
+        namespace=PIX4D,
+        source="Pix4D, specification of xmp.camera tags",
+        height="AboveGroundAltitude",
+        pitch="Pitch",
+        roll="Roll",
+        level_below_deg=_FROM_HORIZON_BELOW_DEG,
+        focal="PerspectiveFocalLength",
     ),
 )
 """In order of precedence: the first maker with a value is used."""
 
 
 def makers_of(make: str) -> tuple[Maker, ...]:
-    """Rows that hold for a camera by EXIF's Make, the first one of each namespace."""
+    """Choose the rows that hold for a camera by EXIF's Make: the first one of each namespace."""
+    words = make.casefold().split(maxsplit=1)
+    first_word = words[0] if words else ""
     rows: dict[str, Maker] = {}
-    for each in MAKERS:
-        if not each.makes or make.casefold().split(maxsplit=1)[:1] in [
-            [word] for word in each.makes
-        ]:
-            rows.setdefault(each.namespace, each)
+    for maker in MAKERS:
+        if not maker.makes or first_word in maker.makes:
+            rows.setdefault(maker.namespace, maker)
     return tuple(rows.values())

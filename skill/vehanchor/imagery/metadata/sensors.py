@@ -10,19 +10,23 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_FOCAL_ROUNDING_MM = 0.05  # EXIF often has one decimal
+_FOCAL_ROUNDING_MM = 0.05
+"""Rounding of a focal length in EXIF, which often has one decimal."""
+
+_FIXED_LENS_RATIO = 1.03
+"""Ratio of the longest to the shortest focal length up to which a lens counts as fixed."""
 
 
 class Sensor(NamedTuple):
     """Sensor and lens of a camera.
 
     Attributes:
-        name: of the drone or payload.
+        name: name of the drone or payload.
         width_mm: long side of the whole sensor.
         height_mm: short side.
         focal_from_mm: shortest real focal length of the lens.
-        focal_to_mm: longest.
-        source: of the numbers.
+        focal_to_mm: longest real focal length.
+        source: source of the numbers.
     """
 
     name: str
@@ -36,21 +40,19 @@ class Sensor(NamedTuple):
         """Choose the real focal length.
 
         Args:
-            stated_mm: of the metadata; None if they have none.
+            stated_mm: focal length in the metadata; None if they have none.
 
         Returns:
-            The stated focal length; without one, that of a fixed lens. None for another lens than
-            the sensor's.
+            The stated focal length; without one, that of a fixed lens. None if the sensor's lens
+            cannot have the stated one.
         """
         if stated_mm is not None:
-            fits = (
-                self.focal_from_mm - _FOCAL_ROUNDING_MM
-                <= stated_mm
-                <= self.focal_to_mm + _FOCAL_ROUNDING_MM
-            )
-            return stated_mm if fits else None
-        fixed = self.focal_to_mm <= 1.03 * self.focal_from_mm
-        return (self.focal_from_mm + self.focal_to_mm) / 2 if fixed else None
+            shortest = self.focal_from_mm - _FOCAL_ROUNDING_MM
+            longest = self.focal_to_mm + _FOCAL_ROUNDING_MM
+            return stated_mm if shortest <= stated_mm <= longest else None
+        if self.focal_to_mm > _FIXED_LENS_RATIO * self.focal_from_mm:
+            return None
+        return (self.focal_from_mm + self.focal_to_mm) / 2
 
     def pixel_mm(self, width_px: int, height_px: int) -> float:
         """Compute the pixel pitch of a picture that is as large as the sensor's shape allows.
@@ -59,8 +61,8 @@ class Sensor(NamedTuple):
         height of one of 3:2.
 
         Args:
-            width_px: of the picture, as taken or as a resized copy.
-            height_px: of it.
+            width_px: width of the picture, as taken or as a resized copy.
+            height_px: height of the same picture.
         """
         long = max(width_px, height_px)
         short = min(width_px, height_px)
@@ -75,17 +77,26 @@ def sensor_of(make: str, model: str) -> Sensor | None:
         model: EXIF's Model.
     """
     words = make.split()
-    return _sensors().get((words[0].casefold(), model.strip().casefold())) if words else None
+    if not words:
+        return None
+    return _sensors().get((words[0].casefold(), model.strip().casefold()))
 
 
 @cache
 def _sensors() -> Mapping[tuple[str, str], Sensor]:
-    table = tomllib.loads(files(__package__).joinpath("sensors.toml").read_text(encoding="utf-8"))
-    found = {}
-    for camera in table["camera"]:
+    """Read the table; keys are make and model in lower case."""
+    text = files(__package__).joinpath("sensors.toml").read_text(encoding="utf-8")
+    sensors = {}
+    for camera in tomllib.loads(text)["camera"]:
         shortest, longest = camera["focal_mm"]
-        size = camera["width_mm"], camera["height_mm"]
+        sensor = Sensor(
+            name=camera["name"],
+            width_mm=camera["width_mm"],
+            height_mm=camera["height_mm"],
+            focal_from_mm=shortest,
+            focal_to_mm=longest,
+            source=camera["source"],
+        )
         for model in camera["models"]:
-            key = camera["make"].casefold(), model.casefold()
-            found[key] = Sensor(camera["name"], *size, shortest, longest, camera["source"])
-    return found
+            sensors[camera["make"].casefold(), model.casefold()] = sensor
+    return sensors

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -13,33 +13,51 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.makers import Maker
     from vehanchor.imagery.metadata.xmp import Properties
 
+_Value = TypeVar("_Value", str, float)
+
 _NUMBER = re.compile(
-    r"([+-]?)(\d+(?:[.,]\d*)?|[.,]\d+)([eE][+-]?\d{1,3})?(?:\s*/\s*(\d+(?:\.\d*)?))?\s*(\D*)"
+    r"(?P<sign>[+-]?)"
+    r"(?P<digits>\d+(?:[.,]\d*)?|[.,]\d+)"
+    r"(?P<exponent>[eE][+-]?\d{1,3})?"
+    r"(?:\s*/\s*(?P<denominator>\d+(?:\.\d*)?))?"
+    r"\s*(?P<unit>\D*)"
 )
-_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")  # in some countries a fraction, in others thousands
-_EQUAL = 0.02  # relative: EXIF's focal length often has one decimal
-_EQUAL_TEXTS = 1e-3  # relative: texts of one number, rounded
+_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")
+"""Digits with an ambiguous comma: a decimal one in some countries, one of thousands in others."""
+
+_LENS_TOLERANCE = 0.02
+"""Relative difference of equal numbers; EXIF's focal length often has one decimal."""
+
+_TEXT_TOLERANCE = 1e-3
+"""Relative difference of texts of one number, each rounded."""
+
 _SHOWN_CHARS = 32
+_MAX_WHOLE = 1e9
 
-
-_LENS_TAGS = (
-    *("FocalLength", "FocalLengthIn35mmFilm", "FocalPlaneXResolution", "FocalPlaneResolutionUnit"),
-    *("DigitalZoomRatio", "PixelXDimension", "PixelYDimension"),
-)
+_TIFF_NAMESPACE = "http://ns.adobe.com/tiff/1.0"
+_EXIF_NAMESPACE = "http://ns.adobe.com/exif/1.0"
 IN_XMP = {
-    **dict.fromkeys(("Make", "Model"), "http://ns.adobe.com/tiff/1.0"),
-    **dict.fromkeys(_LENS_TAGS, "http://ns.adobe.com/exif/1.0"),
+    "Make": _TIFF_NAMESPACE,
+    "Model": _TIFF_NAMESPACE,
+    "FocalLength": _EXIF_NAMESPACE,
+    "FocalLengthIn35mmFilm": _EXIF_NAMESPACE,
+    "FocalPlaneXResolution": _EXIF_NAMESPACE,
+    "FocalPlaneResolutionUnit": _EXIF_NAMESPACE,
+    "DigitalZoomRatio": _EXIF_NAMESPACE,
+    "PixelXDimension": _EXIF_NAMESPACE,
+    "PixelYDimension": _EXIF_NAMESPACE,
 }
 """Namespaces of the tags that programs copy from EXIF into XMP, under the same names."""
 
+# Units that a quantity may have, each with its factor; without a unit, the factor is 1.
+_FOOT_M = 0.3048
 METRES = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
-    **dict.fromkeys(("ft", "feet", "'"), 0.3048),
+    **dict.fromkeys(("ft", "feet", "'"), _FOOT_M),
 }
 DEGREES = dict.fromkeys(("\N{DEGREE SIGN}", "deg", "degree", "degrees"), 1.0)
 PIXELS = dict.fromkeys(("px", "pixel", "pixels"), 1.0)
 _MILLIMETRES = {"mm": 1.0}
-"""Units that a quantity may have, each with its factor; without a unit, the factor is 1."""
 
 
 class Statements:
@@ -50,10 +68,10 @@ class Statements:
     Args:
         tags: tags of the EXIF blocks.
         packets: properties of the XMP packets.
-        refused: what was not used so far, as clauses.
+        refused: why blocks were not used, as clauses.
 
     Attributes:
-        refused: what was not used, and why.
+        refused: why blocks and statements were not used, as clauses.
     """
 
     def __init__(
@@ -63,91 +81,125 @@ class Statements:
         self._tags = tags
         self._texts: dict[tuple[str, str], list[str]] = {}
         for packet in packets:
-            for (space, name), texts in packet.items():
-                # some programs flatten names
-                self._texts.setdefault((space, name.replace("/", "")), []).extend(texts)
+            for (namespace, name), texts in packet.items():
+                # Some programs flatten the names of structures, so all are flattened.
+                key = (namespace, _flat(name))
+                self._texts.setdefault(key, []).extend(texts)
 
     def text(self, name: str) -> str:
         """Read a tag's text from the first EXIF block that has it, or from XMP."""
-        texts = [value for each in self._tags if isinstance(value := each.get(name), str)]
-        texts += self._texts.get((IN_XMP.get(name, ""), name), [])
-        return next(
-            (clean for each in texts if (clean := "".join(filter(str.isprintable, each)).strip())),
-            "",
-        )
+        for text in (*self._tag_values(name, str), *self._texts_in_xmp(name)):
+            printable = "".join(filter(str.isprintable, text)).strip()
+            if printable:
+                return printable
+        return ""
 
     def whole(self, name: str) -> int | None:
         """Read a tag's whole number from the first block that has a positive one."""
-        values = self._numbers(name)
-        return next((int(value) for value in values if 0 < value < 1e9), None)
+        for value in self._numbers(name):
+            if 0 < value < _MAX_WHOLE:
+                return int(value)
+        return None
 
     def lens_number(self, name: str) -> float | None:
-        """Read a tag's number; None for 0, which is "unknown" in the standard, and for two numbers that differ."""
-        return self._agreed(name, [value for value in self._numbers(name) if value > 0], _EQUAL)
+        """Read a tag's number.
+
+        Returns:
+            None for 0, which is "unknown" in the standard, and for two numbers that differ.
+        """
+        positive = [value for value in self._numbers(name) if value > 0]
+        return self._agreed(name, positive, _LENS_TOLERANCE)
 
     def quantity(self, maker: Maker, name: str, units: Mapping[str, float]) -> float | None:
-        """Read a maker's property; None if it is missing, no number, or stated with two values."""
+        """Read a maker's property; None if it is missing, not a number, or stated differently."""
         label = f"{maker.name} {name}"
         values = []
-        for text in self._of(maker, name):
+        for text in self._texts_of(maker, name):
             value = _number(text, units)
             if value is None:
                 self.refused.append(f"{label} is {text[:_SHOWN_CHARS]!r}, which is not understood")
             else:
                 values.append(value)
-        return self._agreed(label, values, _EQUAL_TEXTS)
+        return self._agreed(label, values, _TEXT_TOLERANCE)
 
     def focal(self, maker: Maker) -> tuple[float | None, str]:
         """Read a maker's focal length with its unit, ``mm`` or ``px``."""
-        named = "".join(self._of(maker, f"{maker.focal}Units")[:1]).casefold()
-        if named and named not in {**PIXELS, **_MILLIMETRES}:
+        units_name = f"{maker.focal}Units"
+        texts = self._texts_of(maker, units_name)
+        unit_text = texts[0].casefold() if texts else ""
+        if unit_text in PIXELS:
+            unit = "px"
+        elif unit_text in _MILLIMETRES:
+            unit = "mm"
+        elif not unit_text:
+            unit = maker.focal_unit
+        else:
             self.refused.append(
-                f"{maker.name} {maker.focal}Units is {named[:_SHOWN_CHARS]!r}, which is not "
+                f"{maker.name} {units_name} is {unit_text[:_SHOWN_CHARS]!r}, which is not "
                 "understood"
             )
             return None, ""
-        unit = "px" if named in PIXELS or (not named and maker.focal_unit == "px") else "mm"
-        return self.quantity(maker, maker.focal, PIXELS if unit == "px" else _MILLIMETRES), unit
+        units = PIXELS if unit == "px" else _MILLIMETRES
+        return self.quantity(maker, maker.focal, units), unit
 
-    def _of(self, maker: Maker, name: str) -> list[str]:
-        """All texts of a maker's property."""
-        flat = name.replace("/", "")
+    def _tag_values(self, name: str, kind: type[_Value]) -> list[_Value]:
+        """List a tag's values of one type in all EXIF blocks."""
+        values = [block.get(name) for block in self._tags]
+        return [value for value in values if isinstance(value, kind)]
+
+    def _texts_in_xmp(self, name: str) -> list[str]:
+        """List the texts of a tag that programs copy into XMP."""
+        return self._texts.get((IN_XMP.get(name, ""), name), [])
+
+    def _texts_of(self, maker: Maker, name: str) -> list[str]:
+        """List all texts of a maker's property."""
+        flat_name = _flat(name)
         if ":" in maker.namespace:
-            return self._texts.get((maker.namespace, flat), [])
-        texts = (
-            each
-            for (space, own), each in self._texts.items()
-            if own == flat and maker.namespace in space.lower()
-        )
-        return [text for each in texts for text in each]
+            return self._texts.get((maker.namespace, flat_name), [])
+        texts: list[str] = []
+        for (namespace, property_name), property_texts in self._texts.items():
+            if property_name == flat_name and maker.namespace in namespace.lower():
+                texts.extend(property_texts)
+        return texts
 
     def _numbers(self, name: str) -> list[float]:
-        values = [value for each in self._tags if isinstance(value := each.get(name), float)]
-        texts = self._texts.get((IN_XMP.get(name, ""), name), [])
-        return values + [
-            value for text in texts if (value := _number(text, _MILLIMETRES)) is not None
-        ]
+        """List a tag's numbers in all EXIF blocks, then in XMP."""
+        in_xmp = [_number(text, _MILLIMETRES) for text in self._texts_in_xmp(name)]
+        readable = [value for value in in_xmp if value is not None]
+        return [*self._tag_values(name, float), *readable]
 
-    def _agreed(self, label: str, values: Sequence[float], equal: float) -> float | None:
+    def _agreed(self, label: str, values: Sequence[float], tolerance: float) -> float | None:
+        """Choose the first of several statements; None, with a reason, if they differ."""
         if not values:
             return None
-        least = min(values)
-        most = max(values)
-        if most - least > equal * abs(most):
-            self.refused.append(f"{label} is both {least:.6g} and {most:.6g}")
+        lowest = min(values)
+        highest = max(values)
+        if highest - lowest > tolerance * abs(highest):
+            self.refused.append(f"{label} is both {lowest:.6g} and {highest:.6g}")
             return None
         return values[0]
 
 
+def _flat(name: str) -> str:
+    """Join the names of a structure and its field."""
+    return name.replace("/", "")
+
+
 def _number(text: str, units: Mapping[str, float]) -> float | None:
-    """Read a decimal number or a fraction with one of these units, or without; None for anything else."""
-    matched = _NUMBER.fullmatch(text.strip())
-    if matched is None or _THOUSANDS.fullmatch(matched[2]):
+    """Read a decimal number or a fraction, with one of these units or without.
+
+    Returns:
+        None for anything else, and for an ambiguous comma.
+    """
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None or _THOUSANDS.fullmatch(match["digits"]):
         return None
-    sign, digits, exponent, denominator, named = matched.groups()
-    factor = units.get(named.strip().casefold()) if named.strip() else 1.0
-    over = float(denominator or 1)
-    if factor is None or not over:
+    unit = match["unit"].strip().casefold()
+    factor = units.get(unit) if unit else 1.0
+    denominator = float(match["denominator"] or 1)
+    if factor is None or denominator == 0:
         return None
-    value = float(f"{sign}{digits.replace(',', '.')}{exponent or ''}") / over * factor
+    digits = match["digits"].replace(",", ".")
+    numerator = float(f"{match['sign']}{digits}{match['exponent'] or ''}")
+    value = numerator / denominator * factor
     return value if math.isfinite(value) else None

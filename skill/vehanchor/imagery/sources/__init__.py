@@ -1,1 +1,1 @@
-"""Image sources: paths, arrays, datasets."""
+"""Sources of images: paths, arrays, Pillow images and rasterio datasets."""

@@ -52,49 +52,76 @@ class ArrayRaster(Raster):
         pixels = _check_array(pixels)
         height, width, n_bands = pixels.shape
         channels, notes = choose_bands(n_bands, bands)
-        super().__init__(
-            source,
-            width,
-            height,
-            orientation=orientation,
-            notes=notes,
-        )
-        stored = (2, 1, 0, 3) if bgr and n_bands >= 3 else tuple(range(n_bands))
-        self._channels = tuple(stored[channel] for channel in channels)
+        super().__init__(source, width, height, orientation=orientation, notes=notes)
+        self._channels: tuple[int, ...] = channels
+        if bgr and n_bands >= 3:
+            stored_order = (2, 1, 0, 3)
+            self._channels = tuple(stored_order[channel] for channel in channels)
         self._pixels = pixels
+
+        # Alpha and stretch depend on a sample of evenly spaced pixels, which bounds their cost.
         step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
         sample = pixels[::step, ::step]
-        unused = n_bands in (2, 4) and n_bands - 1 not in self._channels
-        self._alpha = -1 if unused and (alpha or is_alpha(sample[..., -1])) else None
-        if self._alpha is not None and not pixels[..., -1].any():
+        self._alpha = self._find_alpha(sample, is_declared=alpha)
+        if pixels.dtype == np.uint8:
+            return
+        for channel in sorted(set(self._channels)):
+            check_finite(pixels[:, :, channel])
+        if self._alpha is None:
+            visible = sample.reshape(-1, n_bands)
+        else:
+            visible = sample[sample[..., -1] != 0]
+        self._choose_stretch(visible[:, list(self._channels)])
+
+    def _find_alpha(self, sample: NDArray[Any], *, is_declared: bool) -> int | None:
+        """Find the alpha band: the last of two or four, unless the caller reads it as a colour.
+
+        Args:
+            sample: evenly spaced pixels, ``[h, w, bands]``.
+            is_declared: whether the last band is known to be alpha; otherwise its values decide.
+
+        Raises:
+            ImageFormatError: all pixels are transparent.
+        """
+        n_bands = sample.shape[2]
+        if n_bands not in (2, 4) or n_bands - 1 in self._channels:
+            return None
+        if not is_declared and not is_alpha(sample[..., -1]):
+            return None
+        if not self._pixels[..., -1].any():
             raise ImageFormatError(
                 "all pixels are transparent: save the image without its alpha band"
             )
-        if pixels.dtype != np.uint8:
-            for channel in sorted(set(self._channels)):
-                check_finite(pixels[:, :, channel])
-            seen = (
-                sample.reshape(-1, n_bands) if self._alpha is None else sample[sample[..., -1] != 0]
-            )
-            self._choose_stretch(seen[:, list(self._channels)])
+        return -1
 
     def _read_stored(self, window: Window) -> StoredPixels:
-        part = self._pixels[
-            window.y_px : window.y_px + window.height_px,
-            window.x_px : window.x_px + window.width_px,
-        ].view()
+        rows = slice(window.y_px, window.y_px + window.height_px)
+        columns = slice(window.x_px, window.x_px + window.width_px)
+        part = self._pixels[rows, columns].view()
+        # A view of the caller's array leaves this class; it must not be written.
         part.flags.writeable = False
-        if self._channels == (0, 1, 2) and part.shape[2] == 3:
+        n_bands = part.shape[2]
+        if n_bands == 3 and self._channels == (0, 1, 2):
             return StoredPixels(part, None)
-        if self._channels == (2, 1, 0) and part.shape[2] == 3 and part.dtype != np.float64:
-            # one pass, for most files
+        # Most files: OpenCV swaps red and blue in one pass, but not of float64.
+        if n_bands == 3 and self._channels == (2, 1, 0) and part.dtype != np.float64:
             return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)
-        valid = None if self._alpha is None else part[..., self._alpha] != 0
-        return StoredPixels(merge_bands([part[:, :, channel] for channel in self._channels]), valid)
+        valid = None
+        if self._alpha is not None:
+            valid = part[..., self._alpha] != 0
+        rgb = merge_bands([part[:, :, channel] for channel in self._channels])
+        return StoredPixels(rgb, valid)
 
 
 def _check_array(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Check an array and give it as ``[h, w, bands]`` in one of ``bands.DTYPES``, without a copy if possible."""
+    """Check an array.
+
+    Returns:
+        ``[h, w, bands]`` in one of ``bands.DTYPES``, without a copy if possible.
+
+    Raises:
+        ImageFormatError: the shape or the type of the pixels is unsupported.
+    """
     pixels = np.asarray(pixels)
     if pixels.ndim == 2:
         pixels = pixels[:, :, np.newaxis]
@@ -102,8 +129,11 @@ def _check_array(pixels: NDArray[Any]) -> NDArray[Any]:
         raise ImageFormatError(
             f"an image array must have the shape [h, w] or [h, w, bands], got {list(pixels.shape)}"
         )
-    hint = "; an array's bands come last" if pixels.shape[0] in (1, 3, 4) else ""
-    check_side(pixels.shape[1], pixels.shape[0], hint)
-    dtype = np.dtype(np.float32) if pixels.dtype == np.float16 else pixels.dtype.newbyteorder("=")
+    height, width, _ = pixels.shape
+    hint = "; an array's bands come last" if height in (1, 3, 4) else ""
+    check_side(width, height, hint)
+    dtype = pixels.dtype.newbyteorder("=")
+    if pixels.dtype == np.float16:
+        dtype = np.dtype(np.float32)
     check_dtype(dtype)
     return pixels.astype(dtype, copy=False)

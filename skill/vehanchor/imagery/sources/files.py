@@ -16,7 +16,8 @@ from vehanchor.imagery.formats.header import IMAGE_FORMATS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-_SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
+_SEPARATORS = tuple(separator for separator in (os.sep, os.altsep) if separator)
+
 SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
 """Suffixes of the images in directories."""
 
@@ -30,10 +31,13 @@ def find_images(inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]
     """List every image once, in an order that depends on the names alone.
 
     Args:
-        inputs: one or several: directories (searched by suffix, recursively, also behind links, but
-            not hidden files and the folders of systems and viewers), patterns (``photos/*``, also
-            ``**``; by suffix, too), and files. A missing file with an image suffix stays in the
-            list if other images exist: it becomes a row with an error.
+        inputs: one or several of
+
+            * directories, searched recursively by suffix, also behind links. Hidden files and the
+              folders of systems and viewers are skipped.
+            * patterns such as ``photos/*``, also with ``**``; the suffix decides, too.
+            * files. A missing file with an image suffix stays in the list if other images exist:
+              it becomes a row with an error.
 
     Returns:
         Paths as the caller named them: inputs in their order, files of each input sorted.
@@ -42,89 +46,120 @@ def find_images(inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]
         ImageNotFoundError: a directory or pattern has no image, a directory does not exist, no
             image exists, or no input is given.
     """
-    found: dict[str, None] = {}
+    images: dict[str, None] = {}
     named = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
-    for name in [os.fspath(each) for each in named]:
-        images = _images(name)
-        if not images:
-            raise ImageNotFoundError(
-                f"no image in {name!r}: use the suffixes {', '.join(sorted(SUFFIXES))}"
-            )
-        found.update(dict.fromkeys(images))
-    if not found:
+    names = [os.fspath(name) for name in named]
+    for name in names:
+        images_of_name = _images_named(name)
+        if not images_of_name:
+            suffixes = ", ".join(sorted(SUFFIXES))
+            raise ImageNotFoundError(f"no image in {name!r}: use the suffixes {suffixes}")
+        images.update(dict.fromkeys(images_of_name))
+    if not images:
         raise ImageNotFoundError("no image given: name files, directories or patterns")
-    if not any(Path(image).exists() for image in found):
-        raise ImageNotFoundError(
-            f"there is no file {next(iter(found))!r}, nor any other of the {len(found)} named"
-        )
-    return list(found)
+    if not any(Path(image).exists() for image in images):
+        first, *others = images
+        message = f"there is no file {first!r}"
+        if others:
+            message += f", nor any of the {len(others)} others"
+        raise ImageNotFoundError(message)
+    return list(images)
 
 
 def holds_photographs(name: str) -> bool:
-    """Test by its name whether a file or folder in a directory is no copy that a system or viewer keeps for itself."""
+    """Test by its name whether a file or folder can hold photographs.
+
+    False for hidden names, and for folders in which systems and viewers keep their own copies.
+    """
     return not name.startswith(".") and not _SYSTEM_FOLDER.fullmatch(name)
 
 
-def existing(path: str) -> str:
-    """Give a path that exists in another Unicode form (NFC or NFD) in that form; other paths unchanged."""
+def spelled_as_stored(path: str) -> str:
+    """Spell a path in the Unicode form (NFC or NFD) in which it exists; others stay unchanged."""
     if path.isascii() or os.path.lexists(path):
         return path
     folder, name = os.path.split(path)
     if folder == path or not name:
         return path
-    folder = existing(folder) if folder else folder
-    wanted = unicodedata.normalize("NFC", name)
+    if folder:
+        folder = spelled_as_stored(folder)
     try:
-        names = os.listdir(folder or ".")  # noqa: PTH208 - names as they are
+        stored_names = os.listdir(folder or ".")  # noqa: PTH208 - names as they are
     except OSError:
         return path
-    found = (each for each in sorted(names) if unicodedata.normalize("NFC", each) == wanted)
-    return os.path.join(folder, next(found, name))  # noqa: PTH118 - keeps the caller's spelling
+    composed = unicodedata.normalize("NFC", name)
+    for stored_name in sorted(stored_names):
+        if unicodedata.normalize("NFC", stored_name) == composed:
+            name = stored_name
+            break
+    return os.path.join(folder, name)  # noqa: PTH118 - keeps the caller's spelling
 
 
-def where_it_is(image: str | os.PathLike[str]) -> str:
+def canonical_path(image: str | os.PathLike[str]) -> str:
     """Give the unique name of an image: its absolute path without links."""
-    return str(Path(existing(os.fspath(image))).resolve())
+    path = spelled_as_stored(os.fspath(image))
+    return str(Path(path).resolve())
 
 
-def _files(folder: Path) -> Iterator[Path]:
+def _files_below(top: Path) -> Iterator[Path]:
     """List the files in a folder and, after them, in folders behind links; each folder once."""
-    known: set[tuple[int, int]] = set()
-    waiting = [folder]
+    # Links can form circles, so a folder is known by its device and number, not by its path.
+    visited: set[tuple[int, int]] = set()
+    waiting = [top]
     while waiting:
         links: list[Path] = []
-        for top in waiting:
-            for here, folders, files in os.walk(top):
-                state = Path(here).stat()
-                if (state.st_dev, state.st_ino) in known:
-                    folders.clear()
+        for start in waiting:
+            for folder, subfolders, files in os.walk(start):
+                status = Path(folder).stat()
+                identity = (status.st_dev, status.st_ino)
+                if identity in visited:
+                    subfolders.clear()
                     continue
-                known.add((state.st_dev, state.st_ino))
-                folders[:] = filter(holds_photographs, folders)
-                links += [
-                    path for each in sorted(folders) if (path := Path(here, each)).is_symlink()
-                ]
-                yield from (Path(here, each) for each in files if holds_photographs(each))
+                visited.add(identity)
+                subfolders[:] = filter(holds_photographs, subfolders)
+                # os.walk does not follow links.
+                paths = [Path(folder, name) for name in sorted(subfolders)]
+                links += [path for path in paths if path.is_symlink()]
+                yield from (Path(folder, name) for name in files if holds_photographs(name))
         waiting = links
 
 
 def _is_image(file: Path) -> bool:
+    """Test whether a path is a file with the suffix of an image."""
     return file.suffix.lower() in SUFFIXES and file.is_file()
 
 
-def _images(name: str) -> list[str]:
-    name = existing(name)
+def _images_named(name: str) -> list[str]:
+    """List the images of one directory, pattern or file.
+
+    Raises:
+        ImageNotFoundError: it is none of them.
+    """
+    name = spelled_as_stored(name)
     path = Path(name)
     if path.is_dir():
-        return sorted(str(file) for file in _files(path) if _is_image(file))
-    if not path.exists() and glob.has_magic(name):
-        matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
-        fixed = len(list(takewhile(lambda part: not glob.has_magic(part), path.parts)))
-        return sorted(
-            file
-            for file in matches
-            if _is_image(Path(file)) and all(map(holds_photographs, Path(file).parts[fixed:]))
-        )
-    if not path.exists() and (name.endswith(_SEPARATORS) or path.suffix.lower() not in SUFFIXES):
+        return sorted(str(file) for file in _files_below(path) if _is_image(file))
+    if path.exists():
+        return [name]
+    if glob.has_magic(name):
+        return _images_of_pattern(name)
+    if name.endswith(_SEPARATORS) or path.suffix.lower() not in SUFFIXES:
         raise ImageNotFoundError(f"there is no file or directory {name!r}")
     return [name]
+
+
+def _images_of_pattern(pattern: str) -> list[str]:
+    """List the images that match a pattern, except those in folders of systems and viewers.
+
+    Parts before the first wildcard were named by the caller, so they are never skipped.
+    """
+    literal_parts = takewhile(lambda part: not glob.has_magic(part), Path(pattern).parts)
+    n_literal = len(list(literal_parts))
+    images: list[str] = []
+    # Path.glob refuses absolute patterns.
+    for name in glob.glob(pattern, recursive=True):  # noqa: PTH207
+        file = Path(name)
+        matched_parts = file.parts[n_literal:]
+        if _is_image(file) and all(map(holds_photographs, matched_parts)):
+            images.append(name)
+    return sorted(images)

@@ -1,9 +1,13 @@
 """Opening of any aerial image as a raster of 8-bit RGB.
 
-OpenCV decodes most of ``IMAGE_FORMATS`` whole, TIFF only if it is plain. rasterio (extra ``geo``)
-reads the following by windows: GeoTIFF, COG, JPEG 2000, and TIFF that is too large to decode whole
-or that OpenCV cannot decode. libheif (extra ``heic``) decodes HEIC. The choice depends on the file
-alone, never on installed packages (docs/decisions.md).
+Three libraries read the formats of ``IMAGE_FORMATS``:
+
+* OpenCV decodes most formats whole, but TIFF only if it is plain.
+* rasterio (extra ``geo``) reads GeoTIFF, COG and JPEG 2000 by windows, and every TIFF that is too
+  large to decode whole or that OpenCV cannot decode.
+* libheif (extra ``heic``) decodes HEIC.
+
+The choice depends on the file alone, never on installed packages (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -30,15 +34,15 @@ from vehanchor.imagery.limits import WINDOWED_FORMATS, check_bytes, read_checked
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster
-from vehanchor.imagery.sources.files import existing
+from vehanchor.imagery.sources.files import spelled_as_stored
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
-from vehanchor.options import ImageLimits, Reading
+from vehanchor.options import Reading
 
 if TYPE_CHECKING:
-    from vehanchor.imagery.bands import BandChoice
     from vehanchor.imagery.formats.ifd import ReadAt
     from vehanchor.imagery.formats.image_header import ImageHeader
+    from vehanchor.options import ImageLimits
 
 ImageSource: TypeAlias = (
     str
@@ -51,21 +55,34 @@ ImageSource: TypeAlias = (
     | Dataset
     | PillowImage
 )
-"""A path, an encoded image in memory, a binary file object, an array [h, w] or [h, w, bands] in RGB order, an open
-rasterio dataset, or a Pillow image."""
+"""Everything that can be opened as an image:
+
+* a path,
+* an encoded image in memory,
+* a binary file object,
+* an array [h, w] or [h, w, bands] in RGB order,
+* an open rasterio dataset,
+* a Pillow image.
+"""
 
 _MIB = 1 << 20
+_FORMAT_BYTES = 32
+"""First bytes of a file, by which its format is recognised."""
+
 _DEFAULT_READING = Reading()
-_WITH_ALPHA = frozenset({"PNG", "WebP", "AVIF"})  # formats whose fourth band is alpha
+_WITH_ALPHA = frozenset({"PNG", "WebP", "AVIF"})
+"""Formats whose fourth band is always alpha."""
 
 
 def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Raster:
     """Open an image of any kind for reading by windows.
 
-    uint8 stays unchanged. uint16 is stretched between percentiles 2 and 98 of the whole image.
-    Floats within 0..1 are scaled by 255, other floats stretched by percentiles. Arrays and plain
-    files must be finite; in files read by windows NaN means "no data". One band becomes grey.
-    Pixels of alpha 0 are not seen. Of more bands the first three are used.
+    Every image is read as 8-bit RGB. uint8 stays unchanged. uint16 is stretched between percentiles
+    2 and 98 of the whole image. Floats within 0..1 are scaled by 255, other floats stretched by
+    percentiles. A single band becomes grey. Of more than three bands the first three are used.
+
+    Transparent pixels (alpha 0) are ignored. Arrays and files that are decoded whole must be
+    finite. In files that are read by windows, NaN means "no data".
 
     Args:
         image: one of
@@ -88,117 +105,118 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
             unsupported dtype.
         MissingExtraError: the file needs rasterio or libheif, which is not installed.
     """
-    bands = reading.bands
-    limits = reading.limits
     if isinstance(image, np.ndarray):
-        return ArrayRaster(image, "array", bands, bgr=reading.bgr)
+        return ArrayRaster(image, "array", reading.bands, bgr=reading.bgr)
     if isinstance(image, str | os.PathLike):
-        return _open_path(existing(os.fspath(image)), bands, limits)
+        path = spelled_as_stored(os.fspath(image))
+        return _open_path(path, reading)
     if isinstance(image, bytes | bytearray | memoryview):
-        check_bytes(memoryview(image).nbytes, limits)
-        return _open_bytes(bytes(image), "bytes", bands=bands, limits=limits)
+        # The size is checked before a bytearray or memoryview is copied.
+        n_bytes = memoryview(image).nbytes
+        check_bytes(n_bytes, reading.limits)
+        return _open_bytes(bytes(image), "bytes", reading)
     if is_pillow(image):
-        return ArrayRaster(pillow_pixels(image, limits), "image", bands, alpha=True)
+        pixels = pillow_pixels(image, reading.limits)
+        return ArrayRaster(pixels, "image", reading.bands, alpha=True)
     if is_dataset(image):
-        return open_dataset(image, bands, limits)
+        return open_dataset(image, reading.bands, reading.limits)
     if hasattr(image, "read"):
-        return _open_bytes(
-            _read_stream(cast("BinaryIO", image), limits), "file", bands=bands, limits=limits
-        )
+        stream = cast("BinaryIO", image)
+        data = _read_stream(stream, reading.limits)
+        return _open_bytes(data, "file", reading)
     raise InvalidParameterError(
         "image must be a path, bytes, a binary file, a numpy array, a Pillow image or a "
-        "rasterio dataset, got "
-        f"{type(image).__name__}"
+        f"rasterio dataset, got {type(image).__name__}"
     )
 
 
 def can_be_read_again(image: ImageSource) -> bool:
     """Test whether an image can be opened a second time; a stream cannot."""
-    return not hasattr(image, "read") or is_dataset(image) or is_pillow(image)
+    # A dataset has a method ``read``, too, but no position that reading moves.
+    is_stream = hasattr(image, "read") and not is_dataset(image) and not is_pillow(image)
+    return not is_stream
 
 
-def _open_path(path: str, bands: BandChoice, limits: ImageLimits) -> Raster:
-    with _open_regular(path) as file:
+def _open_path(path: str, reading: Reading) -> Raster:
+    """Open a file; one that is read by windows is never loaded whole."""
+    limits = reading.limits
+    with _open_regular_file(path) as file:
         n_bytes = os.fstat(file.fileno()).st_size
 
         def read_at(offset: int, count: int) -> bytes:
-            if offset >= n_bytes:  # also keeps invalid offsets from seek()
+            # A damaged header can name any offset, and seek() refuses some.
+            if offset >= n_bytes:
                 return b""
             file.seek(offset)
             return file.read(count)
 
         header = None
-        if image_format(read_at(0, 32)) in WINDOWED_FORMATS:
+        start = read_at(0, _FORMAT_BYTES)
+        if image_format(start) in WINDOWED_FORMATS:
             header = read_checked_header(read_at, limits)
             if n_bytes > limits.max_bytes or _needs_windows(header, limits):
+                # An absolute path has no prefix that GDAL interprets, such as GTIFF_DIR:.
+                absolute = str(Path(path).absolute())
                 return _open_by_windows(
-                    str(Path(path).absolute()),
-                    path,
-                    header=header,
-                    bands=bands,
-                    limits=limits,
-                    read_at=read_at,
+                    absolute, path, header=header, reading=reading, read_at=read_at
                 )
         check_bytes(n_bytes, limits)
         data = read_at(0, n_bytes)
-    return _open_bytes(data, path, bands=bands, limits=limits, header=header)
+    return _open_bytes(data, path, reading, header=header)
 
 
 def _open_bytes(
-    data: bytes,
-    source: str,
-    bands: BandChoice,
-    limits: ImageLimits,
-    header: ImageHeader | None = None,
+    data: bytes, source: str, reading: Reading, *, header: ImageHeader | None = None
 ) -> Raster:
+    """Open an encoded image in memory; ``header`` is its checked header, if that has been read."""
+    limits = reading.limits
     check_bytes(len(data), limits)
     if not data:
         raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
-    if image_format(data[:32]) == "HEIC":
-        return open_heic(data, source, bands=bands, limits=limits)
+    if image_format(data[:_FORMAT_BYTES]) == "HEIC":
+        return open_heic(data, source, bands=reading.bands, limits=limits)
     read_at = in_memory(data)
-    header = header or read_checked_header(read_at, limits)
+    if header is None:
+        header = read_checked_header(read_at, limits)
     if _needs_windows(header, limits):
-        return _open_by_windows(
-            data, source, header=header, bands=bands, limits=limits, read_at=read_at
-        )
+        return _open_by_windows(data, source, header=header, reading=reading, read_at=read_at)
     pixels = decode(data, source, header)
-    # OpenCV has already applied a TIFF's orientation
-    orientation = 1 if header.tiff else header.orientation
-    alpha = header.tiff.alpha if header.tiff else header.format in _WITH_ALPHA
-    raster = ArrayRaster(pixels, source, bands, bgr=True, orientation=orientation, alpha=alpha)
+    if header.tiff is None:
+        orientation = header.orientation
+        has_alpha = header.format in _WITH_ALPHA
+    else:
+        orientation = 1  # OpenCV has already applied a TIFF's orientation.
+        has_alpha = header.tiff.alpha
+    raster = ArrayRaster(
+        pixels, source, reading.bands, bgr=True, orientation=orientation, alpha=has_alpha
+    )
     raster.camera = read_camera(read_at, header)
     return raster
 
 
 def _open_by_windows(
-    file: str | bytes,
-    source: str,
-    header: ImageHeader,
-    bands: BandChoice,
-    limits: ImageLimits,
-    read_at: ReadAt,
+    file: str | bytes, source: str, *, header: ImageHeader, reading: Reading, read_at: ReadAt
 ) -> Raster:
     """Open an image that is too large to decode whole, or that OpenCV does not decode."""
-    raster = open_file(file, source, header=header, bands=bands, limits=limits)
+    raster = open_file(file, source, header=header, bands=reading.bands, limits=reading.limits)
     raster.encoded = file
     raster.camera = read_camera(read_at, header)
     return raster
 
 
 def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
+    """Test whether an image must be read by windows instead of being decoded whole."""
     if header.tiff is None:
         return header.format == "JPEG 2000"
-    too_large = (
-        header.width_px * header.height_px > limits.max_pixels
-        or header.decoding_bytes > limits.max_decoded_bytes
-    )
+    n_pixels = header.width_px * header.height_px
+    too_large = n_pixels > limits.max_pixels or header.decoding_bytes > limits.max_decoded_bytes
     return too_large or header.tiff.georeferenced or not decodes_tiff(header.tiff)
 
 
-def _open_regular(path: str) -> BinaryIO:
-    # O_NONBLOCK: opening a FIFO must not wait for a writer. The check uses the open file, because
-    # its name can change.
+def _open_regular_file(path: str) -> BinaryIO:
+    """Open a file for reading; refuse folders, pipes, devices and sockets."""
+    # O_NONBLOCK: opening a FIFO must not wait for a writer. The check of the kind uses the open
+    # file, because the file behind its name can change.
     flags = (
         os.O_RDONLY
         | getattr(os, "O_NONBLOCK", 0)
@@ -207,10 +225,10 @@ def _open_regular(path: str) -> BinaryIO:
     )
     try:
         descriptor = os.open(path, flags)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        remedy = "; download it, or pass rasterio.open(...) of it" if "://" in path else ""
-        raise ImageNotFoundError(f"cannot open the image {path!r}: {reason}{remedy}") from error
+    except OSError as error:
+        raise _cannot_open(path, error.strerror) from error
+    except ValueError as error:  # a NUL in the name
+        raise _cannot_open(path, str(error)) from error
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):
         return os.fdopen(descriptor, "rb")
@@ -223,12 +241,22 @@ def _open_regular(path: str) -> BinaryIO:
     raise ImageNotFoundError(f"the image {path!r} is {kind}, not a file")
 
 
+def _cannot_open(path: str, reason: str | None) -> ImageNotFoundError:
+    """Make the error for a path that the system cannot open; for an address, name the remedy."""
+    message = f"cannot open the image {path!r}: {reason}"
+    if "://" in path:
+        message += "; download it, or pass rasterio.open(...) of it"
+    return ImageNotFoundError(message)
+
+
 def _read_stream(stream: BinaryIO, limits: ImageLimits) -> bytes:
+    """Read a file object to its end, or to one byte above the limit."""
     chunks: list[bytes] = []
     n_bytes = 0
     while n_bytes <= limits.max_bytes:
+        chunk_bytes = min(_MIB, limits.max_bytes + 1 - n_bytes)
         try:
-            chunk = stream.read(min(_MIB, limits.max_bytes + 1 - n_bytes))
+            chunk = stream.read(chunk_bytes)
         except OSError as error:
             raise ImageDecodeError(
                 f"cannot read the image from its file object: {error}"

@@ -14,9 +14,12 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 _ARRAY_MODES = {"L": 1, "RGB": 3, "RGBA": 4, "I;16": 2, "I;16B": 2, "F": 4}
-"""Modes that become arrays directly, with bytes per pixel; all others are converted to RGB or RGBA first."""
+"""Modes that become arrays directly, with bytes per pixel.
 
-_HELD_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}
+All other modes are converted to RGB or RGBA first.
+"""
+
+_STORED_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}
 """Bytes per pixel in Pillow's memory; 4 for all other modes."""
 
 _TAG_ORIENTATION = 274
@@ -32,8 +35,8 @@ class PillowImage(Protocol):
 def is_pillow(image: Any) -> TypeGuard[PillowImage]:
     """Test whether an object is a Pillow image, without importing Pillow."""
     return any(
-        kind.__module__.startswith("PIL.") and kind.__name__ == "Image"
-        for kind in type(image).__mro__
+        base.__module__.startswith("PIL.") and base.__name__ == "Image"
+        for base in type(image).__mro__
     )
 
 
@@ -56,29 +59,28 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
             f"the Pillow image has {width} x {height} px, the limit is {limits.max_pixels} pixels "
             "(--max-megapixels, ImageLimits.max_pixels)"
         )
-    plain = "RGBA" if getattr(image, "has_transparency_data", False) else "RGB"
-    held = _HELD_BYTES.get(image.mode, 4)
-    shown = _ARRAY_MODES.get(image.mode, len(plain))
-    # Pillow copies its pixels in pieces and then joins them
-    taken = width * height * (held + 2 * shown)
-    if taken > limits.max_decoded_bytes:
+    colour_mode = "RGBA" if getattr(image, "has_transparency_data", False) else "RGB"
+    stored_bytes = _STORED_BYTES.get(image.mode, 4)
+    array_bytes = _ARRAY_MODES.get(image.mode, len(colour_mode))
+    # Pillow copies its pixels in pieces and then joins them, so the array is held twice.
+    decoding_bytes = width * height * (stored_bytes + 2 * array_bytes)
+    if decoding_bytes > limits.max_decoded_bytes:
         raise ImageTooLargeError(
-            f"decoding the Pillow image of {width} x {height} px ({image.mode}) takes {taken} "
-            "bytes, the limit is "
-            f"{limits.max_decoded_bytes} (ImageLimits.max_decoded_bytes); convert it to RGB, or "
-            "raise the limit"
+            f"decoding the Pillow image of {width} x {height} px ({image.mode}) takes "
+            f"{decoding_bytes} bytes, the limit is {limits.max_decoded_bytes} "
+            "(ImageLimits.max_decoded_bytes); convert it to RGB, or raise the limit"
         )
     try:
         upright = image
-        if image.getexif().get(_TAG_ORIENTATION, 1) != 1:  # exif_transpose always copies
+        # exif_transpose copies the image even if there is nothing to turn.
+        if image.getexif().get(_TAG_ORIENTATION, 1) != 1:
             upright = ImageOps.exif_transpose(image)
         if upright.mode not in _ARRAY_MODES:
-            upright = upright.convert(plain)
+            upright = upright.convert(colour_mode)
         return np.asarray(upright)
     except MemoryError as error:
-        size = f"{width} x {height} px"
         raise OutOfMemoryError(
-            f"not enough memory for the Pillow image of {size}: try again later"
+            f"not enough memory for the Pillow image of {width} x {height} px: try again later"
         ) from error
     except (OSError, ValueError, SyntaxError) as error:
         raise ImageDecodeError(f"the Pillow image cannot be decoded: {error}") from error

@@ -1,4 +1,4 @@
-"""Images read by windows through rasterio: GeoTIFF, COG, JPEG 2000, and the caller's open datasets."""
+"""Images that rasterio reads by windows: GeoTIFF, COG, JPEG 2000, and the caller's datasets."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import sys
 import warnings
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeGuard
 
 import cv2
 import numpy as np
@@ -34,17 +34,28 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.options import ImageLimits
 
-# of decoded blocks of all files: the overlap of two rows of tiles in a wide image
 _CACHE_BYTES = 192 << 20
-_SAMPLE_GRID = 8  # windows per side: 64 windows of 128 px make SAMPLE_PX
-_SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)  # grey from black, RGB, palette, YCbCr
+"""GDAL's cache of decoded blocks, for all files together.
+
+It holds the blocks that two rows of tiles share in a wide image.
+"""
+
+_SAMPLE_GRID = 8
+"""Windows of a sample per side: 64 windows of 128 x 128 px are ``SAMPLE_PX``."""
+
+_SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)
+"""TIFF's codes of grey from black, RGB, palette and YCbCr."""
+
 _DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG"}
 _OPENJPEG_SAMPLE_BYTES = 4
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
+Shape: TypeAlias = tuple[int, int]
+"""Rows and columns."""
+
 
 class Dataset(Protocol):
-    """Image that rasterio has opened for reading: the result of ``rasterio.open``, or a ``WarpedVRT``."""
+    """Image that rasterio has opened for reading, such as a ``WarpedVRT``."""
 
     def read_masks(self, indexes: Any = None, /, *, window: Any = None) -> NDArray[Any]:
         """Read masks: 255 where a band holds data."""
@@ -52,7 +63,7 @@ class Dataset(Protocol):
 
 def is_dataset(image: object) -> TypeGuard[Dataset]:
     """Test whether an object is a rasterio dataset, without importing rasterio."""
-    # the common base of its datasets has no public name
+    # The common base class of rasterio's datasets has no public name.
     rasterio_base = sys.modules.get("rasterio._base")
     return rasterio_base is not None and isinstance(image, rasterio_base.DatasetBase)
 
@@ -74,7 +85,7 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
         )
     check_windowed_size("dataset", dataset.width, height_px=dataset.height, limits=limits)
     _check_block(dataset, "dataset", limits)
-    inks = _INKS.intersection(each.name for each in dataset.colorinterp)
+    inks = _INKS.intersection(_band_roles(dataset))
     if inks:
         raise ImageFormatError(
             f"the dataset's bands are {', '.join(sorted(inks))}: convert it to RGB"
@@ -83,12 +94,12 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
 
 
 def open_file(
-    file: str | bytes, source: str, header: ImageHeader, bands: BandChoice, limits: ImageLimits
+    file: str | bytes, source: str, *, header: ImageHeader, bands: BandChoice, limits: ImageLimits
 ) -> DatasetRaster:
-    """Open a TIFF or JPEG 2000 by absolute path or from memory; sidecar files are ignored.
+    """Open a TIFF or JPEG 2000; sidecar files are ignored.
 
     Args:
-        file: its path or its bytes.
+        file: its absolute path, or its bytes.
         source: name of the image in messages.
         header: its header.
         bands: bands to use as red, green and blue.
@@ -102,33 +113,21 @@ def open_file(
         ImageFormatError: the image cannot be measured.
     """
     layout = header.tiff
-    if layout is not None and layout.photometric not in _SUPPORTED_PHOTOMETRIC:
-        raise ImageFormatError(
-            f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is "
-            "neither"
-            " grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
-        )
-    check_block(
-        "JPEG 2000",
-        header.tile_px,
-        samples=header.bands,
-        sample_bytes=_OPENJPEG_SAMPLE_BYTES,
-        limits=limits,
-    )
+    _check_layout(header, source, limits)
     rasterio = _import_rasterio(source, header)
-    # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could name
-    # any other file.
-    own = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
     with ExitStack() as stack:
-        with gdal_environment(source, **own), warnings.catch_warnings():
+        # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could
+        # name any other file.
+        isolation = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
+        with gdal_environment(source, **isolation), warnings.catch_warnings():
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             if isinstance(file, bytes):
-                file = stack.enter_context(rasterio.MemoryFile(file)).name
-            dataset = stack.enter_context(
-                rasterio.open(
-                    file, driver=_DRIVERS[header.format], sharing=False, GEOREF_SOURCES="INTERNAL"
-                )
-            )
+                memory_file = stack.enter_context(rasterio.MemoryFile(file))
+                file = memory_file.name
+            driver = _DRIVERS[header.format]
+            opened = rasterio.open(file, driver=driver, sharing=False, GEOREF_SOURCES="INTERNAL")
+            dataset = stack.enter_context(opened)
+            # The limits were applied to the size in the header.
             if (dataset.width, dataset.height) != (header.width_px, header.height_px):
                 raise ImageDecodeError(
                     f"the {header.format} ({source}) declares two different sizes: damaged"
@@ -140,11 +139,35 @@ def open_file(
             )
         # A geotransform refers to the stored frame, so georeferenced files keep their stored
         # orientation.
-        orientation = 1 if layout is not None and layout.georeferenced else header.orientation
+        is_georeferenced = layout is not None and layout.georeferenced
+        orientation = 1 if is_georeferenced else header.orientation
         with gdal_environment(source):
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)
         raster.closing = stack.pop_all()
     return raster
+
+
+def _check_layout(header: ImageHeader, source: str, limits: ImageLimits) -> None:
+    """Check a header before GDAL opens the file.
+
+    Raises:
+        ImageFormatError: the photometric interpretation is unsupported.
+        ImageTooLargeError: a tile of a JPEG 2000 has too many pixels.
+    """
+    layout = header.tiff
+    if layout is not None and layout.photometric not in _SUPPORTED_PHOTOMETRIC:
+        raise ImageFormatError(
+            f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is "
+            "neither grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
+        )
+    # A TIFF has no tile here: its pixels are 0.
+    check_block(
+        "JPEG 2000",
+        header.tile_px,
+        samples=header.bands,
+        sample_bytes=_OPENJPEG_SAMPLE_BYTES,
+        limits=limits,
+    )
 
 
 def _import_rasterio(source: str, header: ImageHeader) -> Any:
@@ -158,10 +181,12 @@ def _import_rasterio(source: str, header: ImageHeader) -> Any:
         import rasterio.enums
         import rasterio.errors
     except ImportError as error:
-        unsafe = "has a format that OpenCV does not decode safely"
-        why = "is georeferenced, too large or unsupported by OpenCV" if header.tiff else unsafe
+        if header.tiff is None:
+            reason = "has a format that OpenCV does not decode safely"
+        else:
+            reason = "is georeferenced, too large or unsupported by OpenCV"
         raise MissingExtraError(
-            f"the {header.format} ({source}) {why}; reading it needs rasterio: pip install "
+            f"the {header.format} ({source}) {reason}; reading it needs rasterio: pip install "
             "'vehanchor[geo]'"
         ) from error
     return rasterio
@@ -176,7 +201,8 @@ def gdal_environment(source: str, **options: str) -> Iterator[None]:
 
     try:
         with Env(GDAL_CACHEMAX=_CACHE_BYTES, **options), warnings.catch_warnings():
-            warnings.simplefilter("ignore", NodataShadowWarning)  # the alpha band is read by itself
+            # rasterio warns that no-data values hide the alpha band; it is read by itself.
+            warnings.simplefilter("ignore", NodataShadowWarning)
             yield
     except VehAnchorError:
         raise
@@ -201,21 +227,43 @@ def gdal_environment(source: str, **options: str) -> Iterator[None]:
 
 
 def _check_block(dataset: Any, name: str, limits: ImageLimits) -> None:
-    together = dataset.count if dataset.profile.get("interleave") == "pixel" else 1
-    sample_bytes = max(_dtype(name).itemsize for name in dataset.dtypes)
+    """Check the size of a dataset's largest block.
+
+    Raises:
+        ImageTooLargeError: decoding the block would exceed the limits.
+        ImageFormatError: the type of the pixels is unsupported.
+    """
+    is_interleaved = dataset.profile.get("interleave") == "pixel"
+    sample_bytes = max(_dtype(dtype_name).itemsize for dtype_name in dataset.dtypes)
     check_block(
         name,
-        max(height * width for height, width in dataset.block_shapes),
-        samples=together,
+        _largest_block_px(dataset),
+        samples=dataset.count if is_interleaved else 1,
         sample_bytes=sample_bytes,
         limits=limits,
     )
 
 
+def _largest_block_px(dataset: Any) -> int:
+    """Compute the pixels of a dataset's largest block; bands can have blocks of different sizes."""
+    sizes: list[int] = [height * width for height, width in dataset.block_shapes]
+    return max(sizes)
+
+
+def _band_roles(dataset: Any) -> list[str]:
+    """List GDAL's name of each band's role, such as ``red``, ``alpha`` or ``undefined``."""
+    return [role.name for role in dataset.colorinterp]
+
+
 def _dtype(name: str) -> np.dtype[Any]:
+    """Get the type of a band's pixels by its name.
+
+    Raises:
+        ImageFormatError: NumPy has no such type.
+    """
     try:
         return np.dtype(name)
-    except TypeError:  # complex_int16 exists only in GDAL
+    except TypeError:  # GDAL's complex_int16
         raise ImageFormatError(
             f"pixels of {name} cannot be measured; convert them to uint8, uint16 or float32"
         ) from None
@@ -239,14 +287,15 @@ class DatasetRaster(Raster):
     def __init__(
         self, dataset: Any, source: str, bands: BandChoice, *, orientation: int = 1
     ) -> None:
-        self._palette = _palette(dataset)
-        if self._palette is not None:
+        self._palette = _read_palette(dataset)
+        if self._palette is None:
+            channels, notes = choose_bands(dataset.count, bands)
+            self._indexes = [channel + 1 for channel in channels]
+        else:
+            # The one band of a palette image stands for three colours.
             channels, notes = choose_bands(3, bands)
             self._palette = self._palette[:, list(channels)]
             self._indexes = [1, 1, 1]
-        else:
-            channels, notes = choose_bands(dataset.count, bands)
-            self._indexes = [channel + 1 for channel in channels]
         super().__init__(
             source,
             dataset.width,
@@ -257,17 +306,14 @@ class DatasetRaster(Raster):
         )
         if self.georeference_gsd_m_per_px is not None:
             self.ground = Ground(dataset.transform, dataset.crs)
-        dtype = _dtype(dataset.dtypes[self._indexes[0] - 1])
+        first_index = self._indexes[0]
+        dtype = _dtype(dataset.dtypes[first_index - 1])
         check_dtype(dtype)
         self._dataset = dataset
-        self._unique = sorted(set(self._indexes))
-        with gdal_environment(source):
-            flags = [
-                {flag.name for flag in dataset.mask_flag_enums[index - 1]} for index in self._unique
-            ]
-        self._masked = any("all_valid" not in names for names in flags)
+        self._unique_indexes = sorted(set(self._indexes))
+        self._has_mask = self._find_mask()
         self.closing = ExitStack()
-        self._alpha = self._alpha_band()
+        self._alpha = self._find_alpha()
         if dtype != np.uint8 and self._palette is None:
             self._choose_stretch(self._sample())
 
@@ -276,136 +322,168 @@ class DatasetRaster(Raster):
         self.closing.close()
 
     def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
-        """Read a window of the reduced image from the file's overviews; None if none fits the factor."""
-        with gdal_environment(self.source):
-            kept = set.intersection(*(set(self._dataset.overviews(k)) for k in self._unique))
-        step = next((each for each in (factor, factor // 2) if each > 1 and each in kept), None)
-        if self._palette is not None or step is None:
+        """Read a window of the reduced image from the file's overviews; None if none fits."""
+        overview_factor = self._overview_factor(factor)
+        # Overviews of a palette image can hold means of indexes, which are not colours.
+        if self._palette is not None or overview_factor is None:
             return None
         full = Window(
-            *(
-                factor * each
-                for each in (window.x_px, window.y_px, window.width_px, window.height_px)
-            )
+            factor * window.x_px,
+            factor * window.y_px,
+            width_px=factor * window.width_px,
+            height_px=factor * window.height_px,
         )
         stored = stored_window(
             full, self.width_px, height_px=self.height_px, orientation=self._orientation
         )
-        overview = self._to_rgb(
-            self._read_stored(stored, (stored.height_px // step, stored.width_px // step))
-        )
-        if step != factor:
-            size = window.width_px, window.height_px
-            overview = np.asarray(
-                cv2.resize(overview, size, interpolation=cv2.INTER_AREA), np.uint8
-            )
-        return overview
+        shape = (stored.height_px // overview_factor, stored.width_px // overview_factor)
+        overview = self._to_rgb(self._read_stored(stored, shape))
+        if overview_factor == factor:
+            return overview
+        size = (window.width_px, window.height_px)
+        reduced = cv2.resize(overview, size, interpolation=cv2.INTER_AREA)
+        return np.asarray(reduced, np.uint8)
 
-    def _read_stored(self, window: Window, shape: tuple[int, int] | None = None) -> StoredPixels:
-        bounds = _bounds(window)
-        more, of_one = (
-            {} if shape is None else {"out_shape": (n, *shape)} for n in (len(self._unique), 1)
-        )
+    def _overview_factor(self, factor: int) -> int | None:
+        """Choose the overview to read: of this factor, or of half of it; None if there is none."""
         with gdal_environment(self.source):
-            planes = dict(
-                zip(
-                    self._unique,
-                    self._dataset.read(self._unique, window=bounds, **more),
-                    strict=True,
-                )
-            )
-            masks = (
-                self._dataset.read_masks(self._unique, window=bounds, **more)
-                if self._masked
-                else None
-            )
-            opaque = (
-                None
-                if self._alpha is None
-                else self._dataset.read([self._alpha], window=bounds, **of_one)[0] != 0
-            )
-        # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands are
-        # empty.
-        valid: NDArray[np.bool_] | None = None if masks is None else masks.any(axis=0)
-        if opaque is not None:
-            valid = opaque if valid is None else valid & opaque
+            of_each_band = [set(self._dataset.overviews(index)) for index in self._unique_indexes]
+        available = set.intersection(*of_each_band)
+        for candidate in (factor, factor // 2):
+            if candidate > 1 and candidate in available:
+                return candidate
+        return None
+
+    def _read_stored(self, window: Window, shape: Shape | None = None) -> StoredPixels:
+        """Read a window of the stored frame, reduced to ``shape`` if it is given."""
+        indexes = self._unique_indexes
+        with gdal_environment(self.source):
+            bands = self._read_bands(indexes, window, shape)
+            valid = self._read_valid(window, shape)
+        band_of_index = dict(zip(indexes, bands, strict=True))
         if self._palette is not None:
-            return StoredPixels(self._palette[planes[1]], valid)
-        rgb = merge_bands([planes[index] for index in self._indexes])
+            values = band_of_index[1]
+            return StoredPixels(self._palette[values], valid)
+        rgb = merge_bands([band_of_index[index] for index in self._indexes])
         if rgb.dtype.kind == "f":
             finite = np.isfinite(rgb).all(axis=2)
-            valid = finite if valid is None else valid & finite
+            valid = _both(valid, finite)
             rgb[~valid] = 0
         return StoredPixels(rgb, valid)
 
-    def _alpha_band(self) -> int | None:
-        """Find the band that is declared to be alpha, or undeclared and without other values than alpha has."""
-        kinds = [each.name for each in self._dataset.colorinterp]
-        if "alpha" in kinds:
-            band = kinds.index("alpha") + 1
-            return None if band in self._indexes else band
-        last = len(kinds)
-        if last not in (2, 4) or kinds[-1] != "undefined" or last in self._indexes:
-            return None
+    def _read_valid(self, window: Window, shape: Shape | None) -> NDArray[np.bool_] | None:
+        """Read which pixels hold data by mask, no-data value and alpha; None if all do."""
+        valid: NDArray[np.bool_] | None = None
+        if self._has_mask:
+            indexes = self._unique_indexes
+            options = _reading_options(window, shape, n_bands=len(indexes))
+            masks = self._dataset.read_masks(indexes, **options)
+            # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands
+            # are empty.
+            valid = masks.any(axis=0)
+        if self._alpha is not None:
+            (alpha,) = self._read_bands([self._alpha], window, shape)
+            valid = _both(valid, alpha != 0)
+        return valid
+
+    def _read_bands(self, indexes: list[int], window: Window, shape: Shape | None) -> NDArray[Any]:
+        """Read bands of a window, ``[bands, h, w]``."""
+        options = _reading_options(window, shape, n_bands=len(indexes))
+        bands: NDArray[Any] = self._dataset.read(indexes, **options)
+        return bands
+
+    def _find_mask(self) -> bool:
+        """Test whether a band that is read has a mask, a no-data value or an alpha band."""
         with gdal_environment(self.source):
-            parts = [
-                self._dataset.read(last, window=_bounds(window), out_shape=shape).ravel()
-                for window, shape in self._sample_places()
-            ]
-        return last if is_alpha(np.concatenate(parts)) else None
+            flags_of_bands = self._dataset.mask_flag_enums
+        for index in self._unique_indexes:
+            flag_names = {flag.name for flag in flags_of_bands[index - 1]}
+            if "all_valid" not in flag_names:
+                return True
+        return False
+
+    def _find_alpha(self) -> int | None:
+        """Find the alpha band that is not read as a colour; None without one.
+
+        A band of undeclared role is alpha if it is the last of two or four and has no other values
+        than alpha has.
+        """
+        roles = _band_roles(self._dataset)
+        if "alpha" in roles:
+            declared = roles.index("alpha") + 1
+            return None if declared in self._indexes else declared
+        last = len(roles)
+        can_be_alpha = last in (2, 4) and roles[-1] == "undefined"
+        if not can_be_alpha or last in self._indexes:
+            return None
+        samples = []
+        with gdal_environment(self.source):
+            for window, shape in self._sample_windows():
+                (band,) = self._read_bands([last], window, shape)
+                samples.append(band.ravel())
+        return last if is_alpha(np.concatenate(samples)) else None
 
     def _sample(self) -> NDArray[Any]:
         """Sample valid values ``[n, 3]``."""
-        parts = [self._read_stored(*place) for place in self._sample_places()]
-        return np.concatenate(
-            [
-                part.rgb.reshape(-1, 3) if part.valid is None else part.rgb[part.valid]
-                for part in parts
-            ]
-        )
+        samples = []
+        for window, shape in self._sample_windows():
+            rgb, valid = self._read_stored(window, shape)
+            values = rgb.reshape(-1, 3) if valid is None else rgb[valid]
+            samples.append(values)
+        return np.concatenate(samples)
 
-    def _sample_places(self) -> list[tuple[Window, tuple[int, int] | None]]:
-        """Lay out the sample, as windows with the rows and columns to read them at; None for their own.
+    def _sample_windows(self) -> list[tuple[Window, Shape | None]]:
+        """Lay out the windows of a sample of about ``SAMPLE_PX`` pixels.
 
-        All of a small raster, a grid of windows of a large one; a raster of large blocks once, so
-        that no block is decoded again for each window.
+        Returns:
+            Windows, each with the shape to which it is reduced; None for its own shape.
         """
         width = self._dataset.width
         height = self._dataset.height
+        whole = Window(0, 0, width_px=width, height_px=height)
         if width * height <= SAMPLE_PX:
-            return [(Window(0, 0, width_px=width, height_px=height), None)]
-        if max(rows * columns for rows, columns in self._dataset.block_shapes) > SAMPLE_PX:
+            return [(whole, None)]
+        # A raster of large blocks is read once, so that no block is decoded again for each window.
+        if _largest_block_px(self._dataset) > SAMPLE_PX:
             step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
-            return [
-                (
-                    Window(0, 0, width_px=width, height_px=height),
-                    (max(1, height // step), max(1, width // step)),
-                )
-            ]
+            reduced = (max(1, height // step), max(1, width // step))
+            return [(whole, reduced)]
+        # Otherwise a grid of windows, from border to border, costs only the blocks that it meets.
         side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
-        spots = np.linspace(0, 1, _SAMPLE_GRID)
-        w = min(side, width)
-        h = min(side, height)
-        return [
-            (Window(int(x * (width - w)), int(y * (height - h)), width_px=w, height_px=h), None)
-            for y in spots
-            for x in spots
-        ]
+        window_width = min(side, width)
+        window_height = min(side, height)
+        windows: list[tuple[Window, Shape | None]] = []
+        positions = np.linspace(0, 1, _SAMPLE_GRID)
+        for row_position in positions:
+            y = int(row_position * (height - window_height))
+            for column_position in positions:
+                x = int(column_position * (width - window_width))
+                window = Window(x, y, width_px=window_width, height_px=window_height)
+                windows.append((window, None))
+        return windows
 
 
-def _bounds(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Rows and columns of a window, as rasterio takes them."""
-    return (window.y_px, window.y_px + window.height_px), (
-        window.x_px,
-        window.x_px + window.width_px,
-    )
+def _reading_options(window: Window, shape: Shape | None, n_bands: int) -> dict[str, Any]:
+    """Make rasterio's keyword arguments for reading a window, reduced to ``shape`` if given."""
+    rows = (window.y_px, window.y_px + window.height_px)
+    columns = (window.x_px, window.x_px + window.width_px)
+    options: dict[str, Any] = {"window": (rows, columns)}
+    if shape is not None:
+        options["out_shape"] = (n_bands, *shape)
+    return options
 
 
-def _palette(dataset: Any) -> NDArray[np.uint8] | None:
+def _both(valid: NDArray[np.bool_] | None, other_valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Combine two masks of valid pixels; None is a mask in which all pixels are valid."""
+    return other_valid if valid is None else valid & other_valid
+
+
+def _read_palette(dataset: Any) -> NDArray[np.uint8] | None:
     """Read the colours of a palette image, ``[values, 3]``; None for other images."""
-    if dataset.count != 1 or dataset.colorinterp[0].name != "palette":
+    if _band_roles(dataset) != ["palette"]:
         return None
-    colours = np.zeros((1 << 16 if dataset.dtypes[0] == "uint16" else 1 << 8, 3), np.uint8)
+    n_bits = 16 if dataset.dtypes[0] == "uint16" else 8
+    palette = np.zeros((1 << n_bits, 3), np.uint8)
     for value, (red, green, blue, _) in dataset.colormap(1).items():
-        colours[value] = red, green, blue
-    return colours
+        palette[value] = (red, green, blue)
+    return palette

@@ -1,18 +1,21 @@
-"""AVIF is read as other formats are: upright, whole or not at all, refused by its declared sizes before decoding."""
+"""AVIF is read as other formats are: upright, and whole or not at all.
+
+Too large an image is refused by its declared sizes, before decoding.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import io
 import struct
-from itertools import chain
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
+from tests.skill.imagery.files import header_of
 from vehanchor.errors import ImageDecodeError, ImageError, ImageTooLargeError
-from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 
@@ -33,9 +36,9 @@ def encoded(height: int = HEIGHT, width: int = WIDTH, orientation: int | None = 
 
 
 def declaring(data: bytes, width: int, height: int) -> bytes:
-    """The file with another size in its container; what AV1 says of itself stays."""
-    at = data.index(b"ispe") + 8
-    return data[:at] + struct.pack(">II", width, height) + data[at + 8 :]
+    """Declare another size in the container; that in AV1 stays."""
+    start = data.index(b"ispe") + 8
+    return data[:start] + struct.pack(">II", width, height) + data[start + 8 :]
 
 
 def read(data: bytes, limits: ImageLimits | None = None) -> np.ndarray:
@@ -46,78 +49,88 @@ def read(data: bytes, limits: ImageLimits | None = None) -> np.ndarray:
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_it_is_turned_upright(orientation: int) -> None:
     data = encoded(orientation=orientation)
-    upright = np.asarray(ImageOps.exif_transpose(Image.open(io.BytesIO(data))).convert("RGB"))
-    shown = read(data)
-    assert shown.shape == upright.shape
-    assert np.abs(shown.astype(int) - upright).max() <= 3, "two decoders' rounding"
+    image = Image.open(io.BytesIO(data))
+    upright = np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    pixels = read(data)
+    assert pixels.shape == upright.shape
+    assert np.abs(pixels.astype(int) - upright).max() <= 3, "two decoders' rounding"
 
 
-def test_opencvs_own_are_read_with_transparency_too() -> None:
-    for bands in (3, 4):
-        _, data = cv2.imencode(".avif", np.full((HEIGHT, WIDTH, bands), 200, np.uint8))
-        assert read(data.tobytes()).shape == (HEIGHT, WIDTH, 3)
+@pytest.mark.parametrize("bands", [3, 4])
+def test_opencvs_own_files_are_read(bands: int) -> None:
+    _, data = cv2.imencode(".avif", np.full((HEIGHT, WIDTH, bands), 200, np.uint8))
+    assert read(data.tobytes()).shape == (HEIGHT, WIDTH, 3)
 
 
-@pytest.mark.parametrize("size", [(40_000, 40_000), (0xFFFFFFFF, 0xFFFFFFFF), (4, 1_000_000_000)])
-def test_a_huge_declared_size_is_refused_before_decoding(
-    size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def no_decoding(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
+
+
+@pytest.mark.usefixtures("no_decoding")
+@pytest.mark.parametrize("size", [(40_000, 40_000), (0xFFFFFFFF, 0xFFFFFFFF), (4, 1_000_000_000)])
+def test_a_huge_declared_size_is_refused_before_decoding(size: tuple[int, int]) -> None:
     with pytest.raises(ImageTooLargeError, match="--max-megapixels"):
         read(declaring(encoded(), *size))
 
 
-def test_a_large_picture_behind_a_small_declaration_is_refused_before_decoding(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.mark.usefixtures("no_decoding")
+def test_a_large_image_with_a_small_declared_size_is_refused() -> None:
     hidden = declaring(encoded(1000, 1000), 64, 64)
-    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
-    with pytest.raises(
-        ImageTooLargeError, match="decoding the AVIF of 64 x 64 px takes 19000000 bytes"
-    ):
+    message = "decoding the AVIF of 64 x 64 px takes 19000000 bytes"
+    with pytest.raises(ImageTooLargeError, match=message):
         read(hidden, ImageLimits(max_decoded_bytes=18_000_000))
 
 
-def test_ten_bits_are_read_and_counted() -> None:
-    _, data = cv2.imencode(
-        ".avif", np.full((HEIGHT, WIDTH, 3), 700, np.uint16), [cv2.IMWRITE_AVIF_DEPTH, 10]
-    )
-    header = read_header(lambda offset, count: data.tobytes()[offset : offset + count])
-    assert header.decoding_bytes == 25 * HEIGHT * WIDTH
-    assert read(data.tobytes()).shape == (HEIGHT, WIDTH, 3)
+@pytest.fixture(scope="module")
+def ten_bits() -> bytes:
+    pixels = np.full((HEIGHT, WIDTH, 3), 700, np.uint16)
+    _, data = cv2.imencode(".avif", pixels, [cv2.IMWRITE_AVIF_DEPTH, 10])
+    return data.tobytes()
 
 
-def test_a_picture_of_another_size_than_declared_is_shown_at_the_declared_one() -> None:
+def test_ten_bits_are_read(ten_bits: bytes) -> None:
+    assert read(ten_bits).shape == (HEIGHT, WIDTH, 3)
+
+
+def test_ten_bits_take_more_memory(ten_bits: bytes) -> None:
+    assert header_of(ten_bits).decoding_bytes == 25 * HEIGHT * WIDTH
+
+
+def test_a_picture_has_the_size_that_its_container_declares() -> None:
     assert read(declaring(encoded(), 64, 64)).shape == (64, 64, 3), "the decoder resizes it"
 
 
-def test_wherever_it_is_cut_or_damaged_it_is_refused_or_read_whole() -> None:
+def test_a_file_that_is_cut_off_is_refused() -> None:
+    data = encoded(orientation=6)
+    for length in range(len(data)):
+        with pytest.raises(ImageError):
+            read(data[:length])
+
+
+def test_a_damaged_file_is_refused_or_read_whole() -> None:
     data = encoded(orientation=6)
     rng = np.random.default_rng(1)
-    damaged = []
     for _ in range(300):
-        broken = bytearray(data)
-        broken[int(rng.integers(12, 330))] = int(rng.integers(256))
-        damaged.append(bytes(broken))
-    for each in chain((data[:length] for length in range(len(data))), damaged):
-        try:
-            shown = read(each)
-        except ImageError:
-            continue
-        assert len(each) == len(data), "a file that is cut off is never read"
-        assert shown.shape[2] == 3
+        damaged = bytearray(data)
+        damaged[int(rng.integers(12, 330))] = int(rng.integers(256))
+        with contextlib.suppress(ImageError):
+            assert read(bytes(damaged)).shape[2] == 3
 
 
-def test_loops_and_crowds_of_boxes_end() -> None:
+def test_too_many_boxes_are_refused() -> None:
     crowd = encoded()[:32] + struct.pack(">I4s", 8, b"free") * 100_000
     with pytest.raises(ImageTooLargeError, match="more than 1000 boxes"):
-        read_header(lambda offset, count: crowd[offset : offset + count])
+        header_of(crowd)
+
+
+def test_a_box_without_length_ends_the_file() -> None:
     endless = encoded()[:32] + struct.pack(">I4sQ", 1, b"free", 0)
     with pytest.raises(ImageDecodeError, match="no 'meta' box"):
-        read_header(lambda offset, count: endless[offset : offset + count])
+        header_of(endless)
 
 
-def test_an_opencv_without_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_opencv_without_avif_is_named_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "imdecode", lambda *_: None)
     with pytest.raises(ImageDecodeError, match="pip install -U opencv-python-headless"):
         read(encoded())

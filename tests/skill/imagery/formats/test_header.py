@@ -3,14 +3,17 @@ from __future__ import annotations
 import io
 import struct
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from tests import bombs
 from tests.skill.imagery.files import (
+    EXIF_PREFIX,
     HEIGHT_PX,
     JPEG,
     PNG,
@@ -18,22 +21,24 @@ from tests.skill.imagery.files import (
     TRUNCATABLE,
     WIDTH_PX,
     WITH_THUMBNAIL,
+    after_start,
     bigtiff_header,
     bmp_header,
     encoded,
     exif,
     geotiff,
+    header_of,
     jpeg_header,
     jpeg_with,
     pillow,
     png_header,
     read_all,
+    segment,
     tiff_header,
     webp_header,
     without_rasterio,
 )
 from vehanchor.errors import ImageDecodeError, ImageFormatError
-from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.sources.opening import open_raster
 
 
@@ -43,9 +48,10 @@ def test_a_meaningless_orientation_is_ignored(value: int) -> None:
 
 
 def test_an_end_mark_is_found_behind_the_scan() -> None:
-    data = encoded(".jpg", np.random.default_rng(1).integers(0, 256, (300, 300, 3), dtype=np.uint8))
-    assert read_header(lambda at, n: data[at : at + n]).complete
-    assert not read_header(lambda at, n: data[: len(data) - 1][at : at + n]).complete
+    noise = np.random.default_rng(1).integers(0, 256, (300, 300, 3), dtype=np.uint8)
+    data = encoded(".jpg", noise)
+    assert header_of(data).complete
+    assert not header_of(data[:-1]).complete
 
 
 @pytest.mark.parametrize(
@@ -75,7 +81,7 @@ def test_an_end_mark_is_found_behind_the_scan() -> None:
     ],
     ids=lambda data: repr(data[:16]),
 )
-def test_what_is_no_image_is_undecodable(
+def test_a_file_that_is_not_an_image_is_undecodable(
     data: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "a.png"
@@ -87,6 +93,10 @@ def test_what_is_no_image_is_undecodable(
     assert capfd.readouterr().err == ""
 
 
+WIDTH = (256, 3, 1, 64)
+HEIGHT = (257, 3, 1, 64)
+
+
 def _raw(
     first: tuple[int, int],
     further: tuple[int, int],
@@ -94,7 +104,14 @@ def _raw(
     reduced: bool = False,
     chained: bool = False,
 ) -> bytes:
-    """A TIFF with a picture in its first directory, and another in a directory within or after it."""
+    """Make a TIFF with two pictures.
+
+    Args:
+        first: width and height in the first directory.
+        further: width and height in a directory within the first one, or after it.
+        reduced: whether the first picture is marked as reduced.
+        chained: whether the other directory comes after the first one.
+    """
     entries = [
         (254, 4, 1, int(reduced)),
         (256, 4, 1, first[0]),
@@ -102,15 +119,16 @@ def _raw(
         (258, 3, 1, 8),
         (262, 3, 1, 1),
     ]
-    at = 8 + 2 + 12 * (len(entries) + 1) + 4
-    entries.append((315, 4, 1, 0) if chained else (330, 13, 1, at))
+    further_offset = 8 + 2 + 12 * (len(entries) + 1) + 4
+    artist = (315, 4, 1, 0)
+    sub_directory = (330, 13, 1, further_offset)
+    entries.append(artist if chained else sub_directory)
     data = bombs.tiff_of_directory(entries)
-    inner = (
-        struct.pack("<H", 2)
-        + struct.pack("<HHIIHHII", 256, 4, 1, further[0], 257, 4, 1, further[1])
-        + bytes(4)
-    )
-    return data[:-4] + struct.pack("<I", at if chained else 0) + inner
+    next_directory = struct.pack("<I", further_offset if chained else 0)
+    further_directory = struct.pack("<H", 2)
+    further_directory += struct.pack("<HHII", 256, 4, 1, further[0])
+    further_directory += struct.pack("<HHII", 257, 4, 1, further[1])
+    return data[:-4] + next_directory + further_directory + bytes(4)
 
 
 @pytest.mark.parametrize(
@@ -118,31 +136,29 @@ def _raw(
     [
         _raw((64, 64), (640, 480)),
         _raw((64, 64), (640, 480), reduced=True, chained=True),
-        bombs.tiff_of_directory(
-            [(256, 3, 1, 64), (257, 3, 1, 64), (262, 3, 1, 2), (50706, 1, 4, 1025)]
-        ),
-        bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), (262, 3, 1, 32803)]),
-        b"II*\0\x10\0\0\0CR\2\0\0\0\0\0"
-        + bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64)])[8:],
+        bombs.tiff_of_directory([WIDTH, HEIGHT, (262, 3, 1, 2), (50706, 1, 4, 1025)]),
+        bombs.tiff_of_directory([WIDTH, HEIGHT, (262, 3, 1, 32803)]),
+        b"II*\0\x10\0\0\0CR\2\0\0\0\0\0" + bombs.tiff_of_directory([WIDTH, HEIGHT])[8:],
     ],
 )
 def test_a_raw_file_is_refused_with_what_to_export(data: bytes) -> None:
-    with pytest.raises(
-        ImageFormatError, match="export the photograph as JPEG or TIFF in full size"
-    ):
-        read_header(lambda offset, count: data[offset : offset + count])
+    advice = "export the photograph as JPEG or TIFF in full size"
+    with pytest.raises(ImageFormatError, match=advice):
+        header_of(data)
 
 
 @pytest.mark.parametrize(
     "data",
     [
-        _raw((640, 480), (64, 64)),  # an overview
-        _raw((64, 64), (640, 480), chained=True),  # pages
-        _raw((640, 480), (320, 240), reduced=True, chained=True),
+        pytest.param(_raw((640, 480), (64, 64)), id="overview"),
+        pytest.param(_raw((64, 64), (640, 480), chained=True), id="pages"),
+        pytest.param(
+            _raw((640, 480), (320, 240), reduced=True, chained=True), id="smaller reduced picture"
+        ),
     ],
 )
-def test_overviews_and_pages_stay_as_they_are(data: bytes) -> None:
-    header = read_header(lambda offset, count: data[offset : offset + count])
+def test_files_of_several_pictures_are_not_all_raw(data: bytes) -> None:
+    header = header_of(data)
     assert (header.width_px, header.height_px) in ((640, 480), (64, 64))
 
 
@@ -156,11 +172,10 @@ def test_raw_files_of_other_forms_are_named(start: bytes) -> None:
 
 def test_a_directory_whose_values_exceed_the_file_is_refused() -> None:
     shared = [(tag, 1, 1000, 0) for tag in range(60_000, 60_010)]
-    data = bombs.tiff_of_directory([(256, 3, 1, 64), (257, 3, 1, 64), *shared], after=bytes(9000))
+    data = bombs.tiff_of_directory([WIDTH, HEIGHT, *shared], after=bytes(9000))
     with pytest.raises(ImageDecodeError, match="values of 10000 bytes, more than the file has"):
-        read_header(lambda offset, count: data[offset : offset + count])
-    longer = data + bytes(1000)
-    assert read_header(lambda offset, count: longer[offset : offset + count]).width_px == 64
+        header_of(data)
+    assert header_of(data + bytes(1000)).width_px == 64
 
 
 @pytest.mark.parametrize(
@@ -191,32 +206,41 @@ def test_every_format_gives_the_same_rgb(data: bytes, tolerance: int) -> None:
 
 @pytest.mark.parametrize("format_name", ["PNG", "BMP", "TIFF"])
 @pytest.mark.parametrize("mode", ["L", "P", "1"])
-def test_grey_palette_and_bilevel_become_three_bands(format_name: str, mode: str) -> None:
+def test_images_of_one_band_become_three_bands(format_name: str, mode: str) -> None:
     data = pillow(format_name, mode)
     expected = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
     np.testing.assert_array_equal(read_all(data), expected)
 
 
-@pytest.mark.parametrize("depth", [8, 16])
-def test_a_tiff_whose_white_is_zero_is_shown_as_seen_or_refused(depth: int, tmp_path: Path) -> None:
-    grey = RGB[..., :1].astype(f"u{depth // 8}")
-    path = geotiff(tmp_path / "grey.tif", grey, photometric="MINISWHITE", crs=None, transform=None)
-    if depth == 8:
-        np.testing.assert_array_equal(read_all(path)[..., 0], 255 - grey[..., 0])
-    else:
-        with pytest.raises(ImageFormatError, match="photometric interpretation 0"):
-            open_raster(path)
+def _white_is_zero(path: Path, grey: NDArray[Any]) -> Path:
+    return geotiff(path, grey, photometric="MINISWHITE", crs=None, transform=None)
 
 
-def test_files_of_floats_and_sixteen_bit_alpha_are_read_in_rgb_order(tmp_path: Path) -> None:
+def test_a_tiff_of_8_bits_whose_white_is_zero_is_inverted(tmp_path: Path) -> None:
+    grey = RGB[..., :1]
+    path = _white_is_zero(tmp_path / "grey.tif", grey)
+    np.testing.assert_array_equal(read_all(path)[..., 0], 255 - grey[..., 0])
+
+
+def test_a_tiff_of_16_bits_whose_white_is_zero_is_refused(tmp_path: Path) -> None:
+    path = _white_is_zero(tmp_path / "grey.tif", RGB[..., :1].astype(np.uint16))
+    with pytest.raises(ImageFormatError, match="photometric interpretation 0"):
+        open_raster(path)
+
+
+def test_a_plain_tiff_of_floats_needs_no_rasterio(tmp_path: Path) -> None:
     unit = (RGB / 255).astype(np.float32)
     plain = geotiff(tmp_path / "a.tif", unit, crs=None, transform=None, photometric="RGB")
     with without_rasterio():
         np.testing.assert_array_equal(read_all(plain), RGB)
-    alpha = np.full((HEIGHT_PX, WIDTH_PX, 1), 65535)
-    bgra = np.concatenate([RGB[..., ::-1].astype(np.uint16) * 257, alpha], axis=2).astype(np.uint16)
-    data = cv2.imencode(".png", bgra)[1].tobytes()
-    np.testing.assert_array_equal(read_all(data), read_all(RGB.astype(np.uint16) * 257))
+
+
+def test_a_png_of_16_bits_with_alpha_is_read_in_rgb_order() -> None:
+    deep = RGB.astype(np.uint16) * 257
+    opaque = np.full((HEIGHT_PX, WIDTH_PX), 65535, np.uint16)
+    bgra = np.dstack([deep[..., ::-1], opaque])
+    _, data = cv2.imencode(".png", bgra)
+    np.testing.assert_array_equal(read_all(data.tobytes()), read_all(deep))
 
 
 @pytest.mark.parametrize("share", [0.001, 0.02, 0.2, 0.5, 0.9, 0.99])
@@ -231,25 +255,25 @@ def test_a_truncated_file_is_not_measured(
     assert capfd.readouterr().err == ""
 
 
-def test_bytes_after_the_end_do_no_harm() -> None:
-    for data in (JPEG, PNG, WITH_THUMBNAIL, TRUNCATABLE["webp"], TRUNCATABLE["bmp"]):
-        np.testing.assert_array_equal(read_all(data + b"trailer \xff\xd8\xff" * 9), read_all(data))
+@pytest.mark.parametrize(
+    "data", [JPEG, PNG, WITH_THUMBNAIL, TRUNCATABLE["webp"], TRUNCATABLE["bmp"]]
+)
+def test_bytes_after_the_end_do_no_harm(data: bytes) -> None:
+    trailer = b"trailer \xff\xd8\xff" * 9
+    np.testing.assert_array_equal(read_all(data + trailer), read_all(data))
 
 
-def test_damaged_exif_is_ignored() -> None:
-    data = encoded(".jpg")
-    for payload in (
-        b"Exif\0\0",
-        b"Exif\0\0II*\0",
-        b"Exif\0\0" + exif({"Orientation": 6})[:20],
-        b"Exif\0\0XX*\0" + b"\xff" * 20,
-    ):
-        segment = b"\xff\xe1" + struct.pack(">H", len(payload) + 2) + payload
-        assert read_all(data[:2] + segment + data[2:]).shape == RGB.shape
+@pytest.mark.parametrize(
+    "block",
+    [b"", b"II*\0", exif({"Orientation": 6})[:20], b"XX*\0" + b"\xff" * 20],
+)
+def test_damaged_exif_is_ignored(block: bytes) -> None:
+    data = after_start(encoded(".jpg"), segment(EXIF_PREFIX + block))
+    assert read_all(data).shape == RGB.shape
 
 
 @pytest.mark.parametrize("missing", [1, 2, 40])
 @pytest.mark.parametrize("name", ["jpeg", "progressive", "png", "webp", "bmp"])
-def test_the_last_bytes_are_missed(name: str, missing: int) -> None:
+def test_a_file_without_its_last_bytes_is_undecodable(name: str, missing: int) -> None:
     with pytest.raises(ImageDecodeError):
         open_raster(TRUNCATABLE[name][:-missing])

@@ -1,10 +1,14 @@
-"""JPEG 2000 is read by windows, and held to its codestream before OpenJPEG sees it."""
+"""JPEG 2000 is read by windows, after its codestream has been checked."""
 
 from __future__ import annotations
 
+import contextlib
 import struct
+import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,18 +18,21 @@ from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
 import vehanchor
-from tests.skill.imagery.files import NOISE
+from tests.skill.imagery.files import NOISE, header_of
 from vehanchor.errors import ImageDecodeError, ImageError, ImageTooLargeError, MissingExtraError
-from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 
-SIZE = 8  # where SIZ's sides begin in a codestream
+CODESTREAM = b"\xff\x4f\xff\x51"
+SIDES_OFFSET = 8
+"""Bytes of a codestream before its sides."""
+
+SIDES = ("right", "bottom", "left", "top", "tile_width", "tile_height")
 
 
 def encoded(pixels: np.ndarray = NOISE, **options: object) -> bytes:
-    """``[h, w, bands]`` without loss."""
+    """Encode ``[h, w, bands]`` without loss."""
     height, width, count = pixels.shape
     lossless = {"QUALITY": "100", "REVERSIBLE": "YES", "YCBCR420": "NO"}
     with warnings.catch_warnings(), MemoryFile(ext=".jp2") as file:
@@ -37,11 +44,11 @@ def encoded(pixels: np.ndarray = NOISE, **options: object) -> bytes:
 
 
 def declaring(data: bytes, **sides: int) -> bytes:
-    """The file with other numbers in its codestream."""
-    names = ("right", "bottom", "left", "top", "tile_width", "tile_height")
-    at = data.index(b"\xff\x4f\xff\x51") + SIZE
-    values = dict(zip(names, struct.unpack_from(">6I", data, at), strict=True)) | sides
-    return data[:at] + struct.pack(">6I", *values.values()) + data[at + 24 :]
+    """Declare other sides in the codestream."""
+    start = data.index(CODESTREAM) + SIDES_OFFSET
+    values = dict(zip(SIDES, struct.unpack_from(">6I", data, start), strict=True))
+    values |= sides
+    return data[:start] + struct.pack(">6I", *values.values()) + data[start + 24 :]
 
 
 @pytest.fixture(scope="module")
@@ -49,100 +56,124 @@ def jp2() -> bytes:
     return encoded()
 
 
-def test_it_is_read_by_windows_from_a_file_and_from_memory(jp2: bytes, tmp_path: Path) -> None:
-    (tmp_path / "photo.jp2").write_bytes(jp2)
-    for source in (jp2, tmp_path / "photo.jp2"):
-        with open_raster(source) as raster:
-            assert np.array_equal(raster.read(), NOISE)
-            assert np.array_equal(
-                raster.read(Window(20, 30, width_px=50, height_px=40)), NOISE[30:70, 20:70]
-            )
-    assert vehanchor.find_images(tmp_path) == [str(tmp_path / "photo.jp2")]
+@pytest.fixture
+def jp2_path(jp2: bytes, tmp_path: Path) -> Path:
+    path = tmp_path / "photo.jp2"
+    path.write_bytes(jp2)
+    return path
+
+
+@pytest.mark.parametrize("read", [Path, Path.read_bytes])
+def test_it_is_read_by_windows(read: Callable[[Path], Any], jp2_path: Path) -> None:
+    with open_raster(read(jp2_path)) as raster:
+        whole = raster.read()
+        part = raster.read(Window(20, 30, width_px=50, height_px=40))
+    assert np.array_equal(whole, NOISE)
+    assert np.array_equal(part, NOISE[30:70, 20:70])
+
+
+def test_it_is_listed_among_the_images_of_a_folder(jp2_path: Path) -> None:
+    assert vehanchor.find_images(jp2_path.parent) == [str(jp2_path)]
 
 
 def test_a_bare_codestream_is_the_same_picture(jp2: bytes) -> None:
-    with open_raster(jp2[jp2.index(b"\xff\x4f\xff\x51") :]) as raster:
+    with open_raster(jp2[jp2.index(CODESTREAM) :]) as raster:
         assert np.array_equal(raster.read(), NOISE)
 
 
-def test_one_of_16_bits_and_of_a_known_place_is_stretched_and_lies_there() -> None:
+@pytest.fixture(scope="module")
+def deep_jp2() -> bytes:
+    """Encode an image of 16 bits with a georeference."""
     pixels = NOISE.astype(np.uint16) * 40
-    data = encoded(
-        pixels, crs="EPSG:32633", transform=Affine(0.25, 0, 500_000, 0, -0.25, 5_000_000)
-    )
-    with open_raster(data) as raster:
+    transform = Affine(0.25, 0, 500_000, 0, -0.25, 5_000_000)
+    return encoded(pixels, crs="EPSG:32633", transform=transform)
+
+
+def test_its_georeference_is_read(deep_jp2: bytes) -> None:
+    with open_raster(deep_jp2) as raster:
         assert raster.georeference_gsd_m_per_px == pytest.approx(0.25)
         assert raster.ground is not None
+
+
+def test_sixteen_bits_are_stretched(deep_jp2: bytes) -> None:
+    with open_raster(deep_jp2) as raster:
         assert [note.code for note in raster.warnings] == ["pixels_stretched"]
         assert raster.read().std() > 50
 
 
-def test_sizes_are_those_that_the_decoder_allocates_by(jp2: bytes) -> None:
-    header = read_header(lambda at, count: jp2[at : at + count])
-    assert (header.format, header.width_px, header.height_px, header.bands) == (
-        "JPEG 2000",
-        130,
-        90,
-        3,
-    )
+def test_its_header_has_the_sizes_of_the_codestream(jp2: bytes) -> None:
+    header = header_of(jp2)
+    assert header.format == "JPEG 2000"
+    assert (header.width_px, header.height_px, header.bands) == (130, 90, 3)
+
+
+def test_a_huge_codestream_is_refused(jp2: bytes) -> None:
     huge = declaring(jp2, right=1 << 20, bottom=1 << 20)
     with pytest.raises(ImageTooLargeError, match="1048576 x 1048576 px"):
         open_raster(huge)
+
+
+def test_a_huge_tile_is_refused(jp2: bytes) -> None:
     one_tile = declaring(jp2, right=60_000, bottom=60_000, tile_width=60_000, tile_height=60_000)
     with pytest.raises(ImageTooLargeError, match="stored in blocks of 3600000000 pixels"):
         open_raster(one_tile)
+
+
+def test_a_tile_is_held_to_the_limit_on_pixels(jp2: bytes) -> None:
     with pytest.raises(ImageTooLargeError, match="stored in blocks"):
         open_raster(jp2, Reading(limits=ImageLimits(max_pixels=1000)))
 
 
-def test_a_larger_one_than_may_be_decoded_whole_is_read_by_its_tiles() -> None:
+def test_one_too_large_to_decode_whole_is_read_by_its_tiles() -> None:
     tiled = encoded(np.tile(NOISE, (5, 5, 1)), BLOCKXSIZE="256", BLOCKYSIZE="256")
     with open_raster(tiled, Reading(limits=ImageLimits(max_pixels=200_000))) as raster:
         assert np.array_equal(raster.read(Window(130, 90, width_px=130, height_px=90)), NOISE)
 
 
-@pytest.mark.parametrize("kept", [0.01, 0.05, 0.3, 0.7, 0.95])
-def test_one_that_was_cut_off_is_refused(jp2: bytes, kept: float) -> None:
-    with pytest.raises(ImageDecodeError), open_raster(jp2[: int(kept * len(jp2))]) as raster:
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.3, 0.7, 0.95])
+def test_a_file_that_is_cut_off_is_refused(jp2: bytes, share: float) -> None:
+    data = jp2[: int(share * len(jp2))]
+    with pytest.raises(ImageDecodeError), open_raster(data) as raster:
         raster.read()
 
 
-def test_what_is_damaged_is_an_error_of_ours_or_a_picture(jp2: bytes) -> None:
-    generator = np.random.default_rng(5)
+def test_a_damaged_file_is_refused_or_read(jp2: bytes) -> None:
+    rng = np.random.default_rng(5)
     for _ in range(10):
-        data = bytearray(jp2)
-        for at in generator.integers(0, min(len(data), 400), 3):
-            data[at] = generator.integers(256)
-        try:
-            with open_raster(bytes(data)) as raster:
-                assert raster.read().shape == (raster.height_px, raster.width_px, 3)
-        except ImageError:
-            pass
+        damaged = bytearray(jp2)
+        for position in rng.integers(0, min(len(damaged), 400), 3):
+            damaged[position] = rng.integers(256)
+        with contextlib.suppress(ImageError), open_raster(bytes(damaged)) as raster:
+            assert raster.read().shape == (raster.height_px, raster.width_px, 3)
 
 
 @pytest.mark.parametrize("sides", [{"right": 0}, {"tile_width": 0}, {"left": 200}])
-def test_a_size_without_meaning_is_damage(jp2: bytes, sides: dict[str, int]) -> None:
+def test_an_invalid_size_is_damage(jp2: bytes, sides: dict[str, int]) -> None:
     with pytest.raises(ImageDecodeError, match=r"declares no size|damaged"):
         open_raster(declaring(jp2, **sides))
 
 
-def test_boxes_without_end_are_refused(jp2: bytes) -> None:
-    start = jp2[:12]
+def test_too_many_boxes_are_refused(jp2: bytes) -> None:
+    crowd = (struct.pack(">I", 8) + b"free") * 2000
     with pytest.raises(ImageTooLargeError, match="more than 1000 boxes"):
-        open_raster(start + (struct.pack(">I", 8) + b"free") * 2000)
+        open_raster(jp2[:12] + crowd)
+
+
+def test_a_file_without_a_codestream_is_refused(jp2: bytes) -> None:
+    box_to_the_end = struct.pack(">I", 0) + b"free" + bytes(100)
     with pytest.raises(ImageDecodeError, match="holds no image"):
-        open_raster(start + struct.pack(">I", 0) + b"free" + bytes(100))
+        open_raster(jp2[:12] + box_to_the_end)
 
 
-def test_without_rasterio_it_is_said_what_to_install(
+def test_without_rasterio_the_error_names_the_extra(
     jp2: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "rasterio", None)
+    monkeypatch.setitem(sys.modules, "rasterio", None)
     with pytest.raises(MissingExtraError, match=r"vehanchor\[geo\]"):
         open_raster(jp2)
 
 
-def test_a_jpeg_beyond_the_limit_is_refused_with_the_ways_to_read_it() -> None:
+def test_a_jpeg_beyond_the_limit_is_refused_with_remedies() -> None:
     jpeg = cv2.imencode(".jpg", NOISE)[1].tobytes()
     with pytest.raises(ImageTooLargeError, match=r"--max-megapixels.*convert it to a tiled TIFF"):
         open_raster(jpeg, Reading(limits=ImageLimits(max_pixels=10_000)))

@@ -29,34 +29,34 @@ US_SURVEY_FOOT_M = 1200 / 3937
 
 
 @pytest.mark.parametrize("latitude_deg", [0.0, 30.0, 43.55, -60.0, 85.0])
-def test_a_degree_is_as_long_as_proj_says(latitude_deg: float) -> None:
+def test_a_degree_is_as_long_as_in_proj(latitude_deg: float) -> None:
     step_deg = 1e-4
-    east, north = transform_coordinates(
-        "EPSG:4326",
-        f"+proj=aeqd +lat_0={latitude_deg} +lon_0=0 +ellps=WGS84",
-        [0.0, step_deg],
-        [latitude_deg + step_deg, latitude_deg],
-    )
-    assert metres_per_degree(latitude_deg) == pytest.approx(
-        (north[0] / step_deg, east[1] / step_deg), rel=1e-5
-    )
+    centred_here = f"+proj=aeqd +lat_0={latitude_deg} +lon_0=0 +ellps=WGS84"
+    longitudes = [0.0, step_deg]
+    latitudes = [latitude_deg + step_deg, latitude_deg]
+    east, north = transform_coordinates("EPSG:4326", centred_here, longitudes, latitudes)
+    expected = (north[0] / step_deg, east[1] / step_deg)
+    assert metres_per_degree(latitude_deg) == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_turned_raster_keeps_its_gsd() -> None:
     turned = Affine.translation(5e5, 5e6) @ Affine.rotation(30) @ Affine.scale(0.2, -0.2)
-    assert gsd_units_per_px(
-        (turned.a, turned.b, turned.c, turned.d, turned.e, turned.f)
-    ) == pytest.approx(0.2)
+    coefficients = (turned.a, turned.b, turned.c, turned.d, turned.e, turned.f)
+    assert gsd_units_per_px(coefficients) == pytest.approx(0.2)
 
 
-def test_a_pixel_that_is_no_square_counts_by_its_area() -> None:
+def test_an_oblong_pixel_counts_by_its_area() -> None:
     assert gsd_units_per_px((0.1, 0, 0, 0, -0.4, 0)) == pytest.approx(0.2)
+
+
+def test_an_oblong_pixel_in_degrees_can_be_square_on_the_ground() -> None:
     latitude_m, longitude_m = metres_per_degree(60)
     square_on_the_ground = (0.3 / longitude_m, 0.0, 10.0, 0.0, -0.3 / latitude_m, 60.0)
     assert geographic_gsd_m_per_px(square_on_the_ground, 60) == pytest.approx(0.3)
 
 
 def write(path: Path, crs: Any, transform: Affine | None) -> Path:
+    """Write a black GeoTIFF of 200 x 100 px."""
     with warnings.catch_warnings(), rasterio.Env():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         profile = {"driver": "GTiff", "dtype": "uint8", "crs": crs, "transform": transform}
@@ -67,14 +67,20 @@ def write(path: Path, crs: Any, transform: Affine | None) -> Path:
 
 DEGREE_PX = 0.25 / math.sqrt(math.prod(metres_per_degree(43.55)))
 RADIUS_M = 6_378_137.0
-# Web Mercator: y = R atanh(sin(latitude)), x = R longitude
-COS_LATITUDE = 1 / math.cosh(5_396_000 / RADIUS_M)
-WEB_PX = (
-    0.25
-    / RADIUS_M
-    * math.degrees(1)
-    * math.sqrt(COS_LATITUDE * math.prod(metres_per_degree(math.degrees(math.acos(COS_LATITUDE)))))
-)
+
+
+def _web_mercator_gsd(northing_m: float) -> float:
+    """Compute the GSD of Web Mercator at 0.25 units per pixel.
+
+    The projection is x = R longitude and y = R atanh(sin(latitude)).
+    """
+    cos_latitude = 1 / math.cosh(northing_m / RADIUS_M)
+    latitude_m, longitude_m = metres_per_degree(math.degrees(math.acos(cos_latitude)))
+    pixel_deg = math.degrees(0.25 / RADIUS_M)
+    return pixel_deg * math.sqrt(cos_latitude * latitude_m * longitude_m)
+
+
+WEB_PX = _web_mercator_gsd(5_396_000)
 TRUE_AT_42 = "+proj=merc +lat_ts=42 +lon_0=0 +ellps=WGS84 +units=m"
 (_,), (NORTH_42,) = transform_coordinates("EPSG:4326", TRUE_AT_42, [7.0], [42.0])
 
@@ -126,15 +132,17 @@ def test_without_a_usable_georeference_there_is_no_gsd(
     "error",
     [CRSError("bad"), ValueError("NULL color table"), KeyError(7), OverflowError(), OSError()],
 )
-def test_whatever_rasterio_raises_is_an_image_that_cannot_be_decoded(error: Exception) -> None:
+def test_every_error_of_rasterio_is_an_undecodable_image(error: Exception) -> None:
     with pytest.raises(ImageDecodeError), gdal_environment("a.tif"):
         raise error
 
 
-def test_want_of_memory_is_not_the_images_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lack_of_memory_in_gdal_has_its_own_error() -> None:
     with pytest.raises(OutOfMemoryError), gdal_environment("a.tif"):
         raise MemoryError
 
+
+def test_lack_of_memory_in_opencv_has_its_own_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_memory(*_: object) -> None:
         error = cv2.error("Insufficient memory")
         error.code = decoding._NO_MEMORY
@@ -146,17 +154,18 @@ def test_want_of_memory_is_not_the_images_fault(monkeypatch: pytest.MonkeyPatch)
         open_raster(encoded(".png"))
 
 
-def test_a_geotiff_with_any_byte_of_its_keys_changed_gives_pixels_or_an_error_of_ours(
-    tmp_path: Path,
-) -> None:
+def test_a_geotiff_with_damaged_keys_is_refused_or_read(tmp_path: Path) -> None:
     data = geotiff(tmp_path / "a.tif", NOISE).read_bytes()
-    random = np.random.default_rng(47)
+    rng = np.random.default_rng(47)
     n_read = 0
     for _ in range(150):
-        changed = bytearray(data)
-        for at in random.integers(0, 600, 3):
-            changed[at if at < 300 else len(data) - at + 299] = random.integers(0, 256)
-        with suppress(VehAnchorError), open_raster(bytes(changed)) as raster:
+        damaged = bytearray(data)
+        # The directory is at the start, the values of the keys are at the end.
+        for position in rng.integers(0, 600, 3):
+            is_at_start = position < 300
+            index = position if is_at_start else len(data) - position + 299
+            damaged[index] = rng.integers(0, 256)
+        with suppress(VehAnchorError), open_raster(bytes(damaged)) as raster:
             assert raster.width_px
             n_read += 1
     assert n_read > 10

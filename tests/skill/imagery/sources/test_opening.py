@@ -3,9 +3,10 @@ from __future__ import annotations
 import io
 import os
 import unicodedata
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,32 +30,72 @@ from vehanchor.errors import (
     InvalidParameterError,
     OutOfMemoryError,
 )
-from vehanchor.imagery.sources.files import existing, where_it_is
+from vehanchor.imagery.sources.files import canonical_path, spelled_as_stored
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 
+PNG = encoded(".png")
 
-def test_a_path_a_file_object_and_all_kinds_of_bytes_are_images(tmp_path: Path) -> None:
-    data = encoded(".png")
+
+@pytest.fixture
+def png_path(tmp_path: Path) -> Path:
     path = tmp_path / "städt isch.png"
-    path.write_bytes(data)
-    sources: list[tuple[Any, str]] = [
-        (path, str(path)),
-        (str(path), str(path)),
-        (data, "bytes"),
-        (bytearray(data), "bytes"),
-        (memoryview(data), "bytes"),
-        (io.BytesIO(data), "file"),
-    ]
-    for image, source in sources:
-        with open_raster(image) as raster:
-            assert raster.source == source
-            assert (raster.width_px, raster.height_px) == (WIDTH_PX, HEIGHT_PX)
-            assert raster.georeference_gsd_m_per_px is None
-            assert raster.warnings == ()
-            np.testing.assert_array_equal(raster.read(), RGB)
-    with path.open("rb") as file:
+    path.write_bytes(PNG)
+    return path
+
+
+SOURCES = [
+    pytest.param(lambda path: path, id="path"),
+    pytest.param(str, id="text"),
+    pytest.param(lambda path: PNG, id="bytes"),
+    pytest.param(lambda path: bytearray(PNG), id="bytearray"),
+    pytest.param(lambda path: memoryview(PNG), id="memoryview"),
+    pytest.param(lambda path: io.BytesIO(PNG), id="file object"),
+]
+
+
+@pytest.mark.parametrize("make", SOURCES)
+def test_every_source_is_read(make: Callable[[Path], Any], png_path: Path) -> None:
+    with open_raster(make(png_path)) as raster:
+        assert (raster.width_px, raster.height_px) == (WIDTH_PX, HEIGHT_PX)
+        np.testing.assert_array_equal(raster.read(), RGB)
+
+
+@pytest.mark.parametrize("make", SOURCES)
+def test_a_plain_image_has_no_georeference(make: Callable[[Path], Any], png_path: Path) -> None:
+    with open_raster(make(png_path)) as raster:
+        assert raster.georeference_gsd_m_per_px is None
+
+
+@pytest.mark.parametrize("make", SOURCES)
+def test_a_plain_image_has_no_warnings(make: Callable[[Path], Any], png_path: Path) -> None:
+    with open_raster(make(png_path)) as raster:
+        assert raster.warnings == ()
+
+
+def test_an_open_file_is_read(png_path: Path) -> None:
+    with png_path.open("rb") as file:
         np.testing.assert_array_equal(read_all(file), RGB)
+
+
+@pytest.mark.parametrize("kind", [Path, str])
+def test_the_name_of_a_file_is_its_path(kind: Callable[[Path], Any], png_path: Path) -> None:
+    with open_raster(kind(png_path)) as raster:
+        assert raster.source == str(png_path)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: PNG, "bytes"),
+        (lambda: bytearray(PNG), "bytes"),
+        (lambda: memoryview(PNG), "bytes"),
+        (lambda: io.BytesIO(PNG), "file"),
+    ],
+)
+def test_other_sources_have_the_name_of_their_kind(make: Callable[[], Any], name: str) -> None:
+    with open_raster(make()) as raster:
+        assert raster.source == name
 
 
 @pytest.fixture
@@ -90,7 +131,9 @@ def bad_paths(tmp_path: Path) -> dict[str, str]:
         ("address", r"No such file.*; download it, or pass rasterio\.open"),
     ],
 )
-def test_what_is_no_file_is_not_found(bad_paths: dict[str, str], name: str, message: str) -> None:
+def test_a_path_without_a_regular_file_is_not_found(
+    bad_paths: dict[str, str], name: str, message: str
+) -> None:
     with pytest.raises(ImageNotFoundError, match=message) as caught:
         open_raster(bad_paths[name])
     assert caught.value.code == "image_not_found"
@@ -98,7 +141,7 @@ def test_what_is_no_file_is_not_found(bad_paths: dict[str, str], name: str, mess
 
 
 @pytest.mark.parametrize("image", [None, 7, ["a.png"], object()])
-def test_what_is_no_source_at_all_is_a_wrong_parameter(image: Any) -> None:
+def test_an_unknown_type_is_a_wrong_parameter(image: Any) -> None:
     with pytest.raises(InvalidParameterError, match=type(image).__name__) as caught:
         open_raster(image)
     assert caught.value.code == "invalid_parameter"
@@ -120,20 +163,46 @@ def test_a_failing_file_object_is_undecodable() -> None:
         open_raster(stream)
 
 
-def test_no_file_stays_open(tmp_path: Path) -> None:
+def _n_open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_a_closed_raster_holds_no_file(times: int, tmp_path: Path) -> None:
     path = geotiff(tmp_path / "a.tif", RGB)
-    (tmp_path / "bad.png").write_bytes(b"bad")
-    before = len(list(Path("/proc/self/fd").iterdir()))
+    before = _n_open_files()
+    for _ in range(times):
+        read_all(path)
+    assert _n_open_files() == before
+
+
+def _unsupported(folder: Path) -> Path:
+    return geotiff(folder / "b.tif", RGB.astype(np.int16))
+
+
+def _damaged(folder: Path) -> Path:
+    path = folder / "bad.png"
+    path.write_bytes(b"bad")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "error"),
+    [
+        (_unsupported, ImageFormatError),
+        (lambda folder: folder, ImageNotFoundError),
+        (_damaged, ImageDecodeError),
+    ],
+)
+def test_a_refused_image_holds_no_file(
+    make: Callable[[Path], Path], error: type[Exception], tmp_path: Path
+) -> None:
+    path = make(tmp_path)
+    before = _n_open_files()
     for _ in range(3):
-        with open_raster(path) as raster:
-            raster.read()
-        with pytest.raises(ImageFormatError):
-            open_raster(geotiff(tmp_path / "b.tif", RGB.astype(np.int16)))
-        with pytest.raises(ImageNotFoundError):
-            open_raster(tmp_path)
-        with pytest.raises(ImageDecodeError):
-            open_raster(tmp_path / "bad.png")
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
+        with pytest.raises(error):
+            open_raster(path)
+    assert _n_open_files() == before
 
 
 ARRAYS: list[tuple[str, NDArray[Any], NDArray[Any]]] = [
@@ -153,20 +222,32 @@ ARRAYS: list[tuple[str, NDArray[Any], NDArray[Any]]] = [
 @pytest.mark.parametrize(
     ("array", "expected"), [case[1:] for case in ARRAYS], ids=[case[0] for case in ARRAYS]
 )
-def test_arrays_are_read_and_left_as_they_are(array: NDArray[Any], expected: NDArray[Any]) -> None:
-    before = array.copy()
+def test_arrays_are_read(array: NDArray[Any], expected: NDArray[Any]) -> None:
     np.testing.assert_array_equal(read_all(array), expected)
+
+
+@pytest.mark.parametrize("array", [case[1] for case in ARRAYS], ids=[case[0] for case in ARRAYS])
+def test_arrays_are_not_changed(array: NDArray[Any]) -> None:
+    before = array.copy()
+    read_all(array)
     np.testing.assert_array_equal(array, before)
     assert array.flags.writeable
 
 
-def test_an_rgb_array_is_not_copied_and_cannot_be_written_through() -> None:
+def test_an_array_has_the_name_of_its_kind() -> None:
+    with open_raster(RGB) as raster:
+        assert raster.source == "array"
+
+
+def test_an_rgb_array_is_not_copied() -> None:
     array = RGB.copy()
     with open_raster(array) as raster:
-        assert raster.source == "array"
-        shown = raster.read()
-    assert np.shares_memory(shown, array)
-    assert not shown.flags.writeable
+        assert np.shares_memory(raster.read(), array)
+
+
+def test_an_array_cannot_be_written_through_its_raster() -> None:
+    with open_raster(RGB.copy()) as raster:
+        assert not raster.read().flags.writeable
 
 
 WITH_NAN = np.where(np.arange(400).reshape(20, 20) < 3, np.nan, 0.5)
@@ -218,38 +299,78 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_copies_of_systems_and_viewers_are_no_photographs(folder: Path) -> None:
+@pytest.mark.parametrize("pattern", ["", "/**/*.[jJ][pP][gG]"])
+def test_copies_that_systems_keep_are_not_photographs(folder: Path, pattern: str) -> None:
     photographs = [str(folder / name) for name in PHOTOGRAPHS]
-    assert vehanchor.find_images(folder) == photographs
-    assert vehanchor.find_images(f"{folder}/**/*.[jJ][pP][gG]") == photographs
+    assert vehanchor.find_images(f"{folder}{pattern}") == photographs
 
 
-def test_what_is_named_is_listed_wherever_it_is(folder: Path) -> None:
-    for name in (".hidden.jpg", "Thumbnails", "@missing/*.jpg", "__MACOSX/*.JPG"):
-        named = str(folder / name)
-        if "missing" in name:
-            with pytest.raises(ImageNotFoundError):
-                vehanchor.find_images(named)
-        else:
-            assert len(vehanchor.find_images(named)) == 1
+@pytest.mark.parametrize("name", [".hidden.jpg", "Thumbnails", "__MACOSX/*.JPG"])
+def test_a_named_image_is_listed_wherever_it_is(folder: Path, name: str) -> None:
+    assert len(vehanchor.find_images(str(folder / name))) == 1
 
 
-@pytest.mark.parametrize("form", ["NFC", "NFD"])
-def test_a_name_is_found_in_either_unicode_form(
-    form: Literal["NFC", "NFD"], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stored = unicodedata.normalize(form, "été/café.png")
-    (other,) = {unicodedata.normalize(each, stored) for each in ("NFC", "NFD")} - {stored}
-    path = tmp_path / stored
+def test_a_pattern_in_a_missing_folder_is_not_found(folder: Path) -> None:
+    with pytest.raises(ImageNotFoundError):
+        vehanchor.find_images(str(folder / "@missing/*.jpg"))
+
+
+@pytest.fixture(params=["NFC", "NFD"])
+def stored_name(request: pytest.FixtureRequest) -> str:
+    """Name of an image in one of the Unicode forms."""
+    return unicodedata.normalize(request.param, "été/café.png")
+
+
+@pytest.fixture
+def other_name(stored_name: str) -> str:
+    """The same name in the other Unicode form."""
+    composed = unicodedata.normalize("NFC", stored_name)
+    return unicodedata.normalize("NFD", stored_name) if stored_name == composed else composed
+
+
+@pytest.fixture
+def stored_path(stored_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The image, in the working directory."""
+    path = tmp_path / stored_name
     path.parent.mkdir()
-    path.write_bytes(encoded(".png"))
-    open_raster(tmp_path / other).close()
-    assert where_it_is(tmp_path / other) == str(path.resolve())
+    path.write_bytes(PNG)
     monkeypatch.chdir(tmp_path)
-    assert vehanchor.find_images(other) == [stored]
-    assert vehanchor.find_images(str(Path(other).parent)) == [stored]
-    assert existing(stored) == stored
-    assert Path(existing(f"{other}x")) == Path(stored).parent / f"{Path(other).name}x"
+    return path
+
+
+def test_an_image_is_opened_by_either_unicode_form(
+    stored_path: Path, other_name: str, tmp_path: Path
+) -> None:
+    open_raster(tmp_path / other_name).close()
+
+
+def test_both_unicode_forms_have_one_canonical_path(
+    stored_path: Path, other_name: str, tmp_path: Path
+) -> None:
+    assert canonical_path(tmp_path / other_name) == str(stored_path.resolve())
+
+
+def test_an_image_is_listed_in_its_stored_unicode_form(
+    stored_path: Path, stored_name: str, other_name: str
+) -> None:
+    assert vehanchor.find_images(other_name) == [stored_name]
+
+
+def test_a_folder_is_listed_in_its_stored_unicode_form(
+    stored_path: Path, stored_name: str, other_name: str
+) -> None:
+    assert vehanchor.find_images(str(Path(other_name).parent)) == [stored_name]
+
+
+def test_a_path_in_its_stored_unicode_form_stays(stored_path: Path, stored_name: str) -> None:
+    assert spelled_as_stored(stored_name) == stored_name
+
+
+def test_the_folder_of_a_missing_file_is_spelled_as_stored(
+    stored_path: Path, stored_name: str, other_name: str
+) -> None:
+    missing = f"{Path(other_name).name}x"
+    assert Path(spelled_as_stored(f"{other_name}x")) == Path(stored_name).parent / missing
 
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
@@ -258,36 +379,48 @@ PIXELS = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "P", "CMYK", "1"])
 def test_an_image_of_pillow_is_read_in_every_mode(mode: str) -> None:
     image = Image.fromarray(PIXELS).convert(mode)
-    read = open_raster(image).read()
-    assert np.abs(read.astype(int) - np.asarray(image.convert("RGB"))).max() <= 1
+    pixels = open_raster(image).read()
+    expected = np.asarray(image.convert("RGB"))
+    assert np.abs(pixels.astype(int) - expected).max() <= 1
 
 
-def test_it_is_turned_as_its_file_would_be(tmp_path: Path) -> None:
+def test_an_image_of_pillow_is_turned_as_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "turned.png"
     exif = Image.Exif()
     exif[0x0112] = 6
-    Image.fromarray(PIXELS).save(tmp_path / "turned.png", exif=exif)
-    with Image.open(tmp_path / "turned.png") as image:
-        assert (open_raster(image).read() == open_raster(tmp_path / "turned.png").read()).all()
+    Image.fromarray(PIXELS).save(path, exif=exif)
+    with Image.open(path) as image:
+        assert (open_raster(image).read() == open_raster(path).read()).all()
 
 
-def test_a_truncated_one_and_one_that_is_too_large_are_refused_by_their_codes() -> None:
-    encoded = BytesIO()
-    Image.fromarray(PIXELS).save(encoded, "PNG")
+def test_a_truncated_image_of_pillow_is_undecodable() -> None:
+    file = BytesIO()
+    Image.fromarray(PIXELS).save(file, "PNG")
+    truncated = Image.open(BytesIO(file.getvalue()[:2000]))
     with pytest.raises(ImageDecodeError, match="Pillow"):
-        open_raster(Image.open(BytesIO(encoded.getvalue()[:2000])))
+        open_raster(truncated)
+
+
+def test_too_large_an_image_of_pillow_is_refused() -> None:
+    limits = ImageLimits(max_pixels=2000)
     with pytest.raises(ImageTooLargeError, match="--max-megapixels"):
-        open_raster(Image.fromarray(PIXELS), Reading(limits=ImageLimits(max_pixels=2000)))
+        open_raster(Image.fromarray(PIXELS), Reading(limits=limits))
 
 
-def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(
+@pytest.mark.parametrize(
+    ("mode", "pixel_bytes"), [("L", 3), ("RGB", 10), ("RGBA", 12), ("F", 12), ("CMYK", 10)]
+)
+def test_the_memory_of_an_image_of_pillow_is_limited(mode: str, pixel_bytes: int) -> None:
+    image = Image.fromarray(PIXELS).convert(mode)
+    n_bytes = 2400 * pixel_bytes
+    open_raster(image, Reading(limits=ImageLimits(max_decoded_bytes=n_bytes)))
+    with pytest.raises(ImageTooLargeError, match=f"takes {n_bytes} bytes"):
+        open_raster(image, Reading(limits=ImageLimits(max_decoded_bytes=n_bytes - 1)))
+
+
+def test_lack_of_memory_for_an_image_of_pillow_has_its_own_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for mode, n_bytes in (("L", 3), ("RGB", 10), ("RGBA", 12), ("F", 12), ("CMYK", 10)):
-        image = Image.fromarray(PIXELS).convert(mode)
-        open_raster(image, Reading(limits=ImageLimits(max_decoded_bytes=2400 * n_bytes)))
-        with pytest.raises(ImageTooLargeError, match=f"takes {2400 * n_bytes} bytes"):
-            open_raster(image, Reading(limits=ImageLimits(max_decoded_bytes=2400 * n_bytes - 1)))
-
     def fail(self: Image.Image) -> None:
         raise MemoryError
 
@@ -296,10 +429,13 @@ def test_the_memory_that_it_takes_is_limited_by_its_mode_and_told_by_its_code(
         open_raster(Image.fromarray(PIXELS))
 
 
-def test_megapixels_are_a_limit_of_pixels_and_of_memory() -> None:
+def test_megapixels_limit_the_pixels() -> None:
     assert Reading(max_megapixels=0.002).limits.max_pixels == 2000
-    large = Reading(max_megapixels=500).limits
-    assert (large.max_pixels, large.max_decoded_bytes) == (500_000_000, 5_000_000_000)
+    assert Reading(max_megapixels=500).limits.max_pixels == 500_000_000
+
+
+def test_megapixels_limit_the_memory() -> None:
+    assert Reading(max_megapixels=500).limits.max_decoded_bytes == 5_000_000_000
 
 
 @pytest.mark.parametrize(
@@ -316,6 +452,6 @@ def test_megapixels_are_a_limit_of_pixels_and_of_memory() -> None:
         (b"what is this" + bytes(40), "it starts with b'what is '"),
     ],
 )
-def test_what_is_no_image_of_ours_is_named_with_what_to_do(start: bytes, words: str) -> None:
+def test_an_unsupported_file_is_refused_with_advice(start: bytes, words: str) -> None:
     with pytest.raises(ImageDecodeError, match=words.replace("'", ".")):
         open_raster(start)
