@@ -23,7 +23,7 @@ from vehanchor.records import (
 from vehanchor.segmentation.doubts import mask_notices
 from vehanchor.segmentation.prompt import prompt_in_image
 from vehanchor.segmentation.segmenter import Segmenter
-from vehanchor.segmentation.shape import inscribed_circle, outline_parts, perimeter, rotated_extents
+from vehanchor.segmentation.shape import inscribed_circle, perimeter, rotated_extents, trace_outline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -189,7 +189,7 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolyg
 
     return tuple(
         OutlinePolygon(exterior=ring(around), holes=tuple(map(ring, holes)))
-        for around, *holes in outline_parts(mask)
+        for around, *holes in trace_outline(mask)
     )
 
 

@@ -50,7 +50,7 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
         raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
     places = []
     for each in given:
-        x, y = read_numbers(each, (2,), name="a point of the path", wanted="x, y")
+        x, y = read_numbers(each, (2,), name="a point of the path", expected="x, y")
         places.append((x, y))
     if not 2 <= len(places) <= MAX_PATH_POINTS:
         n = count(len(places), "point")

@@ -13,11 +13,11 @@ from vehanchor.segmentation import shape as area
 from vehanchor.segmentation.shape import (
     inscribed_circle,
     mask_bounds,
-    mask_pieces,
-    outline_parts,
     perimeter,
+    piece_areas_px,
     rotated_extents,
     touches_edge,
+    trace_outline,
 )
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def test_a_mask_touches_the_edge_with_its_outer_row_or_column(
 def test_pieces_hang_together_by_corners_and_add_up(mask: NDArray[np.bool_]) -> None:
     labels, n = label(mask, structure=np.ones((3, 3)))
     expected = sorted(np.bincount(labels.ravel())[1:], reverse=True) if n else []
-    assert mask_pieces(mask).tolist() == expected
+    assert piece_areas_px(mask).tolist() == expected
 
 
 # --- perimeter
@@ -148,7 +148,7 @@ def test_the_inscribed_circle_is_that_of_the_exact_distance(mask: NDArray[np.boo
 def test_a_huge_mask_misses_a_pixel_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
     masks = [_disc(150), _rectangle(300, 41, 17), _upright(3, 5, x2=43, y2=25)]
     exact = [(inscribed_circle(mask), perimeter(mask)) for mask in masks]
-    monkeypatch.setattr(area, "_LATTICE_PX", 2_000)
+    monkeypatch.setattr(area, "_MAX_LATTICE_PX", 2_000)
     for mask, (fine, length) in zip(masks, exact, strict=True):
         coarse = inscribed_circle(mask)
         assert coarse is not None
@@ -163,7 +163,7 @@ def test_a_huge_mask_misses_a_pixel_at_most(monkeypatch: pytest.MonkeyPatch) -> 
 def _filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The pixels whose centres are inside the outline."""
     canvas = np.zeros(mask.shape, np.uint8)
-    for part in outline_parts(mask):
+    for part in trace_outline(mask):
         rings = [np.rint((ring - 0.5) * 256).astype(np.int32) for ring in part]
         inside = np.zeros(mask.shape, np.uint8)
         cv2.fillPoly(inside, rings[:1], 1, shift=8)
@@ -176,7 +176,7 @@ def _filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def test_the_outline_of_a_rectangle_with_a_hole_runs_along_its_pixels_sides() -> None:
     mask = _upright(20, 10, x2=60, y2=30)
     mask[15:20, 30:40] = False
-    (part,) = outline_parts(mask)
+    (part,) = trace_outline(mask)
     exterior, hole = part
     assert sorted(map(tuple, exterior)) == [(20, 10), (20, 30), (60, 10), (60, 30)]
     assert sorted(map(tuple, hole)) == [(30, 15), (30, 20), (40, 15), (40, 20)]
@@ -184,7 +184,7 @@ def test_the_outline_of_a_rectangle_with_a_hole_runs_along_its_pixels_sides() ->
 
 @pytest.mark.parametrize("mask", [_disc(150), _disc(100) & ~_disc(40), _rectangle(200, 60, 33)])
 def test_the_outline_of_a_smooth_object_is_true_with_200_points(mask: NDArray[np.bool_]) -> None:
-    parts = outline_parts(mask)
+    parts = trace_outline(mask)
     assert sum(len(ring) for part in parts for ring in part) <= 200
     filled = _filled(mask)
     assert (filled & mask).sum() / (filled | mask).sum() > 0.97
@@ -194,19 +194,19 @@ def test_the_outline_of_a_smooth_object_is_true_with_200_points(mask: NDArray[np
 def test_a_ragged_mask_still_has_at_most_200_points(scale: int) -> None:
     noise = np.random.default_rng(1).random((120, 160)) < 0.5
     mask = np.kron(noise, np.ones((scale, scale))).astype(bool)
-    parts = outline_parts(mask)
+    parts = trace_outline(mask)
     assert parts
     assert sum(len(ring) for part in parts for ring in part) <= 200
     assert all(len(ring) >= 3 for part in parts for ring in part)
     many = np.zeros((400, 400), dtype=bool)
     many[::4, ::4] = True
-    assert 0 < sum(len(part[0]) for part in outline_parts(many)) <= 200
+    assert 0 < sum(len(part[0]) for part in trace_outline(many)) <= 200
 
 
 def test_an_empty_mask_has_no_shape() -> None:
     empty = np.zeros((7, 9), dtype=bool)
-    assert (perimeter(empty), outline_parts(empty), inscribed_circle(empty)) == (0.0, [], None)
-    assert len(mask_pieces(empty)) == 0
+    assert (perimeter(empty), trace_outline(empty), inscribed_circle(empty)) == (0.0, [], None)
+    assert len(piece_areas_px(empty)) == 0
 
 
 def test_the_first_of_equal_circles_is_taken_wherever_the_mask_lies_in_memory(

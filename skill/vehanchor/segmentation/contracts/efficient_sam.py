@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-_MAX_POINTS = 6  # the graph silently drops further points
+# The graph silently drops further points.
+_MAX_POINTS = 6
+# Input side of the published models, for graphs without fixed shapes.
 _INPUT_PX = 1024
 
 
@@ -36,11 +38,13 @@ class EfficientSam(SamContract):
     decoder_outputs = "output_masks", "iou_predictions"
     mean_sd = np.zeros(3, np.float32), np.full(3, 255, np.float32)
 
-    def _found_input_px(self) -> int:
+    def _infer_input_px(self) -> int:
         side = self._side(self.embedding)
-        return _INPUT_PX if side is None else side * SAM_STRIDE_PX
+        if side is None:
+            return _INPUT_PX
+        return side * SAM_STRIDE_PX
 
-    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
         """Build inputs for up to six points on the object, or a box."""
         if not all(include for _, _, include in prompt.points):
             raise PromptError(
