@@ -1,6 +1,7 @@
 """Contracts of promptable segmenters in ONNX files.
 
-The names of inputs and outputs identify a contract. To add one, write a file with one class and add the class to ``CONTRACTS``.
+The names of inputs and outputs identify a contract. To add a contract, write a file with one class
+and add the class to ``CONTRACTS``.
 
 Coordinates: a crop's first pixel spans 0 to 1. All these graphs take pixel indices, as SAM does,
 and add half a pixel of the model's input. Each contract therefore subtracts that half.
