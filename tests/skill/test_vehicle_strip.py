@@ -5,7 +5,7 @@ import numpy as np
 from tests.analyses import make_analysis
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import DROPPED_RGB, KEPT_RGB
-from vehanchor.pictures.vehicle_strip import MOST_SHOWN, draw_vehicle_strip
+from vehanchor.pictures.vehicle_strip import MAX_SHOWN, draw_vehicle_strip
 
 
 def strip_of(n_vehicles: int) -> np.ndarray:
@@ -33,5 +33,5 @@ def test_each_vehicle_is_enlarged_with_its_box_and_number_in_rows() -> None:
 
 
 def test_many_vehicles_are_cut_off_and_none_is_no_picture() -> None:
-    assert strip_of(30).shape[0] == MOST_SHOWN // 4 * 128
+    assert strip_of(30).shape[0] == MAX_SHOWN // 4 * 128
     assert strip_of(0).shape == (0, 512, 3)

@@ -212,7 +212,7 @@ def _plain_box(box: Any) -> Any:
         return getattr(box, "bounds", box)
     if len(detected_boxes) != 1:
         raise PromptError(
-            f"the detections hold {len(detected_boxes)} objects: give one, such as "
+            f"the detections are of {len(detected_boxes)} objects: give one, such as "
             "detections[i : i + 1]"
         )
     return tuple(float(value) for value in detected_boxes[0])
