@@ -130,7 +130,7 @@ def test_a_vulnerability_and_a_package_that_nobody_looked_up_both_fail_the_audit
     clean: dict[str, Any] = {"name": "b", "version": "1", "vulns": []}
     skipped = {"name": "c", "skip_reason": "not found"}
     assert supply.verdict({"dependencies": [clean]}) == []
-    assert supply.verdict({"dependencies": [clean, known]}) == ["a 1: PYSEC-1, mended in 2"]
+    assert supply.verdict({"dependencies": [clean, known]}) == ["a 1: PYSEC-1, fixed in 2"]
     assert supply.verdict({"dependencies": [clean, skipped]}) == ["c: not looked up: not found"]
 
 

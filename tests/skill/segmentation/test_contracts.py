@@ -77,7 +77,7 @@ def segmenter(
     return Segmenter(*write(tmp_path_factory.mktemp("sam")))
 
 
-# The crop has 256 px. It lies in the image's upper left corner, inside the image, and pushed back by
+# The crop has 256 px. It lies in the corner of the image, inside the image, and pushed back by
 # the far edges. The object's sides lie on cells of every model's grid: 8 px of the crop, 16 px for
 # SAM 3.
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def test_the_extents_of_a_slanted_rectangle_are_right_to_a_pixel(degrees: int) -
 
 
 def _square_distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Compute the distance of each point of the half-pixel lattice to the background, with scipy."""
+    """Compute the distance of each point of the half-pixel lattice to the background."""
     padded = np.pad(mask, 1)
     background = np.zeros((2 * padded.shape[0] + 1, 2 * padded.shape[1] + 1), dtype=bool)
     for row, column in np.argwhere(~padded):
