@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.options import ScaleOptions
@@ -28,7 +30,6 @@ from vehanchor.segmentation.shape import inscribed_circle, perimeter, rotated_ex
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.lengths import Spread
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
+    from vehanchor.segmentation.shape import Mask
 
 
 def analyse_objects(
@@ -131,6 +133,9 @@ def _measure_object(
             area_log_sd, n_px, perimeter_px=perimeter_px, diameter_px=circle.diameter
         )
         diameter = _Size.of(circle.diameter * gsd, scale.spread.plus(diameter_log_sd))
+    mode_length_px = None
+    if scale.estimate is not None:
+        mode_length_px = scale.estimate.mode_length_px
     status = scale.status
     if status == "ok" and card.is_doubtful(segmentation):
         status = "low_confidence"
@@ -141,7 +146,7 @@ def _measure_object(
         area_m2=area.value,
         area_ci95_low_m2=area.low,
         area_ci95_high_m2=area.high,
-        mode_length_px=None if scale.estimate is None else scale.estimate.mode_length_px,
+        mode_length_px=mode_length_px,
         mask_area_px=n_px,
         mask_score=segmentation.score,
         perimeter_m=_metres(perimeter_px, gsd),
@@ -216,7 +221,7 @@ def _box(segmentation: Segmentation) -> BoundingBox | None:
     return BoundingBox(x1_px=x1, y1_px=y1, x2_px=x2, y2_px=y2)
 
 
-def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolygon, ...]:
+def _outline(mask: Mask, left: int, top: int) -> tuple[OutlinePolygon, ...]:
     """Trace the outline of a mask whose first pixel is at ``left``, ``top`` of the image."""
     polygons = []
     for rings in trace_outline(mask):
@@ -226,7 +231,8 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolyg
 
 
 def _outline_ring(ring: NDArray[np.float64], left: int, top: int) -> OutlineRing:
-    points = [ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in ring]
+    in_image = np.add(ring, (left, top))
+    points = [ImagePoint(x_px=float(x), y_px=float(y)) for x, y in in_image]
     return OutlineRing(points=tuple(points))
 
 

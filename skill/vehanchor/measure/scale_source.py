@@ -27,9 +27,6 @@ from vehanchor.scale.reliability import RELIABILITY
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
@@ -37,6 +34,7 @@ if TYPE_CHECKING:
     from vehanchor.options.rulers import StatedScale
     from vehanchor.records import GsdEstimate, ScaleSource, Status
     from vehanchor.scale.plane import GroundPlane
+    from vehanchor.segmentation.shape import Mask
 
 # A caller who types 5 to 30, the usual centimetres per pixel of aerial photographs, means another
 # unit. At this scale a car has fewer than two pixels.
@@ -74,7 +72,7 @@ class MeasurementScale:
     plane: GroundPlane | None = None
     known: KnownScale | None = None
 
-    def gsd_over(self, mask: NDArray[np.bool_], left: int, top: int) -> float | None:
+    def gsd_over(self, mask: Mask, left: int, top: int) -> float | None:
         """Compute metres per pixel over a mask: the square root of the mean area of its pixels.
 
         Args:
@@ -95,7 +93,9 @@ class MeasurementScale:
     @property
     def estimate(self) -> GsdEstimate | None:
         """Record of the scale; None unless it was estimated now."""
-        return None if self.analysis is None else self.analysis.estimate
+        if self.analysis is None:
+            return None
+        return self.analysis.estimate
 
     def fields(self, width_px: int, height_px: int) -> dict[str, Any]:
         """Make the fields that records of areas and distances share, for the image's size."""

@@ -198,7 +198,9 @@ def _read_target(row: Mapping[str, str | None]) -> Target:
     """
     numbers = [_read_number(row, "x1"), _read_number(row, "y1")]
     numbers += [_read_number(row, name) for name in ("x2", "y2") if row.get(name)]
-    kind = row.get("kind") or ("point" if len(numbers) == 2 else "box")
+    kind = row.get("kind")
+    if not kind:
+        kind = "point" if len(numbers) == 2 else "box"
     if kind not in _KINDS:
         raise PromptError(f"kind is {kind!r}: use {', '.join(_KINDS)}")
     n_expected = 2 if kind == "point" else 4
@@ -207,7 +209,9 @@ def _read_target(row: Mapping[str, str | None]) -> Target:
             f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, "
             "x2, y2"
         )
-    return Target(row["file"] or "", row.get("name") or "", kind=kind, numbers=tuple(numbers))
+    file = row["file"] or ""
+    name = row.get("name") or ""
+    return Target(file, name, kind=kind, numbers=tuple(numbers))
 
 
 def _read_number(row: Mapping[str, str | None], column: str) -> float:

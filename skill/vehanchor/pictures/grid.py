@@ -13,9 +13,8 @@ from vehanchor.pictures.placement import Cut
 from vehanchor.pictures.scale import read_reduced
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from vehanchor.imagery.raster import Raster, Window
+    from vehanchor.pictures.placement import RgbImage
 
 # Approximate number of lines along the longer side.
 _N_LINES = 11
@@ -30,7 +29,7 @@ _LABEL_GAP_PX = 3
 
 def draw_grid(
     raster: Raster, part: Window, long_side_px: int, max_enlargement: float, lines: bool
-) -> tuple[NDArray[np.uint8], int]:
+) -> tuple[RgbImage, int]:
     """Draw a part of an image at a given size, enlarged by a limited factor.
 
     Args:
@@ -51,14 +50,14 @@ def draw_grid(
     return rgb, step
 
 
-def _draw_lines(rgb: NDArray[np.uint8], part: Window, step: int) -> None:
+def _draw_lines(rgb: RgbImage, part: Window, step: int) -> None:
     height, width = rgb.shape[:2]
     across = width / part.width_px
     down = height / part.height_px
-    columns = {
-        x: round((x - part.x_px) * across) for x in _multiples(step, part.x_px, part.width_px)
-    }
-    rows = {y: round((y - part.y_px) * down) for y in _multiples(step, part.y_px, part.height_px)}
+    xs = _multiples(step, part.x_px, part.width_px)
+    ys = _multiples(step, part.y_px, part.height_px)
+    columns = {x: round((x - part.x_px) * across) for x in xs}
+    rows = {y: round((y - part.y_px) * down) for y in ys}
     for column in columns.values():
         _lighten(rgb[:, column : column + 1])
     for row in rows.values():
@@ -85,6 +84,6 @@ def _multiples(step: int, start: int, length: int) -> range:
     return range((start // step + 1) * step, start + length, step)
 
 
-def _lighten(line: NDArray[np.uint8]) -> None:
+def _lighten(line: RgbImage) -> None:
     lighter = (1 - _LINE_OPACITY) * line + _LINE_OPACITY * 255
     line[:] = np.rint(lighter).astype(np.uint8)

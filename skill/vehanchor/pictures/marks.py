@@ -13,9 +13,7 @@ from vehanchor.pictures.placement import line_px
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from vehanchor.pictures.placement import Placement
+    from vehanchor.pictures.placement import Colour, Placement, Points, RgbImage
     from vehanchor.scale.posterior import Mark
 
 # A lighter version of the bluish green of Okabe and Ito.
@@ -26,11 +24,11 @@ _LABEL_SHARE = 0.8
 
 
 def draw_marks(
-    picture: NDArray[np.uint8],
+    picture: RgbImage,
     marks: Sequence[Mark],
     placement: Placement,
     *,
-    colour: tuple[int, int, int] = MARK_RGB,
+    colour: Colour = MARK_RGB,
 ) -> None:
     """Draw the marks of rulers that lie in the picture, with labels beside their middle.
 
@@ -58,7 +56,7 @@ def draw_marks(
         _write_label(picture, label, middle)
 
 
-def _is_outside(points: NDArray[np.float64], picture: NDArray[np.uint8]) -> bool:
+def _is_outside(points: Points, picture: RgbImage) -> bool:
     """Test whether all points lie beyond one side of a picture, which may be a cut."""
     height, width = picture.shape[:2]
     before = points.max(axis=0) < 0
@@ -67,11 +65,11 @@ def _is_outside(points: NDArray[np.float64], picture: NDArray[np.uint8]) -> bool
 
 
 def _draw_stroke(
-    picture: NDArray[np.uint8],
-    points: NDArray[np.float64],
+    picture: RgbImage,
+    points: Points,
     *,
     closed: bool,
-    colour: tuple[int, int, int],
+    colour: Colour,
     line: int,
 ) -> None:
     """Draw a line of a colour on a wider dark one, which shows on any background."""
@@ -87,17 +85,21 @@ def _draw_stroke(
         )
 
 
-def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the midpoint along an open line ``[n, 2]``."""
-    legs = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
-    way = np.concatenate([[0.0], np.cumsum(legs)])
+def _middle(points: Points) -> Points:
+    """Compute the midpoint along an open line; a single point is its own midpoint."""
+    if len(points) == 1:
+        middle: Points = points[0]
+        return middle
+    legs = np.diff(points, axis=0)
+    lengths = np.hypot(legs[:, 0], legs[:, 1])
+    way = np.concatenate([[0.0], np.cumsum(lengths)])
     half_way = way[-1] / 2
     x = np.interp(half_way, way, points[:, 0])
     y = np.interp(half_way, way, points[:, 1])
     return np.array([x, y])
 
 
-def _end_strokes(mark: Mark, points: NDArray[np.float64], line: int) -> list[NDArray[np.float64]]:
+def _end_strokes(mark: Mark, points: Points, line: int) -> list[Points]:
     """Make the strokes that complete a mark: a cross for a place, short strokes at line ends."""
     if len(points) == 1:
         return _cross(points[0], line)
@@ -110,9 +112,7 @@ def _end_strokes(mark: Mark, points: NDArray[np.float64], line: int) -> list[NDA
     return [first, last]
 
 
-def _stroke_across(
-    end: NDArray[np.float64], along: NDArray[np.float64], length: float
-) -> NDArray[np.float64]:
+def _stroke_across(end: Points, along: Points, length: float) -> Points:
     """Make a stroke that crosses a direction at a right angle, ``length`` to both sides."""
     perpendicular = np.array([-along[1], along[0]])
     # A direction of length 0, from two equal points, has no stroke.
@@ -120,13 +120,15 @@ def _stroke_across(
     return np.array([end - across, end + across])
 
 
-def _cross(middle: NDArray[np.float64], line: int) -> list[NDArray[np.float64]]:
+def _cross(middle: Points, line: int) -> list[Points]:
     """Make the arms of a cross, for a ruler without a line."""
     reach = 6.0 + 3 * line
-    return [np.array([middle - arm, middle + arm]) for arm in np.diag([reach, reach])]
+    across = np.array([reach, 0.0])
+    down = np.array([0.0, reach])
+    return [np.array([middle - arm, middle + arm]) for arm in (across, down)]
 
 
-def _write_label(picture: NDArray[np.uint8], label: str, middle: NDArray[np.float64]) -> None:
+def _write_label(picture: RgbImage, label: str, middle: Points) -> None:
     """Write a label right of and above a line's middle, shifted into the picture."""
     height, width = picture.shape[:2]
     capital = max(9, round(_LABEL_SHARE * text_px(width)))

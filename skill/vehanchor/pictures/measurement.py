@@ -19,10 +19,8 @@ from vehanchor.scale.posterior import Mark
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
-    from vehanchor.pictures.placement import Placement
+    from vehanchor.pictures.placement import Placement, Points, RgbImage
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
@@ -35,9 +33,7 @@ _OUTSIDE_RGB = (213, 94, 0)
 _TINT_OPACITY = 0.35
 
 
-def draw_area(
-    image: NDArray[np.uint8], *analyses: AreaEvidence, cut: Cut | None = None
-) -> NDArray[np.uint8]:
+def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) -> RgbImage:
     """Draw measured objects with their evidence.
 
     The caption gives area, mask, scale and confidence. Several objects are numbered. An enlarged
@@ -51,7 +47,8 @@ def draw_area(
     Returns:
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
-    canvas = open_canvas(image, analyses[0].measurement, scale=analyses[0].scale, cut=cut)
+    first = analyses[0]
+    canvas = open_canvas(image, first.measurement, scale=first.scale, cut=cut)
     for analysis in analyses:
         _draw_mask(canvas.picture, analysis, canvas.placement)
         _draw_prompt(canvas.picture, analysis, canvas.placement)
@@ -60,7 +57,7 @@ def draw_area(
         if number:
             _write_number(canvas.picture, number, analysis=analysis, placement=canvas.placement)
     sizes = [_area_text(analysis.measurement) for analysis in analyses]
-    return _finish(canvas, analyses[0], sizes)
+    return _finish(canvas, first, sizes)
 
 
 def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
@@ -71,7 +68,7 @@ def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SID
     return Cut(part, long_side_px)
 
 
-def _extent(analysis: AreaEvidence) -> NDArray[np.float64]:
+def _extent(analysis: AreaEvidence) -> Points:
     """Return points that span the mask and the prompt, ``[n, 2]`` pixels of the image."""
     prompt = analysis.prompt
     points = [(x, y) for x, y, _ in prompt.points]
@@ -84,32 +81,31 @@ def _extent(analysis: AreaEvidence) -> NDArray[np.float64]:
     return np.array(points, dtype=np.float64)
 
 
-def draw_distance(
-    image: NDArray[np.uint8], *analyses: DistanceEvidence, cut: Cut | None = None
-) -> NDArray[np.uint8]:
+def draw_distance(image: RgbImage, *analyses: DistanceEvidence, cut: Cut | None = None) -> RgbImage:
     """Draw measured lines with their evidence.
 
     The caption gives length, scale and confidence. A usable length is also written beside the
     middle of its line. Several lines are numbered. Arguments and result are those of ``draw_area``.
     """
-    canvas = open_canvas(image, analyses[0].measurement, scale=analyses[0].scale, cut=cut)
+    first = analyses[0]
+    canvas = open_canvas(image, first.measurement, scale=first.scale, cut=cut)
     records = [analysis.measurement for analysis in analyses]
     labels = _numbered([_line_label(record) for record in records])
     lines = [
         Mark(_path_points(record), label) for record, label in zip(records, labels, strict=True)
     ]
     draw_marks(canvas.picture, lines, canvas.placement, colour=MEASURED_RGB)
-    return _finish(canvas, analyses[0], [_distance_text(record) for record in records])
+    return _finish(canvas, first, [_distance_text(record) for record in records])
 
 
 def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured lines."""
-    points = np.array([point for record in records for point in _path_points(record)])
+    points = np.concatenate([_path_points(record) for record in records])
     part = part_around(points, records[0].image_width_px, records[0].image_height_px)
     return Cut(part, long_side_px)
 
 
-def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, placement: Placement) -> None:
+def _draw_mask(picture: RgbImage, analysis: AreaEvidence, placement: Placement) -> None:
     """Tint the object and draw its outline.
 
     Both come from the mask, because the record's outline is simplified.
@@ -135,13 +131,15 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, placement: Pl
     method = cv2.INTER_AREA if right - left < window.width_px else cv2.INTER_NEAREST
     size = (right - left, bottom - top)
     coverage = cv2.resize(mask.view(np.uint8) * 255, size, interpolation=method)
-    shown = np.asarray(coverage[y1 - top : y2 - top, x1 - left : x2 - left] > 127, dtype=np.uint8)
+    covered = coverage[y1 - top : y2 - top, x1 - left : x2 - left]
+    is_object = np.asarray(covered > 127)
     region = picture[y1:y2, x1:x2]
     tint = np.array(MEASURED_RGB, dtype=np.float64)
-    tinted = (1 - _TINT_OPACITY) * region[shown > 0] + _TINT_OPACITY * tint
-    region[shown > 0] = np.rint(tinted).astype(np.uint8)
+    tinted = (1 - _TINT_OPACITY) * region[is_object] + _TINT_OPACITY * tint
+    region[is_object] = np.rint(tinted).astype(np.uint8)
     # The padding closes outlines at the border of the region.
-    rings, _ = cv2.findContours(np.pad(shown, 1), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    padded = np.pad(is_object.astype(np.uint8), 1)
+    rings, _ = cv2.findContours(padded, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     origin = np.array([x1 - 1, y1 - 1], np.int32)
     cv2.polylines(
         picture,
@@ -152,7 +150,7 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, placement: Pl
     )
 
 
-def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaEvidence, placement: Placement) -> None:
+def _draw_prompt(picture: RgbImage, analysis: AreaEvidence, placement: Placement) -> None:
     prompt = analysis.prompt
     line = line_px(picture)
     if prompt.box is not None:
@@ -176,7 +174,7 @@ def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaEvidence, placement: 
 
 
 def _write_number(
-    picture: NDArray[np.uint8], number: str, *, analysis: AreaEvidence, placement: Placement
+    picture: RgbImage, number: str, *, analysis: AreaEvidence, placement: Placement
 ) -> None:
     """Write an object's number on its middle."""
     capital = text_px(picture.shape[1])
@@ -222,7 +220,7 @@ def _distance_text(record: DistanceMeasurement) -> str:
 
 def _finish(
     canvas: Canvas, analysis: AreaEvidence | DistanceEvidence, sizes: Sequence[str]
-) -> NDArray[np.uint8]:
+) -> RgbImage:
     """Add the caption with sizes and scale, after an objection to an unusable scale.
 
     A scale that is unusable, or holds at one place only because of a tilt, has no scale bar.
@@ -255,7 +253,6 @@ def _objection(record: AreaMeasurement | DistanceMeasurement) -> str:
         return ""
     if record.scale_confidence >= USABLE_CHANCE:
         return ""
-    reason = None if record.estimate is None else record.estimate.reason
-    if reason is None:
+    if record.estimate is None or record.estimate.reason is None:
         return f"the scale's confidence is below {USABLE_CHANCE}"
-    return ADVICE[reason].why
+    return ADVICE[record.estimate.reason].why

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -11,6 +11,15 @@ from vehanchor.imagery.raster import Window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+RgbImage: TypeAlias = "NDArray[np.uint8]"
+"""Picture ``[h, w, 3]``, RGB."""
+
+Colour: TypeAlias = tuple[int, int, int]
+"""Red, green and blue, 0..255."""
+
+Points: TypeAlias = "NDArray[np.float64]"
+"""Places ``[n, 2]``: x and y in pixels, from the corner of the first one."""
 
 CUT_SIDE_PX = 1000
 """Default of the longer side of a picture of a part."""
@@ -36,7 +45,7 @@ class Placement(NamedTuple):
     origin: NDArray[np.float64]
 
     @classmethod
-    def of(cls, picture: NDArray[np.uint8], part: Window) -> Placement:
+    def of(cls, picture: RgbImage, part: Window) -> Placement:
         """Place a part of an image in a picture that shows nothing else.
 
         Args:
@@ -72,10 +81,10 @@ class Cut(NamedTuple):
 
     def sized(
         self,
-        image: NDArray[np.uint8],
+        image: RgbImage,
         max_enlargement: float = _MAX_ENLARGEMENT,
         enlarging: int = cv2.INTER_NEAREST,
-    ) -> NDArray[np.uint8]:
+    ) -> RgbImage:
         """Copy the part's pixels at the size of the picture.
 
         Args:
@@ -89,18 +98,20 @@ class Cut(NamedTuple):
         width = self.part.width_px
         height = self.part.height_px
         factor = min(max_enlargement, self.long_side_px / max(width, height))
-        size = max(1, round(width * factor)), max(1, round(height * factor))
-        method = cv2.INTER_AREA if size[0] < image.shape[1] else enlarging
-        return np.array(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
+        picture_width = max(1, round(width * factor))
+        picture_height = max(1, round(height * factor))
+        method = cv2.INTER_AREA if picture_width < image.shape[1] else enlarging
+        picture = cv2.resize(image, (picture_width, picture_height), interpolation=method)
+        return np.array(picture, dtype=np.uint8)
 
 
-def line_px(picture: NDArray[np.uint8], limit_px: float = np.inf) -> int:
+def line_px(picture: RgbImage, limit_px: float = np.inf) -> int:
     """Compute the width of lines for a picture; ``limit_px`` keeps them thin on small objects."""
     width = min(max(picture.shape[:2]) / _SIDE_PER_LINE, limit_px)
     return int(np.clip(round(width), 1, 3))
 
 
-def part_around(points: NDArray[np.float64], width_px: int, height_px: int) -> Window:
+def part_around(points: Points, width_px: int, height_px: int) -> Window:
     """Return the part of an image around points, with a margin of half of their extent.
 
     Args:
@@ -114,6 +125,10 @@ def part_around(points: NDArray[np.float64], width_px: int, height_px: int) -> W
     margin = max(_MIN_MARGIN_PX, _MARGIN_SHARE * extent)
     size = np.array([width_px, height_px])
     # Points may lie on the image's edge or, by rounding, beyond it: one pixel remains.
-    left, top = np.clip(np.floor(low - margin), 0, size - 1).astype(int).tolist()
-    right, bottom = np.clip(np.ceil(high + margin), 1, size).astype(int).tolist()
-    return Window(left, top, width_px=max(1, right - left), height_px=max(1, bottom - top))
+    first = np.clip(np.floor(low - margin), 0, size - 1)
+    last = np.clip(np.ceil(high + margin), 1, size)
+    left, top = first.astype(int).tolist()
+    right, bottom = last.astype(int).tolist()
+    width = max(1, right - left)
+    height = max(1, bottom - top)
+    return Window(left, top, width_px=width, height_px=height)

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.evidence import ScaleEvidence
+    from vehanchor.pictures.placement import Colour, RgbImage
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
-CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
+CaptionLine: TypeAlias = "list[tuple[Colour | None, str]]"
 """Texts of one line, each with the colour of the swatch before it."""
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -63,9 +64,7 @@ _JPEG_QUALITY = 92
 _ROWS_PER_STRIP = 1024
 
 
-def draw_overlay(
-    image: NDArray[np.uint8], analysis: ScaleEvidence, cut: Cut | None = None
-) -> NDArray[np.uint8]:
+def draw_overlay(image: RgbImage, analysis: ScaleEvidence, cut: Cut | None = None) -> RgbImage:
     """Draw the evidence of an estimate over its image.
 
     Kept vehicles are blue, outliers orange with a cross, other rulers green. Small images are
@@ -98,10 +97,10 @@ class Canvas(NamedTuple):
         placement: position of the image in the picture.
     """
 
-    picture: NDArray[np.uint8]
+    picture: RgbImage
     placement: Placement
 
-    def finished(self, gsd_m_per_px: float | None, lines: list[CaptionLine]) -> NDArray[np.uint8]:
+    def finished(self, gsd_m_per_px: float | None, lines: list[CaptionLine]) -> RgbImage:
         """Complete the picture.
 
         A narrow picture gets margins.
@@ -132,7 +131,7 @@ class Canvas(NamedTuple):
 
 
 def open_canvas(
-    image: NDArray[np.uint8],
+    image: RgbImage,
     record: GsdEstimate | AreaMeasurement | DistanceMeasurement,
     scale: ScaleEvidence | None,
     cut: Cut | None,
@@ -159,7 +158,7 @@ def open_canvas(
     return Canvas(picture, placement)
 
 
-def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def fit_for_eyes(image: RgbImage) -> RgbImage:
     """Copy an image at display size: small ones are enlarged, large ones reduced."""
     height, width = image.shape[:2]
     whole = Cut(Window(0, 0, width_px=width, height_px=height), MAX_SIDE_PX)
@@ -167,7 +166,7 @@ def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return whole.sized(image, max_enlargement, cv2.INTER_CUBIC)
 
 
-def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
+def read_reduced(raster: Raster, part: Window | None = None) -> RgbImage:
     """Read an image or a part of it in strips, reduced so that no side exceeds 4096 px.
 
     Args:
@@ -215,7 +214,7 @@ def check_picture_path(path: str | Path) -> Path:
     return check_output_path(path, PICTURE_SUFFIXES, kind="a picture")
 
 
-def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
+def write_picture(path: str | Path, picture: RgbImage) -> Path:
     """Write a picture as PNG or JPEG, by the suffix.
 
     Args:
@@ -239,9 +238,7 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
     return target
 
 
-def draw_vehicles(
-    picture: NDArray[np.uint8], analysis: ScaleEvidence, placement: Placement
-) -> None:
+def draw_vehicles(picture: RgbImage, analysis: ScaleEvidence, placement: Placement) -> None:
     """Draw kept vehicles in blue, outliers crossed in orange, and their numbers.
 
     Args:
@@ -268,10 +265,10 @@ def draw_vehicles(
 
 
 def _draw_shapes(
-    picture: NDArray[np.uint8],
+    picture: RgbImage,
     shapes: NDArray[np.int32],
     *,
-    colour: tuple[int, int, int],
+    colour: Colour,
     line: int,
     closed: bool = True,
 ) -> None:
@@ -287,9 +284,7 @@ def _draw_shapes(
         )
 
 
-def _write_numbers(
-    picture: NDArray[np.uint8], detections: Detections, placement: Placement
-) -> None:
+def _write_numbers(picture: RgbImage, detections: Detections, placement: Placement) -> None:
     """Write each vehicle's number on it, best first, unless it covers another number.
 
     Many small vehicles have no numbers.
@@ -321,7 +316,7 @@ def _round_length(metres: float) -> float:
     return min(lengths, key=lambda length: abs(math.log(length / metres)))
 
 
-def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
+def draw_scale_bar(picture: RgbImage, m_per_px: float) -> None:
     """Draw a labelled bar of round length at the lower left, white with a black rim."""
     height, width = picture.shape[:2]
     metres = _round_length(_BAR_SHARE * width * m_per_px)
@@ -333,16 +328,19 @@ def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
     right = left + round(metres / m_per_px)
     bottom = height - margin
     top = bottom - thickness
-    for grow, colour in ((rim, (0, 0, 0)), (0, (255, 255, 255))):
-        cv2.rectangle(
-            picture,
-            (left - grow, top - grow),
-            (right + grow, bottom + grow),
-            color=colour,
-            thickness=cv2.FILLED,
-        )
+    black = (0, 0, 0)
+    white = (255, 255, 255)
+    _fill_rectangle(picture, (left - rim, top - rim), (right + rim, bottom + rim), colour=black)
+    _fill_rectangle(picture, (left, top), (right, bottom), colour=white)
     start = (left, top - rim - capital // 2)
     write_on(picture, f"{metres:g} m", start, capital_px=capital)
+
+
+def _fill_rectangle(
+    picture: RgbImage, first: tuple[int, int], last: tuple[int, int], *, colour: Colour
+) -> None:
+    """Fill a rectangle between two corner pixels, both included."""
+    cv2.rectangle(picture, first, last, color=colour, thickness=cv2.FILLED)
 
 
 def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
@@ -402,7 +400,7 @@ def _rulers_line(analysis: ScaleEvidence) -> CaptionLine:
     return line
 
 
-def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
+def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
     """Draw the panel below a picture: lines of text with swatches; the first line is bold."""
     capital = _fitting_capital(width_px, lines)
     margin = round(capital)
@@ -418,13 +416,7 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
         for colour, text in line:
             if colour is not None:
                 side = round(capital)
-                cv2.rectangle(
-                    panel,
-                    (x, baseline - side),
-                    (x + side, baseline),
-                    color=colour,
-                    thickness=cv2.FILLED,
-                )
+                _fill_rectangle(panel, (x, baseline - side), (x + side, baseline), colour=colour)
                 x += round(_SWATCH_WIDTH * capital)
             put_text(
                 panel, text, (x, baseline), capital_px=capital, colour=_TEXT_RGB, stroke=stroke

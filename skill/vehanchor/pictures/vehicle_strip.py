@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.evidence import ScaleEvidence
+    from vehanchor.pictures.placement import Colour, RgbImage
 
 MAX_SHOWN = 24
 _CHIP_PX = 128
@@ -28,7 +29,7 @@ _MIN_REACH_PX = 8
 _CAPITAL_PX = 14
 
 
-def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -> NDArray[np.uint8]:
+def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -> RgbImage:
     """Draw the first vehicles by their numbers, each enlarged with its box, in rows.
 
     Args:
@@ -55,9 +56,7 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
     return strip[:, :width_px]
 
 
-def _draw_vehicle(
-    raster: Raster, box: NDArray[np.float64], colour: tuple[int, int, int]
-) -> NDArray[np.uint8]:
+def _draw_vehicle(raster: Raster, box: NDArray[np.float64], colour: Colour) -> RgbImage:
     x = round(float(box[0]))
     y = round(float(box[1]))
     reach = max(_MIN_REACH_PX, round(_REACH_SHARE * float(box[2])))

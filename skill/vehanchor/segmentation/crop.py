@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.segmentation.contracts import MaskLogits
     from vehanchor.segmentation.prompt import Prompt
+    from vehanchor.segmentation.shape import Mask
 
 MAX_POINT_CROP_PX = 1024
 """Largest crop in which points are tried, unless the object does not end in it."""
@@ -31,7 +32,9 @@ def crop_side(prompt: Prompt) -> int:
     """Compute the side of a crop, pixels: of a box's, or of the smallest one for points."""
     x1, y1, x2, y2 = prompt.extent
     longer_side = max(x2 - x1, y2 - y1)
-    min_side = _MIN_POINT_CROP_PX if prompt.box is None else _MIN_BOX_CROP_PX
+    min_side = _MIN_BOX_CROP_PX
+    if prompt.box is None:
+        min_side = _MIN_POINT_CROP_PX
     return max(min_side, math.ceil(_BOX_CONTEXT * longer_side))
 
 
@@ -79,7 +82,7 @@ def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArr
     return _resize(narrow, width, height)
 
 
-def place_mask(chosen: MaskLogits) -> NDArray[np.bool_]:
+def place_mask(chosen: MaskLogits) -> Mask:
     """Convert logits to the mask ``[h, w]`` of their crop.
 
     The logits are interpolated bilinearly at the pixels' centres; the object is where they are
@@ -95,10 +98,12 @@ def place_mask(chosen: MaskLogits) -> NDArray[np.bool_]:
     for top in range(0, height_px, _ROWS_PER_STRIP):
         strip = slice(top, min(height_px, top + _ROWS_PER_STRIP))
         weight = rows.weight[strip, None]
-        lines = grid[rows.before[strip]] * (1 - weight) + grid[rows.after[strip]] * weight
-        before = lines[:, columns.before] * (1 - columns.weight)
-        after = lines[:, columns.after] * columns.weight
-        mask[strip] = before + after > 0
+        above = grid[rows.before[strip]]
+        below = grid[rows.after[strip]]
+        lines = above * (1 - weight) + below * weight
+        left = lines[:, columns.before]
+        right = lines[:, columns.after]
+        mask[strip] = left * (1 - columns.weight) + right * columns.weight > 0
     return mask
 
 
@@ -125,8 +130,10 @@ def _neighbours(side_px: int, cells_per_px: float, n_cells: int) -> _Neighbours:
 
 
 def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    if (height, width) == image.shape[:2]:
+    image_height, image_width = image.shape[:2]
+    if (height, width) == (image_height, image_width):
         return image
-    shrinks = width < image.shape[1] or height < image.shape[0]
+    shrinks = width < image_width or height < image_height
     method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return cv2.resize(image, (width, height), interpolation=method).astype(np.uint8, copy=False)
+    resized = cv2.resize(image, (width, height), interpolation=method)
+    return resized.astype(np.uint8, copy=False)

@@ -99,7 +99,12 @@ def _share_outside(segmentation: Segmentation, prompt: Prompt) -> float:
     x1, y1, x2, y2 = prompt.box
     origin_x = segmentation.window.x_px
     origin_y = segmentation.window.y_px
-    columns = slice(max(0, round(x1 - origin_x)), max(0, round(x2 - origin_x)))
-    rows = slice(max(0, round(y1 - origin_y)), max(0, round(y2 - origin_y)))
+    columns = _pixels_between(x1 - origin_x, x2 - origin_x)
+    rows = _pixels_between(y1 - origin_y, y2 - origin_y)
     inside = int(segmentation.mask[rows, columns].sum())
     return 1.0 - inside / total
+
+
+def _pixels_between(start: float, stop: float) -> slice:
+    """Select the pixels whose centres lie between two places of the mask's window."""
+    return slice(max(0, round(start)), max(0, round(stop)))

@@ -36,10 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Self
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from vehanchor.imagery.raster import Raster
+    from vehanchor.segmentation.shape import Mask
 
 # Default: masks with a lower predicted IoU need a check of the outline.
 MIN_MASK_SCORE = 0.7
@@ -116,7 +114,7 @@ class Segmentation:
         is_agreed: whether the masks of the points show the same object; true for a box.
     """
 
-    mask: NDArray[np.bool_]
+    mask: Mask
     window: Window
     score: float
     alternatives: tuple[Segmentation, ...] = ()
@@ -349,7 +347,7 @@ def _mask_iou(one: Segmentation, other: Segmentation) -> float:
     return intersection / union
 
 
-def _cut_out(segmentation: Segmentation, part: Window) -> NDArray[np.bool_]:
+def _cut_out(segmentation: Segmentation, part: Window) -> Mask:
     """Return the mask in a part of its window."""
     left = part.x_px - segmentation.window.x_px
     top = part.y_px - segmentation.window.y_px

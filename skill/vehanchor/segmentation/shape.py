@@ -11,13 +11,22 @@ centres of the squares are points of this lattice, so the results are exact.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Mask: TypeAlias = NDArray[np.bool_]
+    """Pixels of an object, ``[h, w]``."""
+
+    Cells: TypeAlias = NDArray[np.uint8]
+    """Pixels, or points of a lattice, ``[h, w]``: 1 inside, 0 outside."""
+
+    Ring: TypeAlias = NDArray[np.int32]
+    """Corners of a contour, ``[n, 2]`` or ``[n, 1, 2]``, in half cells."""
 
     Bounds: TypeAlias = tuple[int, int, int, int]
     """Smallest box of whole pixels around a mask: x1, y1, x2, y2 from the array's corner."""
@@ -39,6 +48,7 @@ _TOLERANCE_GROWTH = 1.6
 _MIN_RING_POINTS = 4
 # OpenCV needs empty lattice points around a mask. The number is even, so corners stay even.
 _RIM = 2
+_ALL_SIDES = (True, True, True, True)
 
 
 class Circle(NamedTuple):
@@ -49,18 +59,20 @@ class Circle(NamedTuple):
     diameter: float
 
 
-def mask_bounds(mask: NDArray[np.bool_]) -> Bounds | None:
+def mask_bounds(mask: Mask) -> Bounds | None:
     """Find the bounding box of a mask ``[h, w]``; None for an empty one."""
     rows = np.flatnonzero(mask.any(axis=1))
     columns = np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None
-    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+    x1 = int(columns[0])
+    y1 = int(rows[0])
+    x2 = int(columns[-1]) + 1
+    y2 = int(rows[-1]) + 1
+    return x1, y1, x2, y2
 
 
-def touches_edge(
-    mask: NDArray[np.bool_], sides: tuple[bool, bool, bool, bool] = (True, True, True, True)
-) -> bool:
+def touches_edge(mask: Mask, sides: tuple[bool, bool, bool, bool] = _ALL_SIDES) -> bool:
     """Test whether a mask touches a side of its array.
 
     Args:
@@ -68,11 +80,15 @@ def touches_edge(
         sides: which of left, top, right and bottom count; ``imagery.raster.outer_sides`` gives the
             image's edges.
     """
-    lines = mask[:, 0], mask[0], mask[:, -1], mask[-1]
-    return any(counts and bool(line.any()) for counts, line in zip(sides, lines, strict=True))
+    left = mask[:, 0]
+    top = mask[0]
+    right = mask[:, -1]
+    bottom = mask[-1]
+    lines = (left, top, right, bottom)
+    return any(line.any() for counts, line in zip(sides, lines, strict=True) if counts)
 
 
-def piece_areas_px(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+def piece_areas_px(mask: Mask) -> NDArray[np.int64]:
     """Compute the areas in pixels of a mask's 8-connected pieces, the largest first."""
     bounds = mask_bounds(mask)
     if bounds is None:
@@ -84,7 +100,7 @@ def piece_areas_px(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.sort(areas)[::-1]
 
 
-def perimeter(mask: NDArray[np.bool_]) -> float:
+def perimeter(mask: Mask) -> float:
     """Compute the length of the outline of a mask ``[h, w]`` with its holes, pixels.
 
     The sum of the pixels' sides would be 4 / pi too long for a circle. The outline is therefore
@@ -103,7 +119,7 @@ def perimeter(mask: NDArray[np.bool_]) -> float:
     return length
 
 
-def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
+def rotated_extents(mask: Mask) -> tuple[float, float]:
     """Compute length and width of the smallest rotated rectangle around a mask ``[h, w]``, pixels.
 
     The rectangle has the smallest area of all that enclose the midpoints of the outer pixels'
@@ -124,7 +140,7 @@ def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
     return max(sides) / 2, min(sides) / 2
 
 
-def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
+def inscribed_circle(mask: Mask) -> Circle | None:
     """Find the largest circle inside a mask ``[h, w]`` and its array; None for an empty mask.
 
     The radius is the exact Euclidean distance to the nearest background square; the centre is on
@@ -161,7 +177,7 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     return Circle(bounds[0] + x, bounds[1] + y, diameter_px)
 
 
-def trace_outline(mask: NDArray[np.bool_]) -> list[Rings]:
+def trace_outline(mask: Mask) -> list[Rings]:
     """Trace the outline of a mask ``[h, w]`` along its pixels' sides, with at most 200 points.
 
     The outline is simplified (Douglas and Peucker). The tolerance starts at half a pixel and grows
@@ -192,17 +208,17 @@ def _count_points(outline: list[Rings]) -> int:
     return sum(len(ring) for rings in outline for ring in rings)
 
 
-def _crop_to_bounds(mask: NDArray[np.bool_], bounds: Bounds) -> NDArray[np.uint8]:
+def _crop_to_bounds(mask: Mask, bounds: Bounds) -> Cells:
     x1, y1, x2, y2 = bounds
     return np.ascontiguousarray(mask[y1:y2, x1:x2]).view(np.uint8)
 
 
-def _distance_to_background(free: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _distance_to_background(free: Cells) -> NDArray[np.float32]:
     distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(distance, dtype=np.float32)
 
 
-def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _closed_lattice(cells: Cells) -> Cells:
     """Build the half-pixel lattice ``[2h + 1, 2w + 1]`` of cells ``[h, w]``.
 
     It is 1 on all points of a set square, its border included.
@@ -214,7 +230,7 @@ def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.dilate(lattice, square), dtype=np.uint8)
 
 
-def _side_midpoints(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
+def _side_midpoints(cells: Cells) -> Ring:
     """List the midpoints ``[n, 2]`` of the cells' outer sides, x and y in half pixels.
 
     Each row and each column contributes the outer side of its first and of its last set pixel.
@@ -226,11 +242,13 @@ def _side_midpoints(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
     return np.concatenate(points).astype(np.int32)
 
 
-def _midpoints_along_rows(cells: NDArray[np.uint8]) -> list[NDArray[np.int64]]:
+def _midpoints_along_rows(cells: Cells) -> list[NDArray[np.int64]]:
     """List the midpoints ``[n, 2]`` of the first sides of all rows, then of the last ones."""
     rows = np.flatnonzero(cells.any(axis=1))
-    first = np.argmax(cells[rows], axis=1)
-    last = cells.shape[1] - 1 - np.argmax(cells[rows, ::-1], axis=1)
+    set_rows = cells[rows]
+    backwards = set_rows[:, ::-1]
+    first = np.argmax(set_rows, axis=1)
+    last = cells.shape[1] - 1 - np.argmax(backwards, axis=1)
     middle_of_row = 2 * rows + 1
     first_sides = np.stack([2 * first, middle_of_row], axis=1)
     last_sides = np.stack([2 * last + 2, middle_of_row], axis=1)
@@ -247,12 +265,12 @@ class _Contours(NamedTuple):
         cell_px: side of a cell, pixels; more than one for a reduced mask.
     """
 
-    pieces: list[list[NDArray[np.int32]]]
+    pieces: list[list[Ring]]
     origin: NDArray[np.float64]
     cell_px: int
 
 
-def _trace_contours(mask: NDArray[np.bool_]) -> _Contours:
+def _trace_contours(mask: Mask) -> _Contours:
     """Trace contours along the pixels' sides; pieces and their holes by falling size."""
     bounds = mask_bounds(mask)
     if bounds is None:
@@ -269,9 +287,7 @@ def _trace_contours(mask: NDArray[np.bool_]) -> _Contours:
     for contour in contours:
         points = np.asarray(contour, dtype=np.int32).reshape(-1, 2)
         rings.append(_restore_corners(points))
-    # Without rings there is no hierarchy. Otherwise its last column is the ring's parent, or
-    # negative for an exterior.
-    parents = [] if hierarchy is None else hierarchy.reshape(-1, 4)[:, 3].tolist()
+    parents = _parents_of(hierarchy)
     areas = [cv2.contourArea(ring) for ring in rings]
     by_size = sorted(range(len(rings)), key=areas.__getitem__, reverse=True)
     pieces = {k: [rings[k]] for k in by_size if parents[k] < 0}
@@ -282,7 +298,16 @@ def _trace_contours(mask: NDArray[np.bool_]) -> _Contours:
     return _Contours(list(pieces.values()), origin, cell_px)
 
 
-def _restore_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
+def _parents_of(hierarchy: Any) -> list[int]:
+    """Return the parent of each ring, negative for an exterior, from OpenCV's hierarchy."""
+    # Without rings there is no hierarchy.
+    if hierarchy is None:
+        return []
+    parents: list[int] = hierarchy.reshape(-1, 4)[:, 3].tolist()
+    return parents
+
+
+def _restore_corners(ring: Ring) -> Ring:
     """Restore the pixel corners that a contour ``[n, 2]`` skips.
 
     OpenCV steps diagonally past a corner. The skipped corner is the one of the two whose
@@ -316,7 +341,7 @@ def _simplify(contours: _Contours, tolerance_px: float) -> list[Rings]:
     return outline
 
 
-def _simplify_ring(ring: NDArray[np.int32], tolerance: float) -> NDArray[np.int32]:
+def _simplify_ring(ring: Ring, tolerance: float) -> Ring:
     simple = cv2.approxPolyDP(ring, tolerance, True).reshape(-1, 2)
     if len(simple) < 3:
         x1, y1 = ring.min(axis=(0, 1))

@@ -130,8 +130,11 @@ class SamContract(LoadedModel, ABC):
     def _side(self, name: str) -> int | None:
         """Return the last side of the named tensor of the graphs; None if it is not fixed."""
         for item in (*self._encoder.get_outputs(), *self._decoder.get_inputs()):
-            if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
-                return int(item.shape[-1])
+            if item.name != name or len(item.shape) != 4:
+                continue
+            side = item.shape[-1]
+            if isinstance(side, int):
+                return side
         return None
 
     def _check_image_shape(self) -> None:
@@ -222,9 +225,9 @@ class SamContract(LoadedModel, ABC):
 
     def _run(self, session: Session, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Run a session on its inputs, converted to its types; return the outputs by name."""
-        inputs = {
-            item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()
-        }
+        inputs = {}
+        for item in session.get_inputs():
+            inputs[item.name] = feeds[item.name].astype(DTYPES[item.type])
         names = [output.name for output in session.get_outputs()]
         shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in inputs.items())
         results = run_session(
@@ -261,7 +264,7 @@ class SamContract(LoadedModel, ABC):
         grids = masks.reshape(-1, *masks.shape[-2:])
         flat_scores = np.nan_to_num(scores.reshape(-1).astype(np.float64), nan=0.0)
         n_masks = len(grids)
-        if n_masks != len(flat_scores) or n_masks == 0 or min(grids.shape[1:]) < 1:
+        if n_masks != len(flat_scores) or grids.size == 0:
             raise ModelContractError(
                 f"the decoder returned masks of shape {list(masks.shape)} and scores of shape "
                 f"{list(scores.shape)}: expected one score per mask"

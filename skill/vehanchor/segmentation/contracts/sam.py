@@ -39,8 +39,11 @@ class Sam(SamContract):
 
     def _check_image_shape(self) -> None:
         shape = self._image.shape
-        if len(shape) == 3 and (shape[2] == 3 or not isinstance(shape[2], int)):
-            return
+        # Pictures with the channels last, or with an unknown number of channels.
+        if len(shape) == 3:
+            channels = shape[2]
+            if channels == 3 or not isinstance(channels, int):
+                return
         super()._check_image_shape()
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
@@ -76,9 +79,10 @@ class Sam(SamContract):
         pixels = image.astype(np.float32)
         if len(self._image.shape) == 4:
             # Padding after normalisation is zero.
-            normal = np.zeros((1, 3, self.input_px, self.input_px), np.float32)
-            normal[0, :, :height, :width] = ((pixels - MEAN_RGB) / SD_RGB).transpose(2, 0, 1)
-            return normal
+            padded = np.zeros((1, 3, self.input_px, self.input_px), np.float32)
+            normal = (pixels - MEAN_RGB) / SD_RGB
+            padded[0, :, :height, :width] = normal.transpose(2, 0, 1)
+            return padded
         # This graph normalises itself, so its padding is the mean. It also pads an axis without a
         # fixed size.
         rows, columns = self._image.shape[:2]
