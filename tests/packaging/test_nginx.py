@@ -232,7 +232,7 @@ def test_a_request_that_killed_a_replica_is_not_repeated(tmp_path: Path) -> None
 
 
 @pytest.mark.promise("proxy")
-def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
+def test_idle_connections_do_not_delay_honest_calls(tmp_path: Path) -> None:
     """Send honest calls beside silent connections and others that stay after an answer."""
 
     def call(number: int) -> float:

@@ -133,7 +133,7 @@ def given_scale(
     Args:
         gsd_m_per_px: a number from the caller.
         scale: an earlier estimate of the same image, or its ``scale``.
-        options: of the method.
+        options: all options of the method.
 
     Raises:
         InvalidParameterError: both are given, one is given with lines of known length, or one is
@@ -182,7 +182,7 @@ def find_measurement_scale(
         ScaleMismatchError: the scale was measured on another image.
         TooObliqueError: the horizon is visible, or nearly so; or the object is higher than the
             camera.
-        VehAnchorError: as ``Engine.estimate``.
+        VehAnchorError: see ``Engine.estimate``.
     """
     if object_height_m is None:
         return _ground_scale(raster, scale, options)
@@ -193,6 +193,7 @@ def find_measurement_scale(
 
 
 def _ground_scale(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> MeasurementScale:
+    """Resolve the scale of the ground."""
     # A measured scale leads, and the image is not searched.
     stated = options.rulers.stated_scale
     if stated is not None and stated.basis == "measured":
@@ -315,10 +316,10 @@ def _ground_plane(raster: Raster, scale: KnownScale | None) -> GroundPlane | Non
 
 
 class _CameraAboveGround(NamedTuple):
-    """What gives the camera's height above the ground.
+    """Data that give the camera's height above the ground.
 
     Attributes:
-        lens: gives the height from the scale; None if unknown.
+        lens: the lens, which gives the height from the scale; None if unknown.
         height_m: the stated height above the ground, or above take-off; None if unknown.
         height_log_sd: standard deviation of the log of the stated height.
     """

@@ -68,10 +68,11 @@ def draw_overlay(image: RgbImage, analysis: ScaleEvidence, cut: Cut | None = Non
     """Draw the evidence of an estimate over its image.
 
     Kept vehicles are blue, outliers orange with a cross, other rulers green. Small images are
-    enlarged and large ones reduced. A caption below gives scale, interval and
-    confidence. A usable scale has a scale bar of round length, unless the camera was tilted: then
-    the scale holds at the centre only. For an unusable scale the caption begins with the reason and
-    with advice.
+    enlarged and large ones reduced.
+
+    A caption below gives scale, interval and confidence. For an unusable scale it begins with the
+    reason and with advice. A usable scale has a scale bar of round length, unless the camera was
+    tilted: then the scale holds at the centre only.
 
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of
@@ -101,9 +102,7 @@ class Canvas(NamedTuple):
     placement: Placement
 
     def finished(self, gsd_m_per_px: float | None, lines: list[CaptionLine]) -> RgbImage:
-        """Complete the picture.
-
-        A narrow picture gets margins.
+        """Add a scale bar and the caption, and margins to a narrow picture.
 
         Args:
             gsd_m_per_px: scale for a scale bar; None draws no bar.

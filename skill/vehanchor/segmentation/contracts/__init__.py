@@ -47,14 +47,11 @@ class _GraphNames(NamedTuple):
     decoder_outputs: frozenset[str]
 
     def __str__(self) -> str:
-        described = (
-            ("encoder in:", self.encoder_inputs),
-            ("encoder out:", self.encoder_outputs),
-            ("decoder in:", self.decoder_inputs),
-            ("decoder out:", self.decoder_outputs),
-        )
-        return "; ".join(
-            f"{title} {', '.join(sorted(names)) or 'nothing'}" for title, names in described
+        return (
+            f"encoder in: {_listed(self.encoder_inputs)}; "
+            f"encoder out: {_listed(self.encoder_outputs)}; "
+            f"decoder in: {_listed(self.decoder_inputs)}; "
+            f"decoder out: {_listed(self.decoder_outputs)}"
         )
 
     def fit(self, contract: type[SamContract]) -> bool:
@@ -106,6 +103,10 @@ def recognise_contract(
         f"not a promptable segmenter of a known kind{swapped}: {names}. Expected "
         f"{', '.join(kinds)}, or {last}"
     )
+
+
+def _listed(names: frozenset[str]) -> str:
+    return ", ".join(sorted(names)) or "nothing"
 
 
 def _names(items: Sequence[Any]) -> frozenset[str]:

@@ -173,7 +173,7 @@ class SamContract(LoadedModel, ABC):
         Args:
             image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
             window: the crop, pixels of the image.
-            prompt: in pixels of the image.
+            prompt: prompt in pixels of the image.
 
         Raises:
             PromptError: this model cannot read the prompt.
