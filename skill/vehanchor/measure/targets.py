@@ -88,10 +88,10 @@ class TargetRow(NamedTuple):
     """Result for one target: a record, or an error.
 
     Attributes:
-        target: what was measured.
+        target: the object or line.
         record: the measurement; None with an error.
         ground: position of the image on the ground; None without a georeference.
-        error: why there is no record.
+        error: reason for a missing record.
     """
 
     target: Target

@@ -245,7 +245,8 @@ class Segmenter(LoadedModel):
     ) -> list[Segmentation]:
         """Segment points in growing crops; keep masks that end inside their crop.
 
-        The crops grow until one of them has such a mask and the largest side is reached.
+        Growth ends with the whole image. Once a mask is kept, it also ends at the largest side of
+        crops and at the limits.
         """
         masks: list[Segmentation] = []
         side = crop_side(prompt)
