@@ -35,6 +35,7 @@ Kind: TypeAlias = Literal["box", "point", "line"]
 _REQUIRED_COLUMNS = ("file", "x1", "y1")
 _OPTIONAL_COLUMNS = ("x2", "y2", "kind", "name")
 _KINDS: tuple[Kind, ...] = ("box", "point", "line")
+_N_NUMBERS: dict[Kind, int] = {"box": 4, "point": 2, "line": 4}
 _COORDINATES = ("x1", "y1", "x2", "y2")
 _AREA_FIELDS = (
     "area_m2",
@@ -203,8 +204,7 @@ def _read_target(row: Mapping[str, str | None]) -> Target:
         kind = "point" if len(numbers) == 2 else "box"
     if kind not in _KINDS:
         raise PromptError(f"kind is {kind!r}: use {', '.join(_KINDS)}")
-    n_expected = 2 if kind == "point" else 4
-    if len(numbers) != n_expected:
+    if len(numbers) != _N_NUMBERS[kind]:
         raise PromptError(
             f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, "
             "x2, y2"

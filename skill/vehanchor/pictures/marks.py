@@ -125,14 +125,17 @@ def _cross(middle: Points, line: int) -> list[Points]:
     reach = 6.0 + 3 * line
     across = np.array([reach, 0.0])
     down = np.array([0.0, reach])
-    return [np.array([middle - arm, middle + arm]) for arm in (across, down)]
+    horizontal = np.array([middle - across, middle + across])
+    vertical = np.array([middle - down, middle + down])
+    return [horizontal, vertical]
 
 
 def _write_label(picture: RgbImage, label: str, middle: Points) -> None:
     """Write a label right of and above a line's middle, shifted into the picture."""
     height, width = picture.shape[:2]
     capital = max(9, round(_LABEL_SHARE * text_px(width)))
-    max_left = max(2, width - text_width(label, capital) - 4)
+    label_width = text_width(label, capital)
+    max_left = max(2, width - label_width - 4)
     min_baseline = capital + 4
     max_baseline = max(min_baseline, height - 4)
     left = int(np.clip(middle[0] + capital // 2, 2, max_left))

@@ -236,8 +236,10 @@ def _finish(
         if record.scale_confidence is not None:
             source = f"confidence {record.scale_confidence:.2f}"
         lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}")])
-    holds_everywhere = analysis.nadir and not objection
-    return canvas.finished(record.gsd_m_per_px if holds_everywhere else None, lines)
+    bar_gsd = None
+    if analysis.nadir and not objection:
+        bar_gsd = record.gsd_m_per_px
+    return canvas.finished(bar_gsd, lines)
 
 
 def _numbered(labels: Sequence[str]) -> list[str]:

@@ -192,11 +192,13 @@ def _draw_lengths(
     colours = [_KEPT]
     labels = [f"{count(len(kept), 'vehicle')} kept"]
     if len(dropped):
+        label = f"{count(len(dropped), 'outlier')} dropped"
         n_beyond = int((dropped > right_px).sum())
-        beyond = f" ({n_beyond} beyond the axis)" if n_beyond else ""
+        if n_beyond:
+            label += f" ({n_beyond} beyond the axis)"
         groups.append(dropped)
         colours.append(_DROPPED)
-        labels.append(f"{count(len(dropped), 'outlier')} dropped{beyond}")
+        labels.append(label)
     axes.hist(
         groups,
         bins=list(edges),

@@ -85,8 +85,9 @@ def draw_overlay(image: RgbImage, analysis: ScaleEvidence, cut: Cut | None = Non
     """
     estimate = analysis.estimate
     canvas = open_canvas(image, estimate, scale=analysis, cut=cut)
-    holds_everywhere = estimate.status == "ok" and estimate.tilt is None
-    bar_gsd = estimate.gsd_m_per_px if holds_everywhere else None
+    bar_gsd = None
+    if estimate.status == "ok" and estimate.tilt is None:
+        bar_gsd = estimate.gsd_m_per_px
     return canvas.finished(bar_gsd, _caption_lines(analysis))
 
 
@@ -228,7 +229,9 @@ def write_picture(path: str | Path, picture: RgbImage) -> Path:
     """
     target = check_picture_path(path)
     suffix = target.suffix.lower()
-    parameters = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    parameters = []
+    if suffix != ".png":
+        parameters = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     bgr = np.ascontiguousarray(picture[:, :, ::-1])
     # Encoded in memory: OpenCV's own writer fails silently and cannot open all paths.
     _, encoded = cv2.imencode(suffix, bgr, parameters)

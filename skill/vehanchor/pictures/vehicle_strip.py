@@ -52,7 +52,8 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
         chip = _draw_vehicle(raster, box, KEPT_RGB if is_kept else DROPPED_RGB)
         write_on(chip, str(number), (4, _CAPITAL_PX + 4), capital_px=_CAPITAL_PX)
         # At the image's edge, a chip is smaller than its cell.
-        strip[top : top + chip.shape[0], left : left + chip.shape[1]] = chip
+        height, width = chip.shape[:2]
+        strip[top : top + height, left : left + width] = chip
     return strip[:, :width_px]
 
 

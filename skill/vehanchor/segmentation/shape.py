@@ -321,10 +321,11 @@ def _restore_corners(ring: Ring) -> Ring:
     is_even = ring % 2 == 0
     corner = np.where(is_even, ring, following)
     # A corner behind every point, then only those of slanted steps.
-    doubled = np.stack([ring, corner], axis=1).reshape(-1, 2)
+    with_corners = np.stack([ring, corner], axis=1).reshape(-1, 2)
     is_point = np.ones(len(ring), dtype=bool)
-    kept = np.stack([is_point, is_slanted], axis=1).reshape(-1)
-    return np.ascontiguousarray(doubled[kept]).reshape(-1, 1, 2)
+    is_kept = np.stack([is_point, is_slanted], axis=1).reshape(-1)
+    kept = np.ascontiguousarray(with_corners[is_kept])
+    return kept.reshape(-1, 1, 2)
 
 
 def _simplify(contours: _Contours, tolerance_px: float) -> list[Rings]:

@@ -179,7 +179,8 @@ class SamContract(LoadedModel, ABC):
             PromptError: this model cannot read the prompt.
             ModelContractError: the outputs are not masks with scores.
         """
-        features = self._run(self._encoder, {self._image.name: self._encoder_input(image)})
+        pixels = self._encoder_input(image)
+        features = self._run(self._encoder, {self._image.name: pixels})
         height, width = image.shape[:2]
         across = width / window.width_px
         down = height / window.height_px

@@ -56,7 +56,9 @@ class EfficientSam(SamContract):
                 f"EfficientSAM reads at most {_MAX_POINTS} points, got {len(prompt.points)}"
             )
         coords, labels = corner_prompt(prompt)
+        points = np.array(coords, np.float32)
+        point_labels = np.array(labels, np.float32)
         return {
-            "batched_point_coords": np.array(coords, np.float32).reshape(1, 1, -1, 2),
-            "batched_point_labels": np.array(labels, np.float32).reshape(1, 1, -1),
+            "batched_point_coords": points.reshape(1, 1, -1, 2),
+            "batched_point_labels": point_labels.reshape(1, 1, -1),
         }

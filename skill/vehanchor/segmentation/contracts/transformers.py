@@ -55,8 +55,11 @@ class Transformers(SamContract):
         """Build separate inputs for boxes and points."""
         coords, labels = corner_prompt(Prompt(points=prompt.points))
         corners, _ = corner_prompt(Prompt(box=prompt.box))
+        points = np.array(coords, np.float32)
+        point_labels = np.array(labels, np.int64)
+        boxes = np.array(corners, np.float32)
         return {
-            "input_points": np.array(coords, np.float32).reshape(1, 1, -1, 2),
-            "input_labels": np.array(labels, np.int64).reshape(1, 1, -1),
-            "input_boxes": np.array(corners, np.float32).reshape(1, -1, 4),
+            "input_points": points.reshape(1, 1, -1, 2),
+            "input_labels": point_labels.reshape(1, 1, -1),
+            "input_boxes": boxes.reshape(1, -1, 4),
         }
