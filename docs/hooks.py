@@ -10,7 +10,10 @@ _BUNDLED = Path(__file__).parent.parent / "skill" / "vehanchor" / "models" / "bu
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Replace ``<!-- model cards -->`` by the cards of all bundled models, one heading level lower."""
+    """Replace ``<!-- model cards -->`` by the cards of all bundled models.
+
+    Their headings are one level lower.
+    """
     if "<!-- model cards -->" not in markdown:
         return markdown
     cards = [card.read_text(encoding="utf-8") for card in sorted(_BUNDLED.glob("*.md"))]

@@ -1,4 +1,4 @@
-"""Draw the ten scenes of ``docs/concepts.md``: each with the densities of its witnesses and the posterior.
+"""Draw the ten scenes of ``docs/concepts.md`` with the densities of their witnesses.
 
 Run ``python -m docs.witnesses`` in the root of the project.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from research.scenes import Scene, render_scene
+from research.scenes import Scene, SceneVehicle, render_scene
 from vehanchor import Engine
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners
@@ -30,10 +30,18 @@ PARK = ROOT / "examples" / "car_park.jpg"
 STREET = ROOT / "examples" / "scenes" / "safe.jpg"
 EMPTY = ROOT / "examples" / "scenes" / "no_cars.jpg"
 COARSE = ROOT / "examples" / "scenes" / "too_coarse.jpg"
-GSD = 0.12  # of all of them but COARSE, metres per pixel
-LINE = (100, 120, 400, 520)  # 500 px, 60 m
-FOCAL_PX = 700.0  # 84 m above the ground give 0.12 m/px
-FIRST = (120, 260)  # corner of the first pasted vehicle
+# Scale of all scenes except COARSE, metres per pixel.
+GSD = 0.12
+COARSE_GSD = 0.5
+# A line of 500 px, which is 60 m long.
+LINE = (100, 120, 400, 520)
+LINE_M = 60.0
+# Focal length: 84 m above the ground give 0.12 m/px.
+FOCAL_PX = 700.0
+# Corner of the first pasted vehicle.
+FIRST = (120, 260)
+# Space between pasted vehicles, across and down.
+GAP_PX = (8, 12)
 YELLOW = "#FFD400"
 GREEN = "#009E73"
 TRUTH = "#D55E00"
@@ -49,63 +57,69 @@ _XMP = (
 
 
 class Example(NamedTuple):
-    """A scene, its true scale, and what the caller states."""
+    """Scene with its true scale and the options of the caller."""
 
     name: str
     image: Path | bytes | NDArray[np.uint8]
-    true_gsd_m_per_px: float
     options: dict[str, Any]
+    true_gsd_m_per_px: float = GSD
 
 
 def examples() -> list[Example]:
     """Make the ten scenes, in the order of the page."""
-    known = {
-        factor: {"known_lengths": [(*LINE, 60.0 * factor, "measured")]} for factor in (1.0, 1.3)
-    }
+    known_line = {"known_lengths": [(*LINE, LINE_M, "measured")]}
+    wrong_line = {"known_lengths": [(*LINE, 1.3 * LINE_M, "measured")]}
+    assumed_line = {"known_lengths": [(*LINE, LINE_M, "assumed")]}
     hill = with_height(STREET, 30.0)
     return [
-        Example("many_cars", PARK, GSD, {}),
-        Example("one_car", _one_car(), GSD, {}),
-        Example("one_lorry", _pasted(1.5, 1, 1), GSD, {}),
-        Example("look_alikes", _pasted(0.8, 4, 8), GSD, {}),
-        Example("line_leads", STREET, GSD, known[1.0]),
-        Example("line_wrong", STREET, GSD, known[1.3]),
-        Example("line_assumed", EMPTY, GSD, {"known_lengths": [(*LINE, 60.0, "assumed")]}),
-        Example("height_contradicts", hill, GSD, {}),
-        Example("height_repeated", hill, GSD, {"height_m": 30.0, "height_basis": "measured"}),
-        Example("too_coarse", COARSE, 0.5, {}),
+        Example("many_cars", PARK, {}),
+        Example("one_car", _one_car(), {}),
+        Example("one_lorry", _pasted(1.5, rows=1, columns=1), {}),
+        Example("look_alikes", _pasted(0.8, rows=4, columns=8), {}),
+        Example("line_leads", STREET, known_line),
+        Example("line_wrong", STREET, wrong_line),
+        Example("line_assumed", EMPTY, assumed_line),
+        Example("height_contradicts", hill, {}),
+        Example("height_repeated", hill, {"height_m": 30.0, "height_basis": "measured"}),
+        Example("too_coarse", COARSE, {}, COARSE_GSD),
     ]
 
 
 def with_height(photograph: Path, height_m: float) -> bytes:
-    """Write a drone's height above take-off, looking straight down, into a copy of a JPEG file."""
+    """Copy a JPEG file with the metadata of a drone that looks straight down.
+
+    The height is the one above take-off.
+    """
     data = photograph.read_bytes()
     pixels = cv2.imread(str(photograph))
     assert pixels is not None
     height_px, width_px = pixels.shape[:2]
     packet = _XMP.format(height_m=height_m, focal_px=FOCAL_PX, x=width_px / 2, y=height_px / 2)
     block = b"http://ns.adobe.com/xap/1.0/\0" + packet.encode()
-    return data[:2] + b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block + data[2:]
+    length = (len(block) + 2).to_bytes(2, "big")
+    # An APP1 segment after the start of the image.
+    return data[:2] + b"\xff\xe1" + length + block + data[2:]
 
 
 def _one_car() -> NDArray[np.uint8]:
-    return render_scene(
-        GSD, width_px=640, height_px=480, seed=2, n_vehicles=1, layout="urban"
-    ).image
+    scene = render_scene(GSD, width_px=640, height_px=480, seed=2, n_vehicles=1, layout="urban")
+    return scene.image
 
 
-def _pasted(factor: float, rows: int, columns: int) -> NDArray[np.uint8]:
-    """Paste one vehicle of a scene of 0.06 m/px, enlarged, in rows into fields of 0.12 m/px."""
-    chip = _chip(
-        render_scene(GSD / 2, width_px=1024, height_px=768, seed=1, layout="parking"), factor
-    )
-    image = render_scene(
+def _pasted(factor: float, *, rows: int, columns: int) -> NDArray[np.uint8]:
+    """Paste one enlarged vehicle in rows into fields of 0.12 m/px; its own scene has 0.06 m/px."""
+    parking = render_scene(GSD / 2, width_px=1024, height_px=768, seed=1, layout="parking")
+    chip = _chip(parking, factor)
+    fields = render_scene(
         GSD, width_px=800, height_px=600, seed=1, layout="countryside", n_vehicles=0
-    ).image.copy()
+    )
+    image = fields.image.copy()
     height_px, width_px = chip.shape[:2]
-    (left, top) = FIRST
-    (across, down) = (width_px + 8, height_px + 12)
+    left, top = FIRST
+    across = width_px + GAP_PX[0]
+    down = height_px + GAP_PX[1]
     if rows > 1:
+        # Many vehicles stand on a grey yard.
         yard = image[top - 10 : top + rows * down, left - 10 : left + columns * across]
         yard[:] = yard.mean((0, 1)) * 0.3 + 80
     for y in range(top, top + rows * down, down):
@@ -115,21 +129,34 @@ def _pasted(factor: float, rows: int, columns: int) -> NDArray[np.uint8]:
 
 
 def _chip(scene: Scene, factor: float) -> NDArray[np.uint8]:
-    """Cut out the vehicle in the middle of a scene, turned level and enlarged."""
-    middle = np.array([scene.image.shape[1], scene.image.shape[0]]) / 2
-    cars = [each for each in scene.vehicles if each.kind == "small-vehicle" and not each.difficult]
-    car = min(cars, key=lambda each: float(np.hypot(*(middle - (each.x_px, each.y_px)))))
-    width_px = round(car.length_px * 1.12 * factor)
-    height_px = round(car.width_px * 1.25 * factor)
+    """Cut out the car in the middle of a scene, turned upright and enlarged."""
+    height_px, width_px = scene.image.shape[:2]
+    middle = np.array([width_px, height_px]) / 2
+    cars = [
+        vehicle
+        for vehicle in scene.vehicles
+        if vehicle.kind == "small-vehicle" and not vehicle.difficult
+    ]
+
+    def distance_to_middle(vehicle: SceneVehicle) -> float:
+        return float(np.hypot(*(middle - (vehicle.x_px, vehicle.y_px))))
+
+    car = min(cars, key=distance_to_middle)
+    chip_width_px = round(car.length_px * 1.12 * factor)
+    chip_height_px = round(car.width_px * 1.25 * factor)
+    # Affine transform from the chip to the scene, around the car's centre.
     cos = math.cos(car.angle_rad) / factor
     sin = math.sin(car.angle_rad) / factor
-    left = car.x_px - (cos * width_px - sin * height_px) / 2
-    top = car.y_px - (sin * width_px + cos * height_px) / 2
-    turned = np.array([[cos, -sin, left], [sin, cos, top]])
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(
-        cv2.warpAffine(scene.image, turned, (width_px, height_px), flags=flags), dtype=np.uint8
+    left = car.x_px - (cos * chip_width_px - sin * chip_height_px) / 2
+    top = car.y_px - (sin * chip_width_px + cos * chip_height_px) / 2
+    to_scene = np.array([[cos, -sin, left], [sin, cos, top]])
+    chip = cv2.warpAffine(
+        scene.image,
+        to_scene,
+        (chip_width_px, chip_height_px),
+        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
     )
+    return np.asarray(chip, dtype=np.uint8)
 
 
 def pixels_of(image: Path | bytes | NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -149,13 +176,11 @@ def sentence(analysis: ScaleAnalysis) -> str:
     assert record.gsd_ci95_low_m_per_px is not None
     assert record.gsd_ci95_high_m_per_px is not None
     status = "ok" if record.reason is None else f"{record.status}, {record.reason}"
+    gsd = significant(record.gsd_m_per_px)
     low = significant(record.gsd_ci95_low_m_per_px)
     high = significant(record.gsd_ci95_high_m_per_px)
     codes = "".join(sorted({f"; {warning.code}" for warning in record.warnings}))
-    value = (
-        f"{significant(record.gsd_m_per_px)} m/px ({low} to {high}), chance {record.confidence:.2f}"
-    )
-    return f"{status}: {value}{codes}"
+    return f"{status}: {gsd} m/px ({low} to {high}), chance {record.confidence:.2f}{codes}"
 
 
 def draw(analysis: ScaleAnalysis, pixels: NDArray[np.uint8], true_gsd_m_per_px: float) -> Figure:
@@ -185,13 +210,12 @@ def draw(analysis: ScaleAnalysis, pixels: NDArray[np.uint8], true_gsd_m_per_px: 
 def main() -> None:
     """Write ``docs/images/witnesses_*.jpg``, and print the records."""
     engine = Engine()
-    for each in examples():
-        analysis = engine.analyse_scale(each.image, **each.options)
-        print(f"{each.name}: {sentence(analysis)}")
-        figure = draw(analysis, pixels_of(each.image), each.true_gsd_m_per_px)
-        figure.savefig(
-            IMAGES / f"witnesses_{each.name}.jpg", pil_kwargs={"quality": 82, "optimize": True}
-        )
+    for example in examples():
+        analysis = engine.analyse_scale(example.image, **example.options)
+        print(f"{example.name}: {sentence(analysis)}")
+        figure = draw(analysis, pixels_of(example.image), example.true_gsd_m_per_px)
+        path = IMAGES / f"witnesses_{example.name}.jpg"
+        figure.savefig(path, pil_kwargs={"quality": 82, "optimize": True})
 
 
 if __name__ == "__main__":

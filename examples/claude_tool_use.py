@@ -4,8 +4,9 @@
     export ANTHROPIC_API_KEY=... ANTHROPIC_MODEL=...        # and ANTHROPIC_BASE_URL for a gateway
     python examples/claude_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
 
-``--way mcp`` gets the tools from the server; the SDK calls them. ``--way schemas`` uses the
-definitions in ``schemas/anthropic.json`` with its own loop, for programs without MCP.
+With ``--way mcp``, the SDK gets the tools from the server and calls them. With ``--way schemas``,
+this script calls them in a loop of its own, for programs without MCP; the definitions of the tools
+are in ``schemas/anthropic.json``.
 """
 
 from __future__ import annotations
@@ -32,9 +33,8 @@ MAX_TURNS = 8
 SCHEMAS = Path(__file__).parent.parent / "schemas" / "anthropic.json"
 SYSTEM = (
     "You answer questions about aerial images. Every distance, length and area comes from a "
-    "tool, never from your own "
-    "eyes. If a tool's status is not ok, say that the image allows no answer, and name another "
-    "source of scale."
+    "tool, never from your own eyes. If a tool's status is not ok, say that the image allows no "
+    "answer, and name another source of scale."
 )
 
 
@@ -51,15 +51,12 @@ async def by_mcp(claude: anthropic.AsyncAnthropic, model: str, tools: Client, qu
     )
     answer = ""
     async for message in runner:
-        answer = tell(message)
-        results = await runner.generate_tool_call_response()  # the runner's next message
-        for block in results["content"] if results else ():
-            content = block["content"]
-            tell_result(
-                content
-                if isinstance(content, str)
-                else " ".join(part.get("text", "") for part in content)
-            )
+        answer = print_calls(message)
+        # The runner calls the tools; their results are its next message.
+        results = await runner.generate_tool_call_response()
+        if results:
+            for block in results["content"]:
+                print_result(text_of_block(block))
     return answer
 
 
@@ -67,41 +64,39 @@ async def by_schemas(
     claude: anthropic.AsyncAnthropic, model: str, tools: Client, question: str
 ) -> str:
     """Answer with a loop of our own and the definitions on disk."""
+    definitions = json.loads(SCHEMAS.read_text(encoding="utf-8"))
     messages: list[Any] = [{"role": "user", "content": question}]
     for _ in range(MAX_TURNS):
         message = await claude.messages.create(
             model=model,
             max_tokens=MAX_TOKENS,
             system=SYSTEM,
-            tools=json.loads(SCHEMAS.read_text(encoding="utf-8")),
+            tools=definitions,
             messages=messages,
         )
-        answer = tell(message)
+        answer = print_calls(message)
         if message.stop_reason != "tool_use":
             return answer
-        results = []
-        for block in message.content:
-            if block.type == "tool_use":
-                result = await tools.call_tool(block.name, block.input)
-                text = " ".join(getattr(part, "text", "") for part in result.content)
-                tell_result(text)
-                record = (
-                    json.dumps(result.structured_content) if result.structured_content else text
-                )
-                content = [{"type": "text", "text": record}, *pictures(result.content)]
-                results.append(
-                    {
-                        "type": "tool_result",
-                        "tool_use_id": block.id,
-                        "content": content,
-                        "is_error": result.is_error,
-                    }
-                )
-        messages += [
-            {"role": "assistant", "content": message.content},
-            {"role": "user", "content": results},
-        ]
+        calls = [block for block in message.content if block.type == "tool_use"]
+        results = [await call_tool(tools, call) for call in calls]
+        messages.append({"role": "assistant", "content": message.content})
+        messages.append({"role": "user", "content": results})
     return "no answer: too many turns"
+
+
+async def call_tool(tools: Client, call: Any) -> dict[str, Any]:
+    """Call a tool of the server; return its record and its pictures for Claude."""
+    result = await tools.call_tool(call.name, call.input)
+    record = " ".join(getattr(part, "text", "") for part in result.content)
+    print_result(record)
+    if result.structured_content:
+        record = json.dumps(result.structured_content)
+    return {
+        "type": "tool_result",
+        "tool_use_id": call.id,
+        "content": [{"type": "text", "text": record}, *pictures(result.content)],
+        "is_error": result.is_error,
+    }
 
 
 def pictures(content: list[Any]) -> list[dict[str, Any]]:
@@ -116,7 +111,7 @@ def pictures(content: list[Any]) -> list[dict[str, Any]]:
     ]
 
 
-def tell(message: Any) -> str:
+def print_calls(message: Any) -> str:
     """Print Claude's tool calls; return its text."""
     for block in message.content:
         if block.type == "tool_use":
@@ -124,23 +119,32 @@ def tell(message: Any) -> str:
     return "".join(block.text for block in message.content if block.type == "text")
 
 
-def tell_result(text: str) -> None:
+def text_of_block(block: Any) -> str:
+    """Return the text of a tool's result, which is a string or a list of parts."""
+    content = block["content"]
+    if isinstance(content, str):
+        return content
+    return " ".join(part.get("text", "") for part in content)
+
+
+def print_result(text: str) -> None:
     """Print a tool's answer."""
     print(f"tool  {text}")
 
 
-def from_environment(name: str, what: str) -> str:
+def read_environment(name: str, described: str) -> str:
     """Read a required environment variable."""
     value = os.environ.get(name)
     if not value:
-        sys.exit(f"{name} is not set: export {name}=<{what}> first")
+        sys.exit(f"{name} is not set: export {name}=<{described}> first")
     return value
 
 
-def leave(errors: BaseExceptionGroup[Any], base_url: str) -> None:
+def exit_with_first(errors: BaseExceptionGroup[Any], base_url: str) -> None:
     """End with the first error of the API in one sentence."""
     error: BaseException = errors
-    while isinstance(error, BaseExceptionGroup):  # task groups wrap errors
+    # Task groups wrap errors in groups.
+    while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     sys.exit(f"the API gives no answer: {error} Check the network, the key and {base_url}.")
 
@@ -153,8 +157,8 @@ async def main() -> None:
     parser.add_argument("--way", choices=("mcp", "schemas"), default="mcp")
     options = parser.parse_args()
     image = options.image.resolve()
-    key = from_environment("ANTHROPIC_API_KEY", "your key, from console.anthropic.com")
-    model = from_environment("ANTHROPIC_MODEL", "a Claude model's name")
+    key = read_environment("ANTHROPIC_API_KEY", "your key, from console.anthropic.com")
+    model = read_environment("ANTHROPIC_MODEL", "a Claude model's name")
     server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(image.parent)])
     ask = by_mcp if options.way == "mcp" else by_schemas
     question = f"{options.question}\nThe image is the file {image}."
@@ -162,11 +166,13 @@ async def main() -> None:
     failed = None
     try:
         async with anthropic.AsyncAnthropic(api_key=key) as claude, Client(server) as tools:
-            print(f"says  {await ask(claude, model, tools, question)}")
+            answer = await ask(claude, model, tools, question)
+            print(f"says  {answer}")
     except* anthropic.APIError as errors:
         failed = errors
+    # Leaving inside "except*" would wrap the exit in a group, too.
     if failed is not None:
-        leave(failed, "ANTHROPIC_BASE_URL")
+        exit_with_first(failed, "ANTHROPIC_BASE_URL")
 
 
 if __name__ == "__main__":

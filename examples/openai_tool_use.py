@@ -4,8 +4,9 @@
     export OPENAI_API_KEY=... OPENAI_MODEL=...               # and OPENAI_BASE_URL for a gateway
     python examples/openai_tool_use.py examples/car_park.jpg "How wide is the car park, in metres?"
 
-``--way agents`` passes the server to the OpenAI Agents SDK. ``--way responses`` uses the strict
-definitions in ``schemas/openai.json`` with its own loop over the Responses API.
+With ``--way agents``, the OpenAI Agents SDK gets the tools from the server and calls them. With
+``--way responses``, this script calls them in a loop of its own over the Responses API; the strict
+definitions of the tools are in ``schemas/openai.json``.
 """
 
 from __future__ import annotations
@@ -32,9 +33,8 @@ MAX_TURNS = 8
 SCHEMAS = Path(__file__).parent.parent / "schemas" / "openai.json"
 SYSTEM = (
     "You answer questions about aerial images. Every distance, length and area comes from a "
-    "tool, never from your own "
-    "eyes. If a tool's status is not ok, say that the image allows no answer, and name another "
-    "source of scale."
+    "tool, never from your own eyes. If a tool's status is not ok, say that the image allows no "
+    "answer, and name another source of scale."
 )
 
 
@@ -49,72 +49,80 @@ async def by_agents(model: str, root: Path, question: str) -> str:
         result = await Runner.run(agent, question, max_turns=MAX_TURNS)
     for item in result.new_items:
         if isinstance(item, ToolCallItem):
-            print(
-                f"calls {getattr(item.raw_item, 'name', '')} "
-                f"{getattr(item.raw_item, 'arguments', '')}"
-            )
+            name = getattr(item.raw_item, "name", "")
+            arguments = getattr(item.raw_item, "arguments", "")
+            print(f"calls {name} {arguments}")
         elif isinstance(item, ToolCallOutputItem):
-            # a list if there is a picture
-            parts = item.output if isinstance(item.output, list) else [item.output]
-            print(
-                "tool ",
-                *(part.get("text", "") if isinstance(part, dict) else part for part in parts),
-            )
+            print("tool ", *texts_of(item.output))
     return str(result.final_output)
+
+
+def texts_of(output: Any) -> list[str]:
+    """Return the texts of a tool's output, which is a list if there is a picture."""
+    parts = output if isinstance(output, list) else [output]
+    return [part.get("text", "") if isinstance(part, dict) else part for part in parts]
 
 
 async def by_responses(model: str, root: Path, question: str) -> str:
     """Answer with a loop of our own over the Responses API and the definitions on disk."""
+    definitions = json.loads(SCHEMAS.read_text(encoding="utf-8"))
     server = StdioServerParameters(command="vehanchor", args=["serve", "--root", str(root)])
     items: list[Any] = [{"role": "user", "content": question}]
     async with openai.AsyncOpenAI() as client, Client(server) as tools:
         for _ in range(MAX_TURNS):
             response = await client.responses.create(
-                model=model,
-                instructions=SYSTEM,
-                input=items,
-                tools=json.loads(SCHEMAS.read_text(encoding="utf-8")),
+                model=model, instructions=SYSTEM, input=items, tools=definitions
             )
             calls = [item for item in response.output if item.type == "function_call"]
             if not calls:
                 return response.output_text
             items += response.output
             for call in calls:
-                print(f"calls {call.name} {call.arguments}")
-                result = await tools.call_tool(call.name, json.loads(call.arguments))
-                text = " ".join(getattr(part, "text", "") for part in result.content)
-                print(f"tool  {text}")
-                record = (
-                    json.dumps(result.structured_content) if result.structured_content else text
-                )
-                shown = [
-                    {
-                        "type": "input_image",
-                        "image_url": f"data:{part.mime_type};base64,{part.data}",
-                        "detail": "auto",
-                    }
-                    for part in result.content
-                    if part.type == "image"
-                ]
-                output = [{"type": "input_text", "text": record}, *shown]
-                items.append(
-                    {"type": "function_call_output", "call_id": call.call_id, "output": output}
-                )
+                items.append(await call_tool(tools, call))
     return "no answer: too many turns"
 
 
-def from_environment(name: str, what: str) -> str:
+async def call_tool(tools: Client, call: Any) -> dict[str, Any]:
+    """Call a tool of the server; return its record and its pictures for the model."""
+    print(f"calls {call.name} {call.arguments}")
+    result = await tools.call_tool(call.name, json.loads(call.arguments))
+    record = " ".join(getattr(part, "text", "") for part in result.content)
+    print(f"tool  {record}")
+    if result.structured_content:
+        record = json.dumps(result.structured_content)
+    return {
+        "type": "function_call_output",
+        "call_id": call.call_id,
+        "output": [{"type": "input_text", "text": record}, *pictures(result.content)],
+    }
+
+
+def pictures(content: list[Any]) -> list[dict[str, Any]]:
+    """Convert a tool's pictures for the model."""
+    return [
+        {
+            "type": "input_image",
+            "image_url": f"data:{part.mime_type};base64,{part.data}",
+            "detail": "auto",
+        }
+        for part in content
+        if part.type == "image"
+    ]
+
+
+def read_environment(name: str, described: str) -> str:
     """Read a required environment variable."""
     value = os.environ.get(name)
     if not value:
-        sys.exit(f"{name} is not set: export {name}=<{what}> first")
+        sys.exit(f"{name} is not set: export {name}=<{described}> first")
     return value
 
 
-def leave(errors: BaseExceptionGroup[Any], base_url: str) -> None:
+def exit_with_first(errors: BaseExceptionGroup[Any], base_url: str) -> None:
     """End with the first error of the API in one sentence."""
     error: BaseException = errors
-    while isinstance(error, BaseExceptionGroup):  # task groups wrap errors
+    # Task groups wrap errors in groups.
+    while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     sys.exit(f"the API gives no answer: {error} Check the network, the key and {base_url}.")
 
@@ -127,18 +135,20 @@ async def main() -> None:
     parser.add_argument("--way", choices=("agents", "responses"), default="agents")
     options = parser.parse_args()
     image = options.image.resolve()
-    from_environment("OPENAI_API_KEY", "your key, from platform.openai.com")
-    model = from_environment("OPENAI_MODEL", "a model's name")
+    read_environment("OPENAI_API_KEY", "your key, from platform.openai.com")
+    model = read_environment("OPENAI_MODEL", "a model's name")
     ask = by_agents if options.way == "agents" else by_responses
     question = f"{options.question}\nThe image is the file {image}."
     print(f"asked {question}")
     failed = None
     try:
-        print(f"says  {await ask(model, image.parent, question)}")
+        answer = await ask(model, image.parent, question)
+        print(f"says  {answer}")
     except* openai.APIError as errors:
         failed = errors
+    # Leaving inside "except*" would wrap the exit in a group, too.
     if failed is not None:
-        leave(failed, "OPENAI_BASE_URL")
+        exit_with_first(failed, "OPENAI_BASE_URL")
 
 
 if __name__ == "__main__":

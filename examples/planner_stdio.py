@@ -1,4 +1,4 @@
-"""Planner of a landing: launch the VehAnchor server, measure candidate zones, and decide by the record.
+"""Plan a landing: launch the VehAnchor server, measure candidate zones, and decide by the record.
 
     python examples/planner_stdio.py examples/scenes/safe.jpg --zone 255 160 535 470
 
@@ -6,9 +6,9 @@ The planner works without a language model, so that its rules are explicit. Plan
 need the same rules:
 
 1. Never decide on a scale whose ``status`` is not ``ok``. Try the next ruler; without one, hold
-  altitude.
+   altitude.
 2. A zone fits only if the *lower* end of its 95 % interval fits: ``inscribed_diameter_ci95_low_m``,
-  never the estimate.
+   never the estimate.
 3. Log the reason of every decision on stderr; print the decision as one JSON object on stdout.
 """
 
@@ -32,7 +32,8 @@ try:
 except ModuleNotFoundError as missing:
     sys.exit(f"this example needs the package {missing.name!r}: pip install .")
 
-REMEDIES = {  # by the record's reason
+# What the craft can do, by the record's reason against its scale.
+REMEDIES = {
     "too_coarse": "fly lower",
     "too_few": "climb, or fly to a street, and take another image",
     "not_cars": "use another ruler",
@@ -67,7 +68,7 @@ class Craft:
 
 @dataclass(frozen=True)
 class Zone:
-    """A candidate zone of the perception stack: a box in image pixels."""
+    """Candidate zone of the perception stack: a box in image pixels."""
 
     x_min: float
     y_min: float
@@ -77,7 +78,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class Ruler:
-    """A source of scale: the vehicles in the image, or a measured scale, taken as +- 10 %."""
+    """Source of a scale: the vehicles in the image, or a measured scale, used as +- 10 %."""
 
     name: str
     gsd_m_per_px: float | None = None
@@ -92,7 +93,7 @@ class Ruler:
 
 @dataclass(frozen=True)
 class Decision:
-    """An action with its reason and the measurements behind it."""
+    """Action with its reason and the measurements behind it."""
 
     action: Action
     reason: str
@@ -105,39 +106,50 @@ class Decision:
 
 
 def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) -> Decision:
-    """Decide on one zone by a record of ``measure_area``; HOLD_ALTITUDE if the ruler is not usable."""
+    """Decide on one zone by a record of ``measure_area``.
+
+    The decision is HOLD_ALTITUDE if the ruler is not usable.
+    """
     if record["status"] == "no_scale":
-        return Decision(
-            Action.HOLD_ALTITUDE, f"no scale from {ruler.name}", ruler=ruler.name, zone=zone
-        )
-    if "reason" in record:  # against the scale
-        why = f"{record['reason']}; {REMEDIES[record['reason']]}"
+        reason = f"no scale from {ruler.name}"
+        return Decision(Action.HOLD_ALTITUDE, reason, ruler=ruler.name, zone=zone)
+    # Only an unusable scale has a reason.
+    if "reason" in record:
         reason = (
             f"the scale from {ruler.name} is not ok (confidence "
-            f"{record['scale_confidence']:.2f}): {why}"
+            f"{record['scale_confidence']:.2f}): {record['reason']}; {REMEDIES[record['reason']]}"
         )
         return Decision(Action.HOLD_ALTITUDE, reason, ruler=ruler.name, zone=zone)
     if record["status"] != "ok":
-        return Decision(
-            Action.NEXT_ZONE, "the zone's outline is uncertain", ruler=ruler.name, zone=zone
-        )
-    low = record["inscribed_diameter_ci95_low_m"]
-    seen = (
-        f"a circle of at least {low:.1f} m fits by {ruler.name} (estimate "
-        f"{record['inscribed_diameter_m']:.1f} m)"
+        reason = "the zone's outline is uncertain"
+        return Decision(Action.NEXT_ZONE, reason, ruler=ruler.name, zone=zone)
+    diameter_low_m = record["inscribed_diameter_ci95_low_m"]
+    fit = (
+        f"a circle of at least {diameter_low_m:.1f} m fits by {ruler.name} (estimate "
+        f"{record['inscribed_diameter_m']:.1f} m), {craft.needed_m:.1f} m needed"
     )
-    center = record["inscribed_center"]
-    measured = (ruler.name, zone, craft.needed_m, low, center["x_px"], center["y_px"])
-    if low < craft.needed_m:
-        return Decision(
-            Action.NEXT_ZONE, f"too small: {seen}, {craft.needed_m:.1f} m needed", *measured
-        )
-    return Decision(Action.LAND, f"{seen}, {craft.needed_m:.1f} m needed", *measured)
+    if diameter_low_m < craft.needed_m:
+        action = Action.NEXT_ZONE
+        reason = f"too small: {fit}"
+    else:
+        action = Action.LAND
+        reason = fit
+    return Decision(
+        action,
+        reason,
+        ruler=ruler.name,
+        zone=zone,
+        needed_m=craft.needed_m,
+        diameter_low_m=diameter_low_m,
+        center_x_px=record["inscribed_center"]["x_px"],
+        center_y_px=record["inscribed_center"]["y_px"],
+    )
 
 
 async def decide(
     client: Client,
     image: Path,
+    *,
     zones: Sequence[Zone],
     rulers: Sequence[Ruler],
     craft: Craft,
@@ -146,34 +158,39 @@ async def decide(
     """Try the zones with each ruler until one allows a landing."""
     decision = Decision(Action.HOLD_ALTITUDE, "no zone was given")
     for number, ruler in enumerate(rulers):
-        if number:
+        if number > 0:
             log.info("trying the next ruler: %s", ruler.name)
         for zone in zones:
-            arguments: dict[str, Any] = {
-                "image": {"kind": "path", "path": str(image.resolve())},
-                "targets": [{"box": asdict(zone)}],
-                **ruler.arguments,
-            }
-            if region is not None and ruler.gsd_m_per_px is None:
-                arguments["region"] = region
+            arguments = measure_arguments(image, zone, ruler, region)
             result = await client.call_tool("measure_area", arguments)
-            if result.is_error:  # "code: problem. remedy"
+            if result.is_error:
+                # The text of an error is "code: problem. remedy".
                 message = " ".join(getattr(part, "text", "") for part in result.content)
-                return Decision(
-                    Action.HOLD_ALTITUDE,
-                    f"the measurement failed: {message}",
-                    ruler=ruler.name,
-                    zone=zone,
-                )
+                reason = f"the measurement failed: {message}"
+                return Decision(Action.HOLD_ALTITUDE, reason, ruler=ruler.name, zone=zone)
             decision = decide_zone(result.structured_content or {}, ruler, zone, craft)
             log.info("%s: %s", decision.action, decision.reason)
             if decision.action is Action.LAND:
                 return decision
             if decision.action is Action.HOLD_ALTITUDE:
-                break  # the ruler serves no zone
+                # The ruler is not usable for any zone.
+                break
         else:
-            return decision  # no zone fits by this ruler
+            # The ruler is usable, but no zone fits.
+            return decision
     return decision
+
+
+def measure_arguments(image: Path, zone: Zone, ruler: Ruler, region: str | None) -> dict[str, Any]:
+    """Build the arguments of ``measure_area``; the region concerns only the vehicles."""
+    arguments: dict[str, Any] = {
+        "image": {"kind": "path", "path": str(image.resolve())},
+        "targets": [{"box": asdict(zone)}],
+        **ruler.arguments,
+    }
+    if region is not None and ruler.gsd_m_per_px is None:
+        arguments["region"] = region
+    return arguments
 
 
 def _arguments() -> argparse.Namespace:
@@ -190,7 +207,7 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument(
         "--region",
-        help="region of the cars, such as europe; needed where cars are small: south_asia",
+        help="region of the cars, such as europe; needed where cars are small, as in south_asia",
     )
     parser.add_argument(
         "--altitude", type=float, help="next ruler: the barometer's height above ground, metres"
@@ -213,8 +230,9 @@ async def main() -> None:
         command=sys.executable,
         args=["-m", "vehanchor", "serve", "--root", str(options.image.resolve().parent)],
     )
-    with Path(os.devnull).open("w") as quiet:  # the server's log is not the planner's
-        async with Client(stdio_client(server, errlog=quiet)) as client:
+    # The server's log does not belong on the planner's stderr.
+    with Path(os.devnull).open("w") as nowhere:
+        async with Client(stdio_client(server, errlog=nowhere)) as client:
             decision = await decide(
                 client,
                 options.image,
@@ -224,9 +242,8 @@ async def main() -> None:
                 region=options.region,
             )
     log.info("decision: %s, because %s", decision.action, decision.reason)
-    print(
-        json.dumps({name: value for name, value in asdict(decision).items() if value is not None})
-    )
+    known = {name: value for name, value in asdict(decision).items() if value is not None}
+    print(json.dumps(known))
 
 
 if __name__ == "__main__":

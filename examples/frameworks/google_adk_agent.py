@@ -1,4 +1,4 @@
-"""A Google ADK agent with VehAnchor's tools.
+"""Google ADK agent with VehAnchor's tools.
 
 Run python google_adk_agent.py IMAGE QUESTION with GEMINI_API_KEY and GEMINI_MODEL set and
 `vehanchor` on the PATH.
@@ -17,13 +17,13 @@ try:
     from mcp import StdioServerParameters
 except ModuleNotFoundError as missing:
     sys.exit(
-        f"this example needs the package {missing.name!r}: pip install -r "
-        "google_adk_agent.requirements.txt"
+        f"this example needs the package {missing.name!r}: "
+        "pip install -r google_adk_agent.requirements.txt"
     )
 
 SYSTEM = (
-    "Every distance and area comes from a tool. If a tool's status is not ok, say that the "
-    "image allows no answer."
+    "Every distance and area comes from a tool. If a tool's status is not ok, say that the image "
+    "allows no answer."
 )
 
 
@@ -36,7 +36,8 @@ async def main(image: Path, question: str) -> None:
     )
     async with InMemoryRunner(agent, app_name="vehanchor") as runner:
         events = await runner.run_debug(f"{question}\nThe image is the file {image}.", quiet=True)
-        print("".join(part.text or "" for part in events[-1].content.parts))
+        answer = events[-1].content.parts
+        print("".join(part.text or "" for part in answer))
 
 
 if __name__ == "__main__":

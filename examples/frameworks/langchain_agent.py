@@ -1,4 +1,4 @@
-"""A LangGraph agent of LangChain with VehAnchor's tools.
+"""LangGraph agent of LangChain with VehAnchor's tools.
 
 Run python langchain_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set. The server is
 `vehanchor` on the PATH, or a running `vehanchor serve --http` at VEHANCHOR_URL.
@@ -15,19 +15,20 @@ try:
     from langchain_openai import ChatOpenAI
 except ModuleNotFoundError as missing:
     sys.exit(
-        f"this example needs the package {missing.name!r}: pip install -r "
-        "langchain_agent.requirements.txt"
+        f"this example needs the package {missing.name!r}: "
+        "pip install -r langchain_agent.requirements.txt"
     )
 
 SYSTEM = (
-    "Every distance and area comes from a tool. If a tool's status is not ok, say that the "
-    "image allows no answer."
+    "Every distance and area comes from a tool. If a tool's status is not ok, say that the image "
+    "allows no answer."
 )
 
 
 async def main(image: Path, question: str) -> None:
     """Ask the agent a question about an image."""
-    if url := os.environ.get("VEHANCHOR_URL"):
+    url = os.environ.get("VEHANCHOR_URL")
+    if url:
         connection = {"transport": "streamable_http", "url": url}
     else:
         connection = {
@@ -38,9 +39,8 @@ async def main(image: Path, question: str) -> None:
     tools = await MultiServerMCPClient({"vehanchor": connection}).get_tools()
     model = ChatOpenAI(model=os.environ["OPENAI_MODEL"], use_responses_api=True)
     agent = create_agent(model, tools, system_prompt=SYSTEM)
-    state = await agent.ainvoke(
-        {"messages": [("user", f"{question}\nThe image is the file {image}.")]}
-    )
+    message = ("user", f"{question}\nThe image is the file {image}.")
+    state = await agent.ainvoke({"messages": [message]})
     print(state["messages"][-1].text)
 
 

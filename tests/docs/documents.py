@@ -15,7 +15,8 @@ DOCUMENTS = [
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
 
-REASONS = {  # why a block is not run here, told to readers in its title
+# Why a block is not run here. Readers see the reason in its title.
+REASONS = {
     "installs",
     "needs Docker",
     "needs Kubernetes",
@@ -32,7 +33,7 @@ _FENCE = re.compile(r'^```(\w+)(?: title="([^"]*)")?\n(.*?)^```$', flags=re.DOTA
 
 @dataclass(frozen=True)
 class Block:
-    """One fenced block."""
+    """Fenced block of a document."""
 
     language: str
     reason: str | None
@@ -40,16 +41,14 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """The commands of a console block: lines after ``$``, split at ``&&``."""
+        """Return the commands of a console block: lines after ``$``, split at ``&&``."""
         lines = [line[2:] for line in self.text.splitlines() if line.startswith("$ ")]
         return [part.strip() for line in lines for part in line.split("&&")]
 
 
 def blocks(document: Path) -> list[Block]:
-    """All fenced blocks of a document, in order."""
+    """Return all fenced blocks of a document, in order."""
     text = document.read_text(encoding="utf-8")
-    found = [Block(*match) for match in ((m[1], m[2], m[3]) for m in _FENCE.finditer(text))]
-    assert text.count("```") == 2 * len(found), (
-        f"{document}: a fence that this parser does not understand"
-    )
-    return found
+    fenced = [Block(match[1], match[2], match[3]) for match in _FENCE.finditer(text)]
+    assert text.count("```") == 2 * len(fenced), f"{document}: a fence of another form"
+    return fenced

@@ -1,4 +1,4 @@
-"""What the README and the documentation claim is so: numbers, links, names of commands, fields and variables."""
+"""The claims of README and documentation are true: links, names and numbers."""
 
 from __future__ import annotations
 
@@ -30,88 +30,90 @@ _IDS = [path.relative_to(ROOT).as_posix() for path in DOCUMENTS]
 
 
 def test_the_record_table_names_fields_that_exist() -> None:
-    named = re.findall(
-        r"^\| (`.*?`) \|",
-        _READING.partition("## The fields\n")[2].partition("\n## ")[0],
-        flags=re.MULTILINE,
-    )
-    fields = {name for cell in named for name in re.findall(r"`(\w+)`", cell)}
+    section = _READING.partition("## The fields\n")[2].partition("\n## ")[0]
+    cells = re.findall(r"^\| (`.*?`) \|", section, flags=re.MULTILINE)
+    fields = {name for cell in cells for name in re.findall(r"`(\w+)`", cell)}
     assert len(fields) >= 10
     assert fields <= set(GsdEstimate.model_fields)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)
-def test_its_prose_is_wrapped_at_100_columns(document: Path) -> None:
+def test_the_prose_is_wrapped_at_100_columns(document: Path) -> None:
     text = re.sub(r"^```.*?^```$", "", document.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
     prose = [line for line in text.splitlines() if not line.startswith(("|", "!["))]
     assert not [line for line in prose if len(line) > 100]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)
-def test_the_files_it_links_to_exist(document: Path) -> None:
+def test_the_linked_files_exist(document: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)\)", document.read_text(encoding="utf-8")):
         if not target.startswith("http"):
             assert (document.parent / target).exists(), target
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)
-def test_the_commands_options_and_variables_it_names_exist(document: Path) -> None:
+def test_the_named_commands_exist(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
     commands = {command.name for command in entry_points(group="vehanchor.commands")}
     assert set(re.findall(r"(?:`|\$ |&& |-- )vehanchor ([a-z]+)", text)) <= commands
-    fields = {f"VEHANCHOR_{name.upper()}" for name in Settings.__dataclass_fields__}
-    fields |= {"VEHANCHOR_DATA", "VEHANCHOR_CI_WITHOUT"}
-    assert set(re.findall(r"VEHANCHOR_[A-Z_]*[A-Z]", text)) <= fields
-    records = set(GsdEstimate.model_fields) | set(AreaMeasurement.model_fields)
-    measured = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
-    choices = {
-        field.name
-        for group in (Search, Lengths, Reference, Frame, Reading)
-        for field in fields_of(group)
-    }
-    choices |= {
-        *signature(Engine.analyse_area).parameters,
-        *(each.name for each in fields_of(KnownLength)),
-    }
-    choices |= set(
-        json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))[
-            "properties"
-        ]
-    )
-    assert not set(measured) - records - choices
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)
-def test_the_files_it_names_are_there(document: Path) -> None:
+def test_the_named_variables_exist(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    variables = {f"VEHANCHOR_{name.upper()}" for name in Settings.__dataclass_fields__}
+    variables |= {"VEHANCHOR_DATA", "VEHANCHOR_CI_WITHOUT"}
+    assert set(re.findall(r"VEHANCHOR_[A-Z_]*[A-Z]", text)) <= variables
+
+
+def _known_quantities() -> set[str]:
+    """Return the names of all record fields, options and tool arguments."""
+    records = {*GsdEstimate.model_fields, *AreaMeasurement.model_fields}
+    groups = (Search, Lengths, Reference, Frame, Reading, KnownLength)
+    options = {field.name for group in groups for field in fields_of(group)}
+    keywords = set(signature(Engine.analyse_area).parameters)
+    schema = json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))
+    return records | options | keywords | set(schema["properties"])
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)
+def test_the_named_quantities_exist(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    named = re.findall(r"`(\w+_(?:m|m2|px|m_per_px|m2|ci95_\w+))`", text)
+    assert not set(named) - _known_quantities()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)
+def test_the_named_files_exist(document: Path) -> None:
     folders = "docs|examples|requirements|research|server|skill|tests"
     for path in re.findall(rf"\b((?:{folders})/[\w/.-]+\.\w+)", document.read_text("utf-8")):
         assert (ROOT / path).exists(), path
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)
-def test_the_modules_it_names_are_there(document: Path) -> None:
+def test_the_named_modules_exist(document: Path) -> None:
     named = re.findall(r"`(vehanchor(?:_\w+)?(?:\.[a-z_]+)+)`", document.read_text("utf-8"))
-    missing = [name for name in named if not _found(name)]
+    missing = [name for name in named if not _exists(name)]
     assert not missing
 
 
-def _found(name: str) -> bool:
-    """Whether a dotted name is that of a module, or of something in one."""
+def _exists(name: str) -> bool:
+    """Test whether a dotted name is that of a module, or of something in one."""
     package, _, last = name.rpartition(".")
     return find_spec(name) is not None or hasattr(import_module(package), last)
 
 
-def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model_has_it() -> None:
+def test_the_length_of_north_american_cars_is_that_of_the_model() -> None:
     card = Engine().detector.card
     assert card.bodies is not None
     lengths = card.bodies.region_lengths_m
-    america = lengths["north_america"]
     elsewhere = math.sqrt(lengths["europe"] * lengths["south_america"])
+    longer = f"{100 * (lengths['north_america'] / elsewhere - 1):.0f} %"
     page = " ".join((ROOT / "docs/concepts.md").read_text(encoding="utf-8").split())
-    assert (
-        f"North American cars come out {america / elsewhere - 1:.0%} longer".replace("%", " %")
-        in page
-    )
+    assert f"North American cars come out {longer} longer" in page
+
+
+def test_the_length_of_north_american_cars_is_on_one_page() -> None:
     others = [path for path in DOCUMENTS if path.name != "concepts.md"]
     pattern = r"(?:[Cc]ars|[Ff]leets)[^.|]* by about \d+ ?%|[Aa]merican? [^.|]*\d+ ?% longer"
     texts = {path: " ".join(path.read_text("utf-8").split()) for path in others}
@@ -119,29 +121,36 @@ def test_how_much_longer_cars_are_in_north_america_is_said_once_and_as_the_model
 
 
 @pytest.mark.promise("telemetry")
-def test_the_container_reports_nothing_to_others() -> None:
+def test_the_library_turns_telemetry_off() -> None:
     code = "import os, vehanchor.models.session; print(os.environ['ORT_DISABLE_TELEMETRY'])"
-    free = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
-    told = subprocess.run(
-        [sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True
+    variables = dict(os.environ)
+    variables.pop("ORT_DISABLE_TELEMETRY", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=variables, capture_output=True, text=True, check=True
     )
-    assert told.stdout.strip() == "1"
-    assert read_dockerfile(ROOT / "Dockerfile")[-1].environment["ORT_DISABLE_TELEMETRY"] == "1"
+    assert done.stdout.strip() == "1"
+
+
+@pytest.mark.promise("telemetry")
+def test_the_container_turns_telemetry_off() -> None:
+    server = read_dockerfile(ROOT / "Dockerfile")[-1]
+    assert server.environment["ORT_DISABLE_TELEMETRY"] == "1"
 
 
 _TEXT = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
 
 
-def test_each_promise_has_a_test_that_names_it_and_no_test_names_another() -> None:
-    promised = re.findall(
-        r"^- \*\*([a-z-]+)\*\*: ", _TEXT.partition("## Promises")[2], flags=re.MULTILINE
-    )
+def test_the_promises_are_those_that_tests_name() -> None:
+    promises = _TEXT.partition("## Promises")[2]
+    promised = re.findall(r"^- \*\*([a-z-]+)\*\*: ", promises, flags=re.MULTILINE)
     texts = [file.read_text(encoding="utf-8") for file in (ROOT / "tests").rglob("test_*.py")]
-    kept = {name for text in texts for name in re.findall(r"mark\.promise\(\"([a-z-]+)\"\)", text)}
-    assert sorted(promised) == sorted(kept)
+    tested = {
+        name for text in texts for name in re.findall(r"mark\.promise\(\"([a-z-]+)\"\)", text)
+    }
+    assert sorted(promised) == sorted(tested)
 
 
-def test_every_line_of_the_promises_is_one() -> None:
+def test_every_item_of_the_section_is_a_promise() -> None:
     section = _TEXT.partition("## Promises")[2].partition("## Limits")[0]
     lines = re.findall(r"^- .*", section, flags=re.MULTILINE)
     assert all(re.match(r"- \*\*[a-z-]+\*\*: ", line) for line in lines)

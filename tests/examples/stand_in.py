@@ -1,10 +1,12 @@
 """A model that follows a script, behind the wire formats of three real APIs.
 
-``POST /v1/messages`` (Anthropic), ``POST /v1/responses`` (OpenAI) and ``POST
-.../models/<model>:generateContent`` (Gemini) on a port of the loopback interface. The model asks
-for one tool call after the other and then answers with what the last tool said. What was said
-before it sees in each request, or keeps where Anthropic's SDK asks for a thread. A request that the
-real APIs would refuse is refused: no key, a tool call without its result.
+The server answers ``POST /v1/messages`` (Anthropic), ``POST /v1/responses`` (OpenAI) and ``POST
+.../models/<model>:generateContent`` (Gemini) on a port of the loopback interface.
+
+The model asks for one tool call after the other, and then answers with the result of the last one.
+Each request contains the conversation so far; the server keeps it only if Anthropic's SDK asks for
+a thread. Requests that the real APIs would refuse are refused: those without a key, and those with
+a tool call but without its result.
 """
 
 from __future__ import annotations
@@ -24,12 +26,12 @@ KEY = "key-of-the-stand-in"
 
 
 class _RefusedError(Exception):
-    pass
+    """Request that the real API would refuse."""
 
 
 @dataclass(frozen=True)
 class ToolCall:
-    """What the model asks for at its turn."""
+    """Call of a tool that the model asks for."""
 
     name: str
     arguments: dict[str, Any]
@@ -37,14 +39,14 @@ class ToolCall:
 
 @dataclass
 class StandIn:
-    """The server; ``listening`` starts it.
+    """Server of a scripted model; ``listening`` starts it.
 
     Attributes:
         calls: the script.
-        answer: what the model says at the end; ``{result}`` is what the last tool said.
-        requests: bodies received so far, threads written out.
-        threads: what was said up to a message, by its id.
-        url: where it listens, without a path.
+        answer: the model's text at the end; ``{result}`` stands for the last tool's text.
+        requests: bodies received so far, with their threads written out.
+        threads: conversation up to a message, by the message's id.
+        url: address of the server, without a path.
     """
 
     calls: Sequence[ToolCall]
@@ -54,11 +56,11 @@ class StandIn:
     url: str = ""
 
     def tool_names(self) -> set[str]:
-        """Tools that the last request offered."""
-        return {name for name, _ in _offered(self.requests[-1].get("tools", []))}
+        """Return the tools that the last request offered."""
+        return set(_offered(self.requests[-1].get("tools", [])))
 
     def n_pictures(self) -> int:
-        """Pictures that the model has been shown, as pictures, up to its last turn."""
+        """Count the pictures that the model has been shown as pictures, up to its last turn."""
         return _count_pictures(self.requests[-1])
 
     @contextmanager
@@ -84,7 +86,7 @@ class StandIn:
     def _reply(self, path: str, sent: dict[str, str], body: dict[str, Any]) -> dict[str, Any]:
         _require(bool(body.get("model")) or ":generateContent" in path, "model: field required")
         if path == "/v1/messages":
-            # SDKs differ
+            # Some SDKs send the key in one header, some in the other.
             keys = sent.get("x-api-key"), sent.get("authorization", "").removeprefix("Bearer ")
             _require(KEY in keys, "x-api-key header is required")
             _require("anthropic-version" in sent, "anthropic-version header is required")
@@ -97,72 +99,68 @@ class StandIn:
             return self._gemini(body)
         raise _RefusedError(f"no such endpoint: {path}")
 
-    def _next(self, body: dict[str, Any], results: list[str]) -> ToolCall | str:
-        tools = dict(_offered(body.get("tools", [])))
+    def _next_step(self, body: dict[str, Any], results: list[str]) -> ToolCall | str:
+        """Return the next call of the script, or the answer after the last one."""
         if len(results) == len(self.calls):
             return self.answer.format(result=results[-1])
         call = self.calls[len(results)]
+        tools = _offered(body.get("tools", []))
         _require(call.name in tools, f"the script calls {call.name}, offered are {sorted(tools)}")
         return call
 
     def _with_thread(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Put the conversation of a continued thread before a request's messages."""
         thread = body.pop("thread", None) or {}
         if thread.get("type") != "continue":
             return body
-        _require(
-            thread["previous_message_id"] in self.threads, "previous_message_id: no such message"
-        )
-        before = self.threads[thread["previous_message_id"]]
+        previous_id = thread["previous_message_id"]
+        _require(previous_id in self.threads, "previous_message_id: no such message")
+        before = self.threads[previous_id]
         return {**before, **body, "messages": [*before["messages"], *body["messages"]]}
 
     def _anthropic(self, body: dict[str, Any]) -> dict[str, Any]:
         _require(isinstance(body.get("max_tokens"), int), "max_tokens: field required")
         blocks = [block for message in body["messages"] for block in _blocks(message["content"])]
-        asked = [block["id"] for block in blocks if block["type"] == "tool_use"]
-        given = [block for block in blocks if block["type"] == "tool_result"]
-        _require(
-            asked == [block["tool_use_id"] for block in given],
-            "tool_use ids without tool_result blocks",
-        )
-        step = self._next(body, [_text(block["content"]) for block in given])
+        call_ids = [block["id"] for block in blocks if block["type"] == "tool_use"]
+        results = [block for block in blocks if block["type"] == "tool_result"]
+        result_ids = [block["tool_use_id"] for block in results]
+        _require(call_ids == result_ids, "tool_use ids without tool_result blocks")
+        step = self._next_step(body, [_text(block["content"]) for block in results])
         if isinstance(step, str):
-            content: list[dict[str, Any]] = [{"type": "text", "text": step}]
+            stop_reason = "end_turn"
+            block: dict[str, Any] = {"type": "text", "text": step}
         else:
-            content = [
-                {
-                    "type": "tool_use",
-                    "id": f"toolu_{len(given)}",
-                    "name": step.name,
-                    "input": step.arguments,
-                }
-            ]
+            stop_reason = "tool_use"
+            block = {
+                "type": "tool_use",
+                "id": f"toolu_{len(results)}",
+                "name": step.name,
+                "input": step.arguments,
+            }
         message_id = f"msg_{len(self.requests)}"
-        reply = {"role": "assistant", "content": content}
+        reply = {"role": "assistant", "content": [block]}
         self.threads[message_id] = {**body, "messages": [*body["messages"], reply]}
         return {
             "id": message_id,
             "type": "message",
             "role": "assistant",
             "model": body["model"],
-            "content": content,
-            "stop_reason": "end_turn" if isinstance(step, str) else "tool_use",
+            "content": [block],
+            "stop_reason": stop_reason,
             "stop_sequence": None,
             "usage": {"input_tokens": 1, "output_tokens": 1},
         }
 
     def _openai(self, body: dict[str, Any]) -> dict[str, Any]:
-        items = (
-            [item for item in body["input"] if isinstance(item, dict)]
-            if isinstance(body["input"], list)
-            else []
-        )
-        asked = [item["call_id"] for item in items if item.get("type") == "function_call"]
-        given = [item for item in items if item.get("type") == "function_call_output"]
-        _require(
-            asked == [item["call_id"] for item in given], "No tool output found for function call"
-        )
-        step = self._next(body, [_text(item["output"]) for item in given])
-        number = len(given)
+        items: list[dict[str, Any]] = []
+        if isinstance(body["input"], list):
+            items = [item for item in body["input"] if isinstance(item, dict)]
+        call_ids = [item["call_id"] for item in items if item.get("type") == "function_call"]
+        results = [item for item in items if item.get("type") == "function_call_output"]
+        result_ids = [item["call_id"] for item in results]
+        _require(call_ids == result_ids, "No tool output found for function call")
+        step = self._next_step(body, [_text(item["output"]) for item in results])
+        number = len(results)
         if isinstance(step, str):
             content = [{"type": "output_text", "text": step, "annotations": []}]
             output = {
@@ -206,30 +204,25 @@ class StandIn:
 
     def _gemini(self, body: dict[str, Any]) -> dict[str, Any]:
         parts = [part for content in body["contents"] for part in content["parts"]]
-        asked = [part["functionCall"]["name"] for part in parts if "functionCall" in part]
-        given = [part["functionResponse"] for part in parts if "functionResponse" in part]
-        _require(
-            asked == [part["name"] for part in given],
-            "function responses must follow function calls",
-        )
-        step = self._next(
-            body, [_text(part["response"].get("content", part["response"])) for part in given]
-        )
-        part: dict[str, Any] = (
-            {"text": step}
-            if isinstance(step, str)
-            else {
-                "functionCall": {
-                    "name": step.name,
-                    "args": step.arguments,
-                    "id": f"call_{len(given)}",
-                }
-            }
-        )
+        call_names = [part["functionCall"]["name"] for part in parts if "functionCall" in part]
+        results = [part["functionResponse"] for part in parts if "functionResponse" in part]
+        result_names = [result["name"] for result in results]
+        _require(call_names == result_names, "function responses must follow function calls")
+        responses = [result["response"] for result in results]
+        texts = [_text(response.get("content", response)) for response in responses]
+        step = self._next_step(body, texts)
+        if isinstance(step, str):
+            reply: dict[str, Any] = {"text": step}
+        else:
+            call_id = f"call_{len(results)}"
+            reply = {"functionCall": {"name": step.name, "args": step.arguments, "id": call_id}}
+        candidate = {
+            "content": {"role": "model", "parts": [reply]},
+            "finishReason": "STOP",
+            "index": 0,
+        }
         return {
-            "candidates": [
-                {"content": {"role": "model", "parts": [part]}, "finishReason": "STOP", "index": 0}
-            ],
+            "candidates": [candidate],
             "usageMetadata": {
                 "promptTokenCount": 1,
                 "candidatesTokenCount": 1,
@@ -239,41 +232,49 @@ class StandIn:
         }
 
 
+# Names of a tool's schema in the three APIs and their SDKs.
+_SCHEMA_KEYS = ("input_schema", "parameters", "parametersJsonSchema", "parameters_json_schema")
+
+
 def _require(condition: bool, message: str) -> None:
     if not condition:
         raise _RefusedError(message)
 
 
-def _offered(tools: Iterable[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
-    """Names and schemas of the tools of a request, in the form of any of the APIs."""
-    found = []
+def _offered(tools: Iterable[dict[str, Any]]) -> list[str]:
+    """Return the names of a request's tools, in the form of any of the APIs."""
+    names = []
     for tool in tools:
         for entry in tool.get("functionDeclarations", [tool]):
-            keys = ("input_schema", "parameters", "parametersJsonSchema", "parameters_json_schema")
-            schema = next((entry[key] for key in keys if key in entry), None)
-            _require(isinstance(schema, dict), f"tool {entry.get('name')!r} has no schema")
-            _require(str(schema["type"]).lower() == "object", "a tool's schema is an object's")  # type: ignore[index]
-            found.append((entry["name"], schema or {}))
-    return found
+            schema = next((entry[key] for key in _SCHEMA_KEYS if key in entry), None)
+            if not isinstance(schema, dict):
+                raise _RefusedError(f"tool {entry.get('name')!r} has no schema")
+            _require(str(schema["type"]).lower() == "object", "a tool's schema is an object's")
+            names.append(entry["name"])
+    return names
 
 
 def _count_pictures(value: Any) -> int:
-    """Blocks that one of the three APIs shows its models as pictures."""
+    """Count the blocks that one of the three APIs shows its models as pictures."""
     if isinstance(value, list):
-        return sum(map(_count_pictures, value))
+        return sum(_count_pictures(part) for part in value)
     if not isinstance(value, dict):
         return 0
     if value.get("type") in ("image", "input_image") or "inlineData" in value:
         return 1
-    return sum(map(_count_pictures, value.values()))
+    return sum(_count_pictures(part) for part in value.values())
 
 
 def _blocks(content: Any) -> list[dict[str, Any]]:
-    return [{"type": "text", "text": content}] if isinstance(content, str) else list(content)
+    if isinstance(content, str):
+        return [{"type": "text", "text": content}]
+    return list(content)
 
 
 def _text(content: Any) -> str:
-    """The words of a tool's result, in any of the forms that the SDKs give it."""
+    """Return the text of a tool's result, in any of the forms that SDKs send."""
+    if isinstance(content, str):
+        return content
     if isinstance(content, list):
         return " ".join(str(part.get("text", "")) for part in content)
-    return content if isinstance(content, str) else json.dumps(content)
+    return json.dumps(content)

@@ -1,4 +1,4 @@
-"""The examples with language models, as a user runs them, against a stand-in that speaks the real APIs.
+"""The examples with language models run as for a user, against a stand-in for the real APIs.
 
 They run in environments of their own (``tests/needs.py``), with our server as the command on the
 PATH.
@@ -37,19 +37,19 @@ CALLS = [VIEW, ESTIMATE, DISTANCE, MEASURE]
 
 
 def filled(call: ToolCall) -> ToolCall:
-    """The same call in strict mode, in which a model fills in every argument, with null if it has no value."""
+    """Complete a call for strict mode: a model passes null for arguments without a value."""
     tools = json.loads((ROOT / "schemas" / "openai.json").read_text(encoding="utf-8"))
-    (needed,) = (tool["parameters"]["required"] for tool in tools if tool["name"] == call.name)
-    arguments = {name: call.arguments.get(name) for name in needed}
-    return ToolCall(call.name, arguments)
+    (tool,) = [tool for tool in tools if tool["name"] == call.name]
+    names = tool["parameters"]["required"]
+    return ToolCall(call.name, {name: call.arguments.get(name) for name in names})
 
 
-STRICT = list(map(filled, CALLS))
+STRICT = [filled(call) for call in CALLS]
 
 
 @pytest.fixture(scope="session")
 def with_mcp_2() -> Path:
-    """One environment for all that live beside mcp 2.x: that they do is part of the test."""
+    """Python of one environment for all examples with mcp 2: they must work beside each other."""
     frameworks = EXAMPLES / "frameworks"
     return environment(
         EXAMPLES / "requirements.txt",
@@ -66,14 +66,13 @@ def with_mcp_1() -> Path:
 def run_example(
     python: Path, script: str, *options: str, **settings: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run an example, with our command on its PATH and nothing of the caller's environment."""
-    command = str(Path(sys.executable).parent)  # where `vehanchor` is
-    inherited = {
-        name: os.environ[name] for name in ("HOME", "LANG", "TMPDIR") if name in os.environ
-    }
+    """Run an example with our command on its PATH, without the rest of the caller's environment."""
+    commands = str(Path(sys.executable).parent)
+    kept = ("HOME", "LANG", "TMPDIR")
+    inherited = {name: os.environ[name] for name in kept if name in os.environ}
     return subprocess.run(
         [str(python), str(EXAMPLES / script), str(IMAGE), QUESTION, *options],
-        env={**inherited, "PATH": f"{command}:{os.environ['PATH']}", **settings},
+        env={**inherited, "PATH": f"{commands}:{os.environ['PATH']}", **settings},
         capture_output=True,
         text=True,
         timeout=500,
@@ -88,7 +87,7 @@ def stand_in(request: pytest.FixtureRequest) -> Iterator[StandIn]:
 
 
 def variables(script: str, stand_in: StandIn) -> dict[str, str]:
-    """What tells an example to ask the stand-in."""
+    """Return the variables with which an example asks the stand-in."""
     if "claude" in script:
         return {
             "ANTHROPIC_API_KEY": KEY,
@@ -109,7 +108,7 @@ def variables(script: str, stand_in: StandIn) -> dict[str, str]:
 
 
 def _check_answer(done: subprocess.CompletedProcess[str], stand_in: StandIn) -> None:
-    """The server measured, and what it measured reached the model and came back."""
+    """Check that the server measured, and that its result reached the model and came back."""
     assert done.returncode == 0, done.stderr
     assert stand_in.tool_names() == {
         "estimate_gsd",
@@ -118,18 +117,15 @@ def _check_answer(done: subprocess.CompletedProcess[str], stand_in: StandIn) -> 
         "view_image",
     }
     assert len(stand_in.requests) == len(stand_in.calls) + 1
-    assert stand_in.n_pictures() == 1, "the model saw what view_image shows"
-    said = done.stdout.rpartition("The tool says:")[2]
-    assert re.search(r"area_m2|[\d.]+ m2", said)
+    assert stand_in.n_pictures() == 1, "the model gets the picture of view_image"
+    answer = done.stdout.rpartition("The tool says:")[2]
+    assert re.search(r"area_m2|[\d.]+ m2", answer)
 
 
 def _check_transcript(done: subprocess.CompletedProcess[str], n_calls: int) -> None:
-    kinds = [line.split()[0] for line in done.stdout.splitlines() if line]
-    assert [kind for kind in kinds if kind in ("asked", "calls", "tool", "says")] == [
-        "asked",
-        *["calls", "tool"] * n_calls,
-        "says",
-    ], done.stdout
+    first_words = [line.split()[0] for line in done.stdout.splitlines() if line]
+    kinds = [word for word in first_words if word in ("asked", "calls", "tool", "says")]
+    assert kinds == ["asked", *["calls", "tool"] * n_calls, "says"], done.stdout
     assert re.search(r"^tool  Image of \d+ x \d+ px", done.stdout, flags=re.MULTILINE)
     assert re.search(r"^tool  0\.\d+ m/px \(95 % interval", done.stdout, flags=re.MULTILINE)
     assert re.search(r"^tool  [\d.]+ m \(95 % interval", done.stdout, flags=re.MULTILINE)
@@ -164,7 +160,7 @@ def test_an_openai_model_measures_both_ways(with_mcp_2: Path, stand_in: StandIn,
         ("openai_tool_use.py", {}, "OPENAI_API_KEY"),
     ],
 )
-def test_without_a_key_or_a_model_it_says_what_to_set(
+def test_a_missing_key_or_model_is_named(
     with_mcp_2: Path, script: str, settings: dict[str, str], missing: str
 ) -> None:
     done = run_example(with_mcp_2, script, **settings)
@@ -183,7 +179,7 @@ def test_without_a_key_or_a_model_it_says_what_to_set(
 def test_an_unreachable_api_ends_in_a_sentence(
     with_mcp_2: Path, script: str, way: str, prefix: str
 ) -> None:
-    # discard: nothing listens
+    # Nothing listens on port 9.
     nowhere = {"API_KEY": KEY, "MODEL": "model", "BASE_URL": "http://127.0.0.1:9"}
     settings = {f"{prefix}_{name}": value for name, value in nowhere.items()}
     done = run_example(with_mcp_2, script, "--way", way, **settings)
@@ -194,18 +190,20 @@ def test_an_unreachable_api_ends_in_a_sentence(
 
 
 @pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
-def test_a_langchain_agent_in_its_own_environment_measures(
-    with_mcp_1: Path, stand_in: StandIn
-) -> None:
+def test_a_langchain_agent_measures(with_mcp_1: Path, stand_in: StandIn) -> None:
+    script = "frameworks/langchain_agent.py"
+    _check_answer(run_example(with_mcp_1, script, **variables(script, stand_in)), stand_in)
+
+
+def test_langchain_still_needs_an_environment_of_its_own(with_mcp_1: Path) -> None:
     version = subprocess.run(
         [str(with_mcp_1), "-c", "from importlib.metadata import version; print(version('mcp'))"],
         capture_output=True,
         text=True,
         check=True,
     )
-    assert version.stdout.startswith("1.")  # once it is 2, one environment is enough
-    script = "frameworks/langchain_agent.py"
-    _check_answer(run_example(with_mcp_1, script, **variables(script, stand_in)), stand_in)
+    # With version 2, one environment is enough for all examples.
+    assert version.stdout.startswith("1.")
 
 
 @pytest.mark.parametrize("stand_in", [CALLS], indirect=True, ids=["all tools"])
@@ -217,9 +215,9 @@ def test_an_agent_of_another_framework_measures(
     _check_answer(done, stand_in)
 
 
-def test_the_transcripts_are_of_these_scripts() -> None:
-    for name in ("claude_tool_use", "openai_tool_use"):
-        transcript = (ROOT / "docs" / "transcripts" / f"{name}.txt").read_text(encoding="utf-8")
-        assert f"$ python examples/{name}.py " in transcript
-        assert re.search(r"^tool  0\.\d+ m/px", transcript, flags=re.MULTILINE)
-        assert KEY not in transcript
+@pytest.mark.parametrize("name", ["claude_tool_use", "openai_tool_use"])
+def test_the_transcript_is_of_its_script(name: str) -> None:
+    transcript = (ROOT / "docs" / "transcripts" / f"{name}.txt").read_text(encoding="utf-8")
+    assert f"$ python examples/{name}.py " in transcript
+    assert re.search(r"^tool  0\.\d+ m/px", transcript, flags=re.MULTILINE)
+    assert KEY not in transcript

@@ -1,4 +1,4 @@
-"""The entries for clients are what their formats ask for, start our server, and name its version."""
+"""The entries for clients follow their formats, start our server, and name its version."""
 
 from __future__ import annotations
 
@@ -43,101 +43,139 @@ ENTRIES = {
 }
 
 
+def _server_of(entry: str) -> dict[str, Any]:
+    server: dict[str, Any] = _read(CLIENTS / entry)[ENTRIES[entry]]["vehanchor"]
+    return server
+
+
+def _filled_in(server: dict[str, Any], images: Path) -> list[str]:
+    """Fill a server's command in: with the client's variables, and the paths of the README."""
+    command = server["command"].replace("/absolute/path/to/bin", str(Path(sys.executable).parent))
+    *arguments, root = server["args"]
+    variables = r"\$\{workspaceFolder\}|\$\{\w+:-/absolute/path/to/images\}"
+    root = re.sub(variables, str(images), root)
+    root = root.replace("/absolute/path/to/images", str(images))
+    return [Path(command).name, *arguments, root]
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_an_entry_starts_the_server_over_stdio(entry: str) -> None:
+    assert _server_of(entry).get("type", "stdio") == "stdio"
+
+
+def test_all_entries_are_the_same_command(tmp_path: Path) -> None:
+    commands = {tuple(_filled_in(_server_of(entry), tmp_path)) for entry in ENTRIES}
+    assert len(commands) == 1
+
+
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_each_entry_is_the_same_command_which_starts_the_server_with_all_tools(
-    tmp_path: Path,
-) -> None:
-    commands = set()
-    for entry, key in ENTRIES.items():
-        server = _read(CLIENTS / entry)[key]["vehanchor"]
-        assert server.get("type", "stdio") == "stdio"
-        command = server["command"].replace(
-            "/absolute/path/to/bin", str(Path(sys.executable).parent)
-        )
-        # What the client fills in: its own variables, and the paths that the README says to
-        # replace.
-        images = re.sub(
-            r"\$\{workspaceFolder\}|\$\{\w+:-/absolute/path/to/images\}",
-            str(tmp_path),
-            server["args"][-1],
-        )
-        commands.add(
-            (
-                Path(command).name,
-                *server["args"][:-1],
-                images.replace("/absolute/path/to/images", str(tmp_path)),
-            )
-        )
-    ((command, *arguments),) = commands
+async def test_the_command_starts_the_server_with_all_tools(tmp_path: Path) -> None:
+    command, *arguments = _filled_in(_server_of("claude_code.mcp.json"), tmp_path)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    async with Client(
-        StdioServerParameters(command=command, args=arguments, env={"PATH": path})
-    ) as client:
+    server = StdioServerParameters(command=command, args=arguments, env={"PATH": path})
+    async with Client(server) as client:
         assert {tool.name for tool in (await client.list_tools()).tools} == TOOLS
 
 
-def test_every_version_is_the_packages() -> None:
-    package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
-        "version"
-    ]
+def _read_project(path: Path) -> dict[str, Any]:
+    project: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))["project"]
+    return project
+
+
+@pytest.fixture(scope="module")
+def package_version() -> str:
+    package: str = _read_project(ROOT / "pyproject.toml")["version"]
+    return package
+
+
+def test_the_installed_version_is_the_packages(package_version: str) -> None:
+    assert version("vehanchor") == package_version
+
+
+def test_the_registry_has_the_packages_version(package_version: str) -> None:
     registry = _read(CLIENTS / "server.json")
-    bundle = tomllib.loads((BUNDLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert version("vehanchor") == package
-    assert (registry["version"], [entry["version"] for entry in registry["packages"]]) == (
-        package,
-        [package],
-    )
-    assert _read(BUNDLE / "manifest.json")["version"] == package
-    assert (bundle["version"], bundle["dependencies"]) == (package, [f"vehanchor=={package}"])
+    assert registry["version"] == package_version
+    assert [entry["version"] for entry in registry["packages"]] == [package_version]
 
 
-def test_the_registrys_file_asks_for_a_host_a_secret_token_and_a_folder() -> None:
-    server = _read(CLIENTS / "server.json")
-    (package,) = server["packages"]
-    (remote,) = server["remotes"]
-    assert (package["registryType"], package["identifier"], package["transport"]["type"]) == (
-        "pypi",
-        "vehanchor",
-        "stdio",
-    )
-    (header,) = remote["headers"]
-    assert (remote["url"], header["value"]) == ("https://{host}/mcp", "Bearer {token}")
-    assert (set(remote["variables"]), header["variables"]["token"]["isSecret"]) == ({"host"}, True)
+def test_the_bundle_has_the_packages_version(package_version: str) -> None:
+    bundle = _read_project(BUNDLE / "pyproject.toml")
+    assert _read(BUNDLE / "manifest.json")["version"] == package_version
+    assert bundle["version"] == package_version
+    assert bundle["dependencies"] == [f"vehanchor=={package_version}"]
+
+
+def test_the_registry_names_the_package() -> None:
+    (package,) = _read(CLIENTS / "server.json")["packages"]
+    assert (package["registryType"], package["identifier"]) == ("pypi", "vehanchor")
+    assert package["transport"]["type"] == "stdio"
+
+
+def test_the_registry_asks_for_a_folder() -> None:
+    (package,) = _read(CLIENTS / "server.json")["packages"]
     serve, root = package["packageArguments"]
     assert (serve["value"], root["name"], root["isRequired"]) == ("serve", "--root", True)
 
 
-def test_the_bundle_names_the_servers_tools() -> None:
-    manifest = _read(BUNDLE / "manifest.json")
+def test_the_registry_asks_for_a_host() -> None:
+    (remote,) = _read(CLIENTS / "server.json")["remotes"]
+    assert remote["url"] == "https://{host}/mcp"
+    assert set(remote["variables"]) == {"host"}
+
+
+def test_the_registry_asks_for_a_secret_token() -> None:
+    (remote,) = _read(CLIENTS / "server.json")["remotes"]
+    (header,) = remote["headers"]
+    assert header["value"] == "Bearer {token}"
+    assert header["variables"]["token"]["isSecret"] is True
+
+
+@pytest.fixture(scope="module")
+def manifest() -> dict[str, Any]:
+    return _read(BUNDLE / "manifest.json")
+
+
+def test_the_bundle_names_the_servers_tools(manifest: dict[str, Any]) -> None:
     assert {tool["name"] for tool in manifest["tools"]} == TOOLS
+
+
+def test_the_bundle_contains_its_entry_point(manifest: dict[str, Any]) -> None:
     assert (BUNDLE / manifest["server"]["entry_point"]).is_file()
+
+
+def test_the_bundle_asks_for_a_folder(manifest: dict[str, Any]) -> None:
     assert manifest["server"]["mcp_config"]["args"][-1] == "${user_config.images}"
     assert "images" in manifest["user_config"]
-    registry = _read(CLIENTS / "server.json")
-    assert manifest["description"] == registry["description"]
+
+
+def test_the_bundle_has_the_registrys_description(manifest: dict[str, Any]) -> None:
+    assert manifest["description"] == _read(CLIENTS / "server.json")["description"]
+
+
+def test_the_icon_has_the_size_that_bundles_need(manifest: dict[str, Any]) -> None:
     icon = (BUNDLE / manifest["icon"]).read_bytes()
     assert icon.startswith(b"\x89PNG")
-    assert struct.unpack(">II", icon[16:24]) == (512, 512), "what the bundle's format recommends"
+    assert struct.unpack(">II", icon[16:24]) == (512, 512)
 
 
 @pytest.mark.slow
 @pytest.mark.anyio
-async def test_the_bundles_entry_point_serves_both_tools(tmp_path: Path) -> None:
-    """As the host runs it, but in this environment: the one it would make needs the package to be published."""
-    manifest = _read(BUNDLE / "manifest.json")
+async def test_the_bundles_entry_point_serves_all_tools(
+    manifest: dict[str, Any], tmp_path: Path
+) -> None:
+    # A host would make an environment for it, from the published package.
     arguments = manifest["server"]["mcp_config"]["args"]
     assert arguments[:3] == ["run", "--directory", "${__dirname}"]
     filled = [part.replace("${user_config.images}", str(tmp_path)) for part in arguments[3:]]
-    async with Client(
-        StdioServerParameters(command=sys.executable, args=filled, cwd=BUNDLE)
-    ) as client:
+    server = StdioServerParameters(command=sys.executable, args=filled, cwd=BUNDLE)
+    async with Client(server) as client:
         assert {tool.name for tool in (await client.list_tools()).tools} == TOOLS
 
 
 @pytest.mark.frameworks
 @pytest.mark.skipif(shutil.which("npx") is None, reason="the official tool runs on Node")
-def test_the_official_tool_accepts_and_packs_the_bundle(tmp_path: Path) -> None:
+def test_the_official_tool_packs_the_bundle(tmp_path: Path) -> None:
     mcpb = ["npx", "--yes", _MCPB]
     validated = subprocess.run(
         [*mcpb, "validate", str(BUNDLE / "manifest.json")],

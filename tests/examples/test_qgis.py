@@ -1,4 +1,4 @@
-"""The plugin of examples/qgis in QGIS itself, without a window; QGIS calls the command of this environment."""
+"""The plugin of examples/qgis runs in QGIS, without a window, with this environment's command."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rasterio
@@ -19,47 +20,81 @@ pytestmark = [pytest.mark.qgis, pytest.mark.timeout(900)]
 
 
 def _python_of_qgis() -> str:
-    """The system's Python, which has QGIS where Debian has installed it."""
-    for python in ("/usr/bin/python3",):
-        if (
-            Path(python).exists()
-            and subprocess.run([python, "-c", "import qgis.core"], check=False).returncode == 0
-        ):
+    """Return the system's Python if it has QGIS, where Debian installs it."""
+    python = "/usr/bin/python3"
+    if Path(python).exists():
+        probe = subprocess.run([python, "-c", "import qgis.core"], check=False)
+        if probe.returncode == 0:
             return python
     return needed_program("qgis", "apt-get install python3-qgis qgis-providers")
 
 
-def test_the_algorithms_give_the_commands_scale_and_layers_that_qgis_reads(tmp_path: Path) -> None:
-    photograph = ROOT / "examples/scenes/safe.jpg"
-    empty = ROOT / "examples/scenes/no_cars.jpg"
+_PHOTOGRAPH = ROOT / "examples/scenes/safe.jpg"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Results of all algorithms, from one run of QGIS."""
     command = Path(sys.executable).with_name("vehanchor")
+    words: list[str | Path] = [
+        _python_of_qgis(),
+        ROOT / "tests/examples/drive_qgis.py",
+        ROOT / "examples/qgis",
+        _PHOTOGRAPH,
+        ROOT / "examples/scenes/no_cars.jpg",
+        tmp_path_factory.mktemp("qgis"),
+    ]
     done = subprocess.run(
-        [
-            _python_of_qgis(),
-            ROOT / "tests/examples/drive_qgis.py",
-            ROOT / "examples/qgis",
-            photograph,
-            empty,
-            tmp_path,
-        ],
+        words,
         env={**os.environ, "QT_QPA_PLATFORM": "offscreen", "VEHANCHOR": str(command)},
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    seen = json.loads(done.stdout.splitlines()[-1])
-    estimate = vehanchor.estimate_gsd(photograph)
-    assert seen["algorithms"] == ["vehanchor:localmetres", "vehanchor:scale"]
-    assert seen["scale"]["GSD"] == pytest.approx(estimate.gsd_m_per_px)
-    assert (seen["scale"]["STATUS"], seen["scale"]["CONFIDENCE"]) == (
-        "ok",
-        pytest.approx(estimate.confidence),
-    )
-    assert seen["boxes"] == [True, estimate.details.n_detections]
-    with rasterio.open(seen["raster"]["RASTER"]) as raster:
+    printed: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return printed
+
+
+@pytest.fixture(scope="module")
+def estimate() -> vehanchor.GsdEstimate:
+    return vehanchor.estimate_gsd(_PHOTOGRAPH)
+
+
+def test_the_provider_has_both_algorithms(results: dict[str, Any]) -> None:
+    assert results["algorithms"] == ["vehanchor:localmetres", "vehanchor:scale"]
+
+
+def test_the_scale_is_that_of_the_library(
+    results: dict[str, Any], estimate: vehanchor.GsdEstimate
+) -> None:
+    scale = results["scale"]
+    assert scale["GSD"] == pytest.approx(estimate.gsd_m_per_px)
+    assert scale["STATUS"] == "ok"
+    assert scale["CONFIDENCE"] == pytest.approx(estimate.confidence)
+
+
+def test_qgis_reads_the_layer_of_vehicles(
+    results: dict[str, Any], estimate: vehanchor.GsdEstimate
+) -> None:
+    assert results["boxes"] == [True, estimate.details.n_detections]
+
+
+def test_the_raster_has_the_estimated_pixel_size(
+    results: dict[str, Any], estimate: vehanchor.GsdEstimate
+) -> None:
+    with rasterio.open(results["raster"]["RASTER"]) as raster:
         assert raster.transform.a == pytest.approx(estimate.gsd_m_per_px)
         assert (raster.width, raster.height) == (estimate.image_width_px, estimate.image_height_px)
-    assert seen["by height"]["STATUS"] == "no_scale"  # no focal length is known: nothing is guessed
-    assert "the scale is not usable" in seen["refused"]
-    assert seen["cancelled"] == "cancelled"
+
+
+def test_a_height_without_a_focal_length_gives_no_scale(results: dict[str, Any]) -> None:
+    assert results["by height"]["STATUS"] == "no_scale"
+
+
+def test_a_raster_without_a_usable_scale_is_refused(results: dict[str, Any]) -> None:
+    assert "the scale is not usable" in results["refused"]
+
+
+def test_an_algorithm_can_be_cancelled(results: dict[str, Any]) -> None:
+    assert results["cancelled"] == "cancelled"

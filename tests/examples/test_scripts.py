@@ -1,4 +1,4 @@
-"""The notebook, the flight and the small scripts work, and say what is missing."""
+"""The notebook, the flight and the small scripts work, and name a missing package."""
 
 from __future__ import annotations
 
@@ -16,44 +16,65 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.needs import needed_module
+from vehanchor_flight.records import FlightEstimate
 from vehanchor_flight.verbs import estimate_flight
 
 TOUR = ROOT / "examples/tour.ipynb"
-LONGEST_CELL_S = 120
+MAX_CELL_S = 120
 
 
-@pytest.fixture
-def executed(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The notebook after a run in its folder; its own assertions hold its numbers against the truth."""
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """Run the notebook in its folder; return the outputs of its cells.
+
+    The notebook itself asserts its numbers.
+    """
     nbclient = needed_module("nbclient", "pip install nbclient")
     nbformat = needed_module("nbformat", "pip install nbformat")
     kernelspec = needed_module("jupyter_client.kernelspec", "pip install ipykernel")
-    # An empty search path: whatever kernel the machine has, this Python's own is taken.
-    monkeypatch.setenv("JUPYTER_PATH", os.fspath(tmp_path_factory.mktemp("kernels")))
-    monkeypatch.setenv("IPYTHONDIR", os.fspath(tmp_path_factory.mktemp("ipython")))
-    book = nbformat.read(TOUR, as_version=4)
-    kernels = kernelspec.KernelSpecManager()
-    assert kernels.ensure_native_kernel
-    resources = {"metadata": {"path": os.fspath(TOUR.parent)}}
-    nbclient.NotebookClient(book, timeout=LONGEST_CELL_S, resources=resources).execute()
-    return book
+    with pytest.MonkeyPatch.context() as patch:
+        # An empty search path: this Python's own kernel is used, whatever kernels are installed.
+        patch.setenv("JUPYTER_PATH", os.fspath(tmp_path_factory.mktemp("kernels")))
+        patch.setenv("IPYTHONDIR", os.fspath(tmp_path_factory.mktemp("ipython")))
+        book = nbformat.read(TOUR, as_version=4)
+        kernels = kernelspec.KernelSpecManager()
+        assert kernels.ensure_native_kernel
+        resources = {"metadata": {"path": os.fspath(TOUR.parent)}}
+        nbclient.NotebookClient(book, timeout=MAX_CELL_S, resources=resources).execute()
+    return [output for cell in book.cells for output in cell.get("outputs", [])]
+
+
+@pytest.fixture(scope="module")
+def printed(outputs: list[Any]) -> str:
+    return "".join(output["text"] for output in outputs if output["output_type"] == "stream")
+
+
+def _count_outputs(outputs: list[Any], kind: str) -> int:
+    return sum(kind in output.get("data", {}) for output in outputs)
 
 
 @pytest.mark.slow
-def test_it_runs_and_its_numbers_hold(executed: Any) -> None:
-    shown = [output for cell in executed.cells for output in cell.get("outputs", [])]
-    printed = "".join(output["text"] for output in shown if output["output_type"] == "stream")
-    pictures = [output for output in shown if "image/png" in output.get("data", {})]
-    assert len(pictures) == 3, "the photograph, the line and the roof show themselves"
-    assert any("text/html" in output.get("data", {}) for output in shown), "the record is a table"
-    assert "second.png no_scale alone; ok" in printed, (
-        "a photograph without cars gets its scale in the flight"
-    )
+def test_the_notebook_shows_three_pictures(outputs: list[Any]) -> None:
+    assert _count_outputs(outputs, "image/png") == 3, "the photograph, the line and the roof"
+
+
+@pytest.mark.slow
+def test_the_notebook_shows_the_record_as_a_table(outputs: list[Any]) -> None:
+    assert _count_outputs(outputs, "text/html") > 0
+
+
+@pytest.mark.slow
+def test_the_flight_of_the_notebook_scales_a_photograph_without_cars(printed: str) -> None:
+    assert "second.png no_scale alone; ok" in printed
     assert "scale from vehicles in first.png" in printed
-    assert "reference length" in printed, "what calibrate printed"
 
 
-def test_it_is_committed_without_outputs() -> None:
+@pytest.mark.slow
+def test_the_notebook_prints_the_calibration(printed: str) -> None:
+    assert "reference length" in printed
+
+
+def test_the_notebook_is_committed_without_outputs() -> None:
     cells = json.loads(TOUR.read_text(encoding="utf-8"))["cells"]
     code = [cell for cell in cells if cell["cell_type"] == "code"]
     assert code
@@ -72,16 +93,28 @@ GSDS = {
 }
 
 
+@pytest.fixture(scope="module")
+def flight() -> FlightEstimate:
+    return estimate_flight([FLIGHT / name for name in GSDS])
+
+
 @pytest.mark.slow
-def test_all_photographs_of_the_flight_have_a_usable_scale() -> None:
-    record = estimate_flight([FLIGHT / name for name in GSDS])
-    assert record.status == "ok"
-    assert len(record.components) == 1
-    for photograph, gsd in zip(record.photographs, GSDS.values(), strict=True):
+def test_the_flight_has_one_usable_scale(flight: FlightEstimate) -> None:
+    assert flight.status == "ok"
+    assert len(flight.components) == 1
+
+
+@pytest.mark.slow
+def test_the_interval_of_every_photograph_contains_its_true_scale(flight: FlightEstimate) -> None:
+    for photograph, gsd in zip(flight.photographs, GSDS.values(), strict=True):
         assert photograph.gsd_ci95_low_m_per_px is not None
         assert photograph.gsd_ci95_high_m_per_px is not None
         assert photograph.gsd_ci95_low_m_per_px < gsd < photograph.gsd_ci95_high_m_per_px
-    last = record.photographs[-1]
+
+
+@pytest.mark.slow
+def test_a_photograph_without_a_scale_gets_it_from_another(flight: FlightEstimate) -> None:
+    last = flight.photographs[-1]
     assert last.own is not None
     assert last.own.status == "no_scale"
     assert last.supported_by[0].photograph != last.photograph
@@ -100,7 +133,8 @@ SCALE = {
     "confidence": 0.95,
 }
 NOTHING = {**dict.fromkeys(SCALE), "at_s": 1.0, "confidence": 0.0}
-BY_PYMAVLINK = bytes.fromhex(  # the four messages of SCALE, packed by pymavlink 2.4.50 as MAVLink 1
+# The four messages of SCALE, packed by pymavlink 2.4.50 as MAVLink 1.
+BY_PYMAVLINK = bytes.fromhex(
     "fe12002abffbe20400000ad7a33d5645485f47534400000023f2"
     "fe12012abffbe2040000bc74933d5645485f4753445f4c4ff45d"
     "fe12022abffbe20400005839b43d5645485f4753445f484914b5"
@@ -109,17 +143,13 @@ BY_PYMAVLINK = bytes.fromhex(  # the four messages of SCALE, packed by pymavlink
 
 
 def _sent(*records: Mapping[str, float | None]) -> list[bytes]:
+    """Return the datagrams that the example sends for records."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
         station.settimeout(0.2)
+        address = f"127.0.0.1:{station.getsockname()[1]}"
+        command = [sys.executable, str(EXAMPLE), address, "--system", "42"]
         lines = "".join(json.dumps(record) + "\n" for record in records)
-        command = [
-            sys.executable,
-            str(EXAMPLE),
-            f"127.0.0.1:{station.getsockname()[1]}",
-            "--system",
-            "42",
-        ]
         subprocess.run(command, input=lines, text=True, check=True)
         received = []
         try:
@@ -129,20 +159,40 @@ def _sent(*records: Mapping[str, float | None]) -> list[bytes]:
             return received
 
 
-def test_each_line_with_a_scale_is_one_datagram_of_four_messages() -> None:
-    first, second = _sent(SCALE, NOTHING, {**SCALE, "gsd_m_per_px": 0.09})
-    assert first == BY_PYMAVLINK
-    messages = [second[start : start + 26] for start in range(0, len(second), 26)]
-    assert [message[2] for message in messages] == [4, 5, 6, 7]  # the numbers go on
-    assert struct.unpack_from("<f10s", messages[0], 10) == (
-        struct.unpack("<f", struct.pack("<f", 0.09))[0],
-        b"VEH_GSD".ljust(10, b"\0"),
-    )
+@pytest.fixture(scope="module")
+def datagrams() -> list[bytes]:
+    """Datagrams for a scale, nothing, and another scale."""
+    return _sent(SCALE, NOTHING, {**SCALE, "gsd_m_per_px": 0.09})
+
+
+def test_each_line_with_a_scale_is_one_datagram(datagrams: list[bytes]) -> None:
+    assert len(datagrams) == 2
+
+
+def test_a_datagram_has_the_bytes_of_pymavlink(datagrams: list[bytes]) -> None:
+    assert datagrams[0] == BY_PYMAVLINK
+
+
+def _messages(datagram: bytes) -> list[bytes]:
+    return [datagram[start : start + 26] for start in range(0, len(datagram), 26)]
+
+
+def test_the_numbers_of_messages_continue(datagrams: list[bytes]) -> None:
+    assert [message[2] for message in _messages(datagrams[1])] == [4, 5, 6, 7]
+
+
+def test_a_message_has_a_name_with_its_value(datagrams: list[bytes]) -> None:
+    value, name = struct.unpack_from("<f10s", _messages(datagrams[1])[0], 10)
+    # As a float of four bytes.
+    assert value == struct.unpack("<f", struct.pack("<f", 0.09))[0]
+    assert name == b"VEH_GSD".ljust(10, b"\0")
 
 
 _EXAMPLES = ROOT / "examples"
 _SCRIPTS = [*_EXAMPLES.glob("*.py"), *(_EXAMPLES / "frameworks").glob("*.py")]
-_SCRIPTS.remove(_EXAMPLES / "live_to_mavlink.py")  # it needs the standard library alone
+# It needs only the standard library.
+_SCRIPTS.remove(_EXAMPLES / "live_to_mavlink.py")
+# Runs a script as if no package were installed.
 _ALONE = """import runpy, sys
 class Missing:
     def find_spec(self, name, path=None, target=None):
@@ -153,7 +203,7 @@ runpy.run_path(sys.argv[1], run_name="__main__")"""
 
 
 @pytest.mark.parametrize("script", _SCRIPTS, ids=[path.name for path in _SCRIPTS])
-def test_it_names_the_package_in_one_line(script: Path) -> None:
+def test_a_script_names_a_missing_package_in_one_line(script: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", _ALONE, str(script)], capture_output=True, text=True, check=False
     )

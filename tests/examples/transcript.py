@@ -1,8 +1,8 @@
-"""Writes ``docs/transcripts/``: what the examples with language models print, with the stand-in as their model.
+"""Write ``docs/transcripts/``: the output of the examples with language models.
 
     python -m tests.examples.transcript
 
-The model's part is a script, and says so; everything that a tool answers is measured.
+The stand-in is their model, and the transcripts state it. Every answer of a tool is measured.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from tests.needs import environment
 _ANSWER = "(the scripted model repeats what the tool said) {result}"
 _HEAD = (
     "Made by `python -m tests.examples.transcript`: the example really ran, its tools really "
-    "measured; the model was a "
-    "stand-in\nthat follows a script behind the real API's wire format, so what it says is not "
-    "a language model's.\n\n"
+    "measured; the model was a stand-in\nthat follows a script behind the real API's wire format, "
+    "so what it says is not a language model's.\n\n"
 )
 
 

@@ -1,4 +1,4 @@
-"""CI keeps its promises: one list of commands, versions with hashes, nothing left out unseen."""
+"""CI runs every check by one list of commands, with locked versions and hashes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sys
 import tomllib
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
-from itertools import chain
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,7 +30,7 @@ def _steps() -> list[str]:
 
 
 def _locked(name: str) -> dict[tuple[str, str], int]:
-    """The number of hashes of each package and version."""
+    """Count the hashes of each package and version."""
     text = (ROOT / "requirements" / name).read_text(encoding="utf-8").replace("\\\n", " ")
     lines = [line for line in text.splitlines() if line and not line.startswith("#")]
     pins = [re.match(r"([a-z0-9-]+)==(\S+)", line) for line in lines]
@@ -43,46 +42,50 @@ def _locked(name: str) -> dict[tuple[str, str], int]:
 
 
 def _wanted(extras: list[str]) -> set[str]:
-    lists = [
-        PROJECT["dependencies"],
-        *(PROJECT["optional-dependencies"][extra] for extra in extras),
-    ]
-    names = {
-        re.split(r"[^\w-]", each)[0].lower().replace("_", "-")
-        for each in chain.from_iterable(lists)
-    }
-    return names - {"vehanchor"}
+    """Return the names of all packages that the project and its extras require."""
+    requirements = [*PROJECT["dependencies"]]
+    for extra in extras:
+        requirements += PROJECT["optional-dependencies"][extra]
+    names = {re.split(r"[^\w-]", requirement)[0] for requirement in requirements}
+    return {name.lower().replace("_", "-") for name in names} - {"vehanchor"}
 
 
-def test_the_workflow_runs_every_step_and_nothing_of_its_own() -> None:
-    named: set[str] = set()
+def _workflow_commands() -> list[str]:
+    """Return the commands of the workflow, one for each entry of a matrix of steps."""
+    commands = []
     for job in WORKFLOW["jobs"].values():
-        for command in (step["run"] for step in job["steps"] if "run" in step):
-            matrix = job["strategy"]["matrix"].get("steps", [])
-            for text in [command.replace("${{ matrix.steps }}", steps) for steps in matrix] or [
-                command
-            ]:
-                assert text.startswith("bash .ci/run "), "a command that nobody can run at home"
-                named |= set(text.split()[2:])
-    assert named == {*_steps(), "qgis", "smoke"}
+        matrix = job["strategy"]["matrix"].get("steps", [""])
+        runs = [step["run"] for step in job["steps"] if "run" in step]
+        commands += [run.replace("${{ matrix.steps }}", steps) for run in runs for steps in matrix]
+    return commands
+
+
+def test_the_workflow_has_no_command_of_its_own() -> None:
+    assert all(command.startswith("bash .ci/run ") for command in _workflow_commands())
+
+
+def test_the_workflow_runs_every_step() -> None:
+    steps = {step for command in _workflow_commands() for step in command.split()[2:]}
+    assert steps == {*_steps(), "qgis", "smoke"}
 
 
 def test_every_python_that_the_package_names_is_tested() -> None:
-    classified = {
-        each.rpartition(" ")[2] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)
+    versions = {
+        classifier.rpartition(" ")[2]
+        for classifier in PROJECT["classifiers"]
+        if re.search(r":: 3\.\d+$", classifier)
     }
-    assert set(WORKFLOW["jobs"]["linux"]["strategy"]["matrix"]["python"]) == classified
+    assert set(WORKFLOW["jobs"]["linux"]["strategy"]["matrix"]["python"]) == versions
 
 
 def test_every_marker_that_the_quick_tests_leave_out_has_a_step() -> None:
-    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
-        "pytest"
-    ]["ini_options"]
-    left_out = set(re.findall(r"not (\w+)", options["addopts"]))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    options = project["tool"]["pytest"]["ini_options"]["addopts"]
+    left_out = set(re.findall(r"not (\w+)", options))
     assert left_out == set(re.findall(r"pytest -m (\w+)", RUN.read_text(encoding="utf-8")))
 
 
-def test_a_step_that_does_not_exist_is_refused_before_anything_is_installed() -> None:
+def test_an_unknown_step_is_refused() -> None:
     done = subprocess.run(
         ["bash", str(RUN), "lint", "nonsense"], capture_output=True, text=True, check=False
     )
@@ -90,14 +93,14 @@ def test_a_step_that_does_not_exist_is_refused_before_anything_is_installed() ->
     assert "no step nonsense" in done.stderr
 
 
-def test_all_that_may_be_installed_has_a_version_and_hashes() -> None:
+def test_every_extra_has_locked_versions_with_hashes() -> None:
     extras = [extra for extra in PROJECT["optional-dependencies"] if extra != "train"]
     locked = _locked("all.txt")
     assert _wanted(extras) <= {name for name, _ in locked}
     assert all(locked.values())
 
 
-def test_the_container_gets_what_ci_tests() -> None:
+def test_the_container_installs_versions_that_ci_tests() -> None:
     locked = _locked("image.txt")
     assert _wanted(["geo"]) <= {name for name, _ in locked}
     assert all(locked.values())
@@ -106,14 +109,13 @@ def test_the_container_gets_what_ci_tests() -> None:
 
 def test_the_locks_name_no_index() -> None:
     for path in sorted(Path(ROOT / "requirements").glob("*.txt")):
-        assert not re.search(
-            r"https?:|file:|--(?:extra-)?index|--find-links", path.read_text(encoding="utf-8")
-        )
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"https?:|file:|--(?:extra-)?index|--find-links", text)
 
 
 @pytest.fixture(scope="module")
 def supply() -> ModuleType:
-    """`.ci/supply.py` as a module."""
+    """Import `.ci/supply.py` as a module."""
     loader = SourceFileLoader("supply", str(ROOT / ".ci/supply.py"))
     spec = spec_from_loader("supply", loader)
     assert spec is not None
@@ -122,31 +124,36 @@ def supply() -> ModuleType:
     return module
 
 
+_CLEAN: dict[str, Any] = {"name": "b", "version": "1", "vulns": []}
+
+
+def test_an_audit_without_findings_passes(supply: ModuleType) -> None:
+    assert supply.verdict({"dependencies": [_CLEAN]}) == []
+
+
 @pytest.mark.promise("audit")
-def test_a_vulnerability_and_a_package_that_nobody_looked_up_both_fail_the_audit(
-    supply: ModuleType,
-) -> None:
-    known = {"name": "a", "version": "1", "vulns": [{"id": "PYSEC-1", "fix_versions": ["2"]}]}
-    clean: dict[str, Any] = {"name": "b", "version": "1", "vulns": []}
+def test_a_vulnerability_fails_the_audit(supply: ModuleType) -> None:
+    flawed = {"name": "a", "version": "1", "vulns": [{"id": "PYSEC-1", "fix_versions": ["2"]}]}
+    assert supply.verdict({"dependencies": [_CLEAN, flawed]}) == ["a 1: PYSEC-1, fixed in 2"]
+
+
+@pytest.mark.promise("audit")
+def test_a_package_that_was_not_looked_up_fails_the_audit(supply: ModuleType) -> None:
     skipped = {"name": "c", "skip_reason": "not found"}
-    assert supply.verdict({"dependencies": [clean]}) == []
-    assert supply.verdict({"dependencies": [clean, known]}) == ["a 1: PYSEC-1, mended in 2"]
-    assert supply.verdict({"dependencies": [clean, skipped]}) == ["c: not looked up: not found"]
+    assert supply.verdict({"dependencies": [_CLEAN, skipped]}) == ["c: not looked up: not found"]
 
 
 @pytest.mark.parametrize("answer", [{}, {"dependencies": []}])
-def test_an_audit_that_looked_at_nothing_fails(supply: ModuleType, answer: dict[str, Any]) -> None:
+def test_an_empty_audit_fails(supply: ModuleType, answer: dict[str, Any]) -> None:
     assert supply.verdict(answer)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into Linux wheels")
 def test_the_libraries_inside_opencvs_wheel_are_named(supply: ModuleType) -> None:
-    names = {
-        each["name"]
-        for each in supply.native(Path(cv2.__file__).parents[1], "opencv-python-headless")
-    }
-    assert {"avcodec", "crypto", "png16"} <= names
+    site = Path(cv2.__file__).parents[1]
+    libraries = supply.native(site, "opencv-python-headless")
+    assert {"avcodec", "crypto", "png16"} <= {library["name"] for library in libraries}
 
 
 @pytest.mark.parametrize(
@@ -157,13 +164,12 @@ def test_the_libraries_inside_opencvs_wheel_are_named(supply: ModuleType) -> Non
         ("libonnxruntime.so.1.31.1", "onnxruntime", "1.31.1"),
     ],
 )
-def test_a_library_s_name_and_version_are_read_from_its_file(
+def test_the_name_of_a_file_gives_library_and_version(
     supply: ModuleType, tmp_path: Path, file: str, name: str, version: str
 ) -> None:
     (tmp_path / "some_wheel-1.dist-info").mkdir()
     (tmp_path / "some_wheel-1.dist-info/RECORD").write_text(f"some_wheel.libs/{file},sha256=0,1\n")
     (tmp_path / "some_wheel.libs").mkdir()
     (tmp_path / "some_wheel.libs" / file).write_bytes(b"")
-    assert [(e["name"], e["version"]) for e in supply.native(tmp_path, "some-wheel")] == [
-        (name, version)
-    ]
+    (library,) = supply.native(tmp_path, "some-wheel")
+    assert (library["name"], library["version"]) == (name, version)

@@ -1,4 +1,4 @@
-"""The manifests of examples/deploy: valid, and saying what the server needs."""
+"""The manifests of examples/deploy are valid and contain what the server needs."""
 
 from __future__ import annotations
 
@@ -24,8 +24,19 @@ IMAGE = read_dockerfile(ROOT / "Dockerfile")[-1]
 
 
 def of_kind(kind: str) -> dict[str, Any]:
-    (found,) = (item for item in OBJECTS if item["kind"] == kind)
-    return found
+    (manifest,) = [item for item in OBJECTS if item["kind"] == kind]
+    return manifest
+
+
+def pod_spec() -> dict[str, Any]:
+    spec: dict[str, Any] = of_kind("Deployment")["spec"]["template"]["spec"]
+    return spec
+
+
+def pod_container() -> dict[str, Any]:
+    (container,) = pod_spec()["containers"]
+    manifest: dict[str, Any] = container
+    return manifest
 
 
 @pytest.mark.parametrize("version", KUBERNETES_VERSIONS)
@@ -35,30 +46,52 @@ def test_every_kubernetes_object_is_valid(item: dict[str, Any], version: str) ->
 
 
 @pytest.mark.promise("deployment")
-def test_the_pod_is_probed_limited_and_locked_down() -> None:
-    pod = of_kind("Deployment")["spec"]["template"]["spec"]
-    (container,) = pod["containers"]
-    probes = {
+def test_the_pod_is_probed() -> None:
+    container = pod_container()
+    paths = {
         name: container[f"{name}Probe"]["httpGet"]["path"]
         for name in ("startup", "readiness", "liveness")
     }
-    assert probes == {"startup": "/readyz", "readiness": "/readyz", "liveness": "/healthz"}
-    assert set(container["resources"]["limits"]) == {"cpu", "memory"}
-    assert container["securityContext"] == {
+    assert paths == {"startup": "/readyz", "readiness": "/readyz", "liveness": "/healthz"}
+
+
+@pytest.mark.promise("deployment")
+def test_the_pod_has_limits() -> None:
+    assert set(pod_container()["resources"]["limits"]) == {"cpu", "memory"}
+
+
+@pytest.mark.promise("deployment")
+def test_the_pod_is_locked_down() -> None:
+    assert pod_container()["securityContext"] == {
         "allowPrivilegeEscalation": False,
         "readOnlyRootFilesystem": True,
         "capabilities": {"drop": ["ALL"]},
     }
-    user = f"{pod['securityContext']['runAsUser']}:{pod['securityContext']['runAsGroup']}"
-    assert user == IMAGE.last("USER").text
-    assert str(container["ports"][0]["containerPort"]) == IMAGE.last("EXPOSE").text
 
 
-def test_what_selects_the_pods_finds_them() -> None:
-    labels = of_kind("Deployment")["spec"]["template"]["metadata"]["labels"]
+@pytest.mark.promise("deployment")
+def test_the_pod_has_the_user_of_the_image() -> None:
+    context = pod_spec()["securityContext"]
+    assert f"{context['runAsUser']}:{context['runAsGroup']}" == IMAGE.last("USER").text
+
+
+def test_the_pod_has_the_port_of_the_image() -> None:
+    assert str(pod_container()["ports"][0]["containerPort"]) == IMAGE.last("EXPOSE").text
+
+
+def pod_labels() -> dict[str, str]:
+    labels: dict[str, str] = of_kind("Deployment")["spec"]["template"]["metadata"]["labels"]
+    return labels
+
+
+def test_every_selector_selects_the_pods() -> None:
+    labels = pod_labels()
     assert of_kind("Deployment")["spec"]["selector"]["matchLabels"] == labels
     assert of_kind("PodDisruptionBudget")["spec"]["selector"]["matchLabels"] == labels
     assert of_kind("Service")["spec"]["selector"] == labels
+
+
+def test_the_autoscaler_scales_the_deployment() -> None:
     target = of_kind("HorizontalPodAutoscaler")["spec"]["scaleTargetRef"]
     assert target == {
         "apiVersion": "apps/v1",
@@ -67,90 +100,99 @@ def test_what_selects_the_pods_finds_them() -> None:
     }
 
 
-def test_only_the_namespace_reaches_the_server_and_the_server_reaches_nothing() -> None:
+def test_only_the_namespace_reaches_the_server() -> None:
     policy = of_kind("NetworkPolicy")["spec"]
-    pod = of_kind("Deployment")["spec"]["template"]
-    assert policy["podSelector"]["matchLabels"] == pod["metadata"]["labels"]
-    assert set(policy["policyTypes"]) == {"Ingress", "Egress"}
-    assert policy["egress"] == []
+    assert policy["podSelector"]["matchLabels"] == pod_labels()
+    assert "Ingress" in policy["policyTypes"]
     (rule,) = policy["ingress"]
     assert rule["from"] == [{"podSelector": {}}]
-    (container,) = pod["spec"]["containers"]
-    assert [port["port"] for port in rule["ports"]] == [port["name"] for port in container["ports"]]
+    ports = [port["name"] for port in pod_container()["ports"]]
+    assert [port["port"] for port in rule["ports"]] == ports
 
 
-def test_the_documents_advise_a_token_that_others_cannot_read() -> None:
-    (secret,) = (
-        each
-        for each in of_kind("Deployment")["spec"]["template"]["spec"]["volumes"]
-        if "secret" in each
-    )
-    assert secret["secret"]["defaultMode"] & 0o007 == 0
-    for text in (DEPLOY / "compose.yml", ROOT / "docs/how-to/deploy.md"):
-        assert "umask 077" in text.read_text()
-        assert "chmod 644" not in text.read_text()
+def test_the_server_reaches_nothing() -> None:
+    policy = of_kind("NetworkPolicy")["spec"]
+    assert set(policy["policyTypes"]) == {"Ingress", "Egress"}
+    assert policy["egress"] == []
+
+
+def test_others_cannot_read_the_token() -> None:
+    (volume,) = [volume for volume in pod_spec()["volumes"] if "secret" in volume]
+    assert volume["secret"]["defaultMode"] & 0o007 == 0
+
+
+@pytest.mark.parametrize("path", [DEPLOY / "compose.yml", ROOT / "docs/how-to/deploy.md"])
+def test_the_documents_advise_a_token_that_others_cannot_read(path: Path) -> None:
+    text = path.read_text()
+    assert "umask 077" in text
+    assert "chmod 644" not in text
 
 
 def _settings(variables: dict[str, str], tmp_path: Path) -> Settings:
-    """The server's options from a manifest's variables and the image's, with a token file that exists."""
+    """Read the server's options from the variables of a manifest and of the image."""
     token = tmp_path / "token"
     token.write_text("0123456789abcdef0123456789abcdef")
-    given = {
+    environment = {
         **IMAGE.environment,
         **variables,
         "VEHANCHOR_ROOTS": str(tmp_path),
         "VEHANCHOR_TOKEN_FILE": str(token),
     }
-    unknown = {name for name in given if name.startswith("VEHANCHOR_")} - {
-        f"VEHANCHOR_{name.upper()}" for name in Settings.__dataclass_fields__
-    }
-    assert not unknown, "variables that the server does not know"
-    settings = Settings.from_environment(given)
+    named = {name for name in environment if name.startswith("VEHANCHOR_")}
+    known = {f"VEHANCHOR_{name.upper()}" for name in Settings.__dataclass_fields__}
+    assert named <= known, "variables that the server does not know"
+    settings = Settings.from_environment(environment)
     settings.check_exposure()
     return settings
 
 
-def test_the_server_understands_the_variables_that_are_set(tmp_path: Path) -> None:
-    (container,) = of_kind("Deployment")["spec"]["template"]["spec"]["containers"]
-    on_kubernetes = {variable["name"]: variable["value"] for variable in container["env"]}
-    assert _settings(on_kubernetes, tmp_path).max_concurrency == int(
-        container["resources"]["limits"]["cpu"]
-    )
+def test_the_server_understands_the_variables_of_the_pod(tmp_path: Path) -> None:
+    container = pod_container()
+    variables = {variable["name"]: variable["value"] for variable in container["env"]}
+    settings = _settings(variables, tmp_path)
+    assert settings.max_concurrency == int(container["resources"]["limits"]["cpu"])
     mount = container["volumeMounts"][0]["mountPath"]
-    assert on_kubernetes["VEHANCHOR_TOKEN_FILE"] == f"{mount}/token"
+    assert variables["VEHANCHOR_TOKEN_FILE"] == f"{mount}/token"
 
+
+def test_the_server_understands_the_variables_of_compose(tmp_path: Path) -> None:
     service = COMPOSE["services"]["vehanchor"]
-    settings = _settings(service["environment"], tmp_path)
+    variables = service["environment"]
+    settings = _settings(variables, tmp_path)
     assert settings.max_concurrency == int(service["deploy"]["resources"]["limits"]["cpus"])
-    assert service["environment"]["VEHANCHOR_TOKEN_FILE"] == f"/run/secrets/{service['secrets'][0]}"
+    assert variables["VEHANCHOR_TOKEN_FILE"] == f"/run/secrets/{service['secrets'][0]}"
 
 
 @pytest.mark.promise("deployment")
-def test_compose_runs_two_replicas_locked_down_and_shows_only_nginx_on_loopback() -> None:
+def test_compose_runs_two_replicas() -> None:
+    assert COMPOSE["services"]["vehanchor"]["deploy"]["replicas"] == 2
+
+
+@pytest.mark.promise("deployment")
+def test_compose_opens_only_nginx_on_loopback() -> None:
     services = COMPOSE["services"]
-    assert services["vehanchor"]["deploy"]["replicas"] == 2
     assert "ports" not in services["vehanchor"]
     assert all(port.startswith("127.0.0.1:") for port in services["nginx"]["ports"])
-    for service in services.values():
+
+
+@pytest.mark.promise("deployment")
+def test_compose_locks_every_service_down() -> None:
+    for service in COMPOSE["services"].values():
         assert service["read_only"]
         assert service["cap_drop"] == ["ALL"]
         assert service["security_opt"] == ["no-new-privileges:true", "seccomp=builtin"]
-    linted = [
-        sys.executable,
-        "-m",
-        "compose_lint",
-        "--fail-on",
-        "high",
-        str(DEPLOY / "compose.yml"),
-    ]
-    found = subprocess.run(linted, capture_output=True, text=True, check=False)
-    assert found.returncode == 0, found.stdout
 
 
-def test_the_images_carry_this_version() -> None:
-    (container,) = of_kind("Deployment")["spec"]["template"]["spec"]["containers"]
-    assert (
-        container["image"]
-        == COMPOSE["services"]["vehanchor"]["image"]
-        == f"vehanchor:{__version__}"
+@pytest.mark.promise("deployment")
+def test_a_linter_finds_no_high_risk_in_compose() -> None:
+    lint = [sys.executable, "-m", "compose_lint", "--fail-on", "high"]
+    done = subprocess.run(
+        [*lint, str(DEPLOY / "compose.yml")], capture_output=True, text=True, check=False
     )
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_images_have_this_version() -> None:
+    image = f"vehanchor:{__version__}"
+    assert pod_container()["image"] == image
+    assert COMPOSE["services"]["vehanchor"]["image"] == image

@@ -1,4 +1,4 @@
-"""examples/deploy/nginx.conf before two servers, on the loopback interface: nothing lost, also when one dies."""
+"""nginx, as in examples/deploy, loses no call before two servers, also when one of them dies."""
 
 from __future__ import annotations
 
@@ -34,13 +34,14 @@ pytestmark = [pytest.mark.nginx, pytest.mark.timeout(900)]
 
 N_CALLS = 96
 N_CLIENTS = 6
-LONGEST_S = 400
-# calls at a time; connections of each kind
+MAX_LOAD_S = 400
+# Honest calls at a time, and idle connections of each kind beside them.
 N_HONEST = 40
 N_IDLE = 512
 IDLE_FOR_S = 30.0
-LONGEST_WAIT_S = 1.0
-Call = tuple[dict[str, Any], float | None]  # the image argument, and the scale that must come back
+MAX_WAIT_S = 1.0
+Call = tuple[dict[str, Any], float | None]
+"""Argument with an image, and the scale that must come back."""
 
 
 @pytest.fixture
@@ -50,18 +51,24 @@ def anyio_backend() -> str:
 
 @dataclass(frozen=True)
 class Deployment:
-    """nginx and what is behind it."""
+    """nginx with the servers behind it.
+
+    Attributes:
+        url: address of nginx.
+        servers: address and process id of each server.
+        log: nginx's log of requests.
+        calls: calls with known answers.
+    """
 
     url: str
-    servers: list[tuple[str, int]]  # address and process
+    servers: list[tuple[str, int]]
     log: Path
     calls: list[Call]
 
-    def asked(self) -> Counter[str]:
-        """How many requests each server answered, by nginx's log; one that was retried names both."""
-        return Counter(
-            re.findall(r"127\.0\.0\.1:\d+(?=,|$)", self.log.read_text(), flags=re.MULTILINE)
-        )
+    def count_requests(self) -> Counter[str]:
+        """Count the requests of each server in nginx's log; a repeated one counts for both."""
+        addresses = r"127\.0\.0\.1:\d+(?=,|$)"
+        return Counter(re.findall(addresses, self.log.read_text(), flags=re.MULTILINE))
 
 
 @pytest.fixture
@@ -72,49 +79,35 @@ def deployment(tmp_path: Path) -> Iterator[Deployment]:
     calls: list[Call] = []
     for path in write_images(images):
         gsd = estimate_gsd(path).gsd_m_per_px
-        # 2 MB: more than nginx keeps in memory
+        # 2 MB: more than nginx keeps in memory.
         encoded = base64.b64encode(path.read_bytes()).decode()
-        calls += [
-            ({"kind": "path", "path": str(path)}, gsd),
-            ({"kind": "base64", "data": encoded}, gsd),
-        ]
+        calls.append(({"kind": "path", "path": str(path)}, gsd))
+        calls.append(({"kind": "base64", "data": encoded}, gsd))
     with ExitStack() as stack:
         flags = ("--root", str(images), "--threads", "1")
         servers = [stack.enter_context(http_server(*flags)) for _ in range(2)]
-        addresses = [server.url.removeprefix("http://").removesuffix("/mcp") for server in servers]
+        addresses = [_host_and_port(server.url) for server in servers]
         url = stack.enter_context(nginx_before(addresses, tmp_path))
-        behind = [(address, server.pid) for address, server in zip(addresses, servers, strict=True)]
+        processes = [server.pid for server in servers]
+        behind = list(zip(addresses, processes, strict=True))
         yield Deployment(url, behind, log=tmp_path / "access.log", calls=calls)
+
+
+def _host_and_port(url: str) -> str:
+    return url.removeprefix("http://").removesuffix("/mcp")
 
 
 @contextmanager
 def nginx_before(addresses: list[str], tmp_path: Path) -> Iterator[str]:
-    """The URL of nginx as the deployment sets it up, before these servers."""
+    """Start nginx as in the deployment, before these servers; return its URL."""
     nginx = needed_program("nginx", "apt-get install nginx-light")
     port = free_port()
-    text = (ROOT / "examples/deploy/nginx.conf").read_text()
-    rule = re.search(r"server vehanchor:8000(.*?;)", text)
-    assert rule is not None
-    text = text.replace(
-        rule.group(), " ".join(f"server {address}{rule.group(1)}" for address in addresses)
-    )
-    text = text.replace("listen 8080;", f"listen 127.0.0.1:{port};").replace(
-        "/tmp/", f"{tmp_path}/"
-    )
-    text = text.replace("/dev/stdout", f"{tmp_path}/access.log")
     configuration = tmp_path / "nginx.conf"
-    configuration.write_text(text)
-    # or root's workers become nobody, who may not write to tmp_path
-    own = "user root;" if os.geteuid() == 0 else ""
-    command = [
-        nginx,
-        "-c",
-        str(configuration),
-        "-e",
-        str(tmp_path / "error.log"),
-        "-g",
-        f"daemon off; {own}",
-    ]
+    configuration.write_text(_configuration(addresses, tmp_path, port))
+    # As root, nginx would run its workers as "nobody", who may not write to tmp_path.
+    user = "user root;" if os.geteuid() == 0 else ""
+    files = ("-c", str(configuration), "-e", str(tmp_path / "error.log"))
+    command = [nginx, *files, "-g", f"daemon off; {user}"]
     checked = subprocess.run([*command, "-t"], capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stderr
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -130,17 +123,30 @@ def nginx_before(addresses: list[str], tmp_path: Path) -> Iterator[str]:
         process.wait(30)
 
 
-async def _answer(url: str, image: dict[str, Any], tally: Counter[str]) -> float | None:
-    """The scale, after as many refusals for want of a place as it takes.
+def _configuration(addresses: list[str], tmp_path: Path, port: int) -> str:
+    """Return the deployment's configuration with other servers, folders and port."""
+    text = (ROOT / "examples/deploy/nginx.conf").read_text()
+    rule = re.search(r"server vehanchor:8000(.*?;)", text)
+    assert rule is not None
+    servers = " ".join(f"server {address}{rule.group(1)}" for address in addresses)
+    text = text.replace(rule.group(), servers)
+    text = text.replace("listen 8080;", f"listen 127.0.0.1:{port};")
+    text = text.replace("/tmp/", f"{tmp_path}/")
+    return text.replace("/dev/stdout", f"{tmp_path}/access.log")
 
-    nginx asks the other replica only if the first took no connection: a call that its replica died
-    of, or with, is repeated here, as any client may repeat what changes nothing.
+
+async def _answer(url: str, image: dict[str, Any], tally: Counter[str]) -> float | None:
+    """Return the scale; repeat a call that is refused because all servers are busy.
+
+    nginx asks the other replica only if the first did not accept the connection. A call that ended
+    with its replica is repeated here: it changes nothing, so any client may repeat it.
     """
+    arguments = {"image": image, "detail": "full"}
     while True:
         result = None
         try:
             async with Client(url, read_timeout_seconds=120) as client:
-                result = await client.call_tool("estimate_gsd", {"image": image, "detail": "full"})
+                result = await client.call_tool("estimate_gsd", arguments)
         except* (httpx2.RemoteProtocolError, httpx2.ReadError, httpx2.HTTPStatusError, MCPError):
             tally["broken off"] += 1
         if result is None:
@@ -155,17 +161,17 @@ async def _answer(url: str, image: dict[str, Any], tally: Counter[str]) -> float
 
 
 async def _load(deployment: Deployment) -> Counter[str]:
+    """Send all calls with several clients; count right, wrong, refused and broken ones."""
     tally: Counter[str] = Counter()
     queue = iter(range(N_CALLS))
 
     async def client() -> None:
         for i in queue:
             image, expected = deployment.calls[i % len(deployment.calls)]
-            tally[
-                "right" if await _answer(deployment.url, image, tally) == expected else "wrong"
-            ] += 1
+            gsd = await _answer(deployment.url, image, tally)
+            tally["right" if gsd == expected else "wrong"] += 1
 
-    with anyio.fail_after(LONGEST_S):
+    with anyio.fail_after(MAX_LOAD_S):
         async with anyio.create_task_group() as group:
             for _ in range(N_CLIENTS):
                 group.start_soon(client)
@@ -173,17 +179,15 @@ async def _load(deployment: Deployment) -> Counter[str]:
 
 
 @pytest.mark.anyio
-async def test_both_replicas_answer_and_every_answer_is_right(deployment: Deployment) -> None:
+async def test_both_replicas_answer_rightly(deployment: Deployment) -> None:
     started = time.perf_counter()
     tally = await _load(deployment)
     seconds = time.perf_counter() - started
-    print(
-        f"{N_CALLS} calls, {N_CLIENTS} clients, {seconds:.1f} s, {N_CALLS / seconds:.1f} a "
-        f"second: {dict(tally)}"
-    )
+    rate = N_CALLS / seconds
+    print(f"{N_CALLS} calls, {N_CLIENTS} clients, {seconds:.1f} s, {rate:.1f} a second: {tally}")
     assert tally["right"] == N_CALLS, tally
     assert not tally["broken off"], tally
-    shares = deployment.asked()
+    shares = deployment.count_requests()
     assert set(shares) == {address for address, _ in deployment.servers}
     assert min(shares.values()) > 0.25 * shares.total(), shares
 
@@ -201,55 +205,56 @@ async def test_when_a_replica_is_killed_the_other_takes_over(deployment: Deploym
         tally = await _load(deployment)
     print(dict(tally))
     assert tally["right"] == N_CALLS, tally
-    # what was on its way to the one that died, and what it still took while it ended
-    most = 2 * N_CLIENTS
-    assert tally["broken off"] <= most, tally
+    # The calls that the victim had, and those that it still accepted while it ended.
+    assert tally["broken off"] <= 2 * N_CLIENTS, tally
 
 
-def test_a_request_that_a_replica_died_of_is_not_sent_to_the_other(tmp_path: Path) -> None:
-    seen: list[bytes] = []
+def test_a_request_that_killed_a_replica_is_not_repeated(tmp_path: Path) -> None:
+    requests: list[bytes] = []
 
-    def die_of_each(listener: socket.socket) -> None:
+    def hang_up_on_each(listener: socket.socket) -> None:
         with suppress(OSError):
             while True:
                 connection, _ = listener.accept()
                 with connection:
-                    seen.append(connection.recv(65536))  # and hang up without an answer
+                    requests.append(connection.recv(65536))
 
     with ExitStack() as stack:
         listeners = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(2)]
         for listener in listeners:
-            threading.Thread(target=die_of_each, args=(listener,), daemon=True).start()
+            threading.Thread(target=hang_up_on_each, args=(listener,), daemon=True).start()
         addresses = [f"127.0.0.1:{listener.getsockname()[1]}" for listener in listeners]
         url = stack.enter_context(nginx_before(addresses, tmp_path))
         assert httpx2.post(url, json={"poison": True}).status_code == 502
-        assert len(seen) == 1
+        assert len(requests) == 1
         for listener in listeners:
             listener.shutdown(socket.SHUT_RDWR)
 
 
 @pytest.mark.promise("proxy")
-def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
-    """Send 40 honest calls at a time beside 512 silent connections and 512 that stay after an answer."""
+def test_idle_connections_do_not_delay_honest_calls(tmp_path: Path) -> None:
+    """Send honest calls beside silent connections and others that stay after an answer."""
 
-    def call(place: int) -> float:
+    def call(number: int) -> float:
+        """Send an honest call from one of two addresses; return its seconds."""
+        transport = httpx2.HTTPTransport(local_address=f"127.0.0.{4 + number % 2}")
         started = time.perf_counter()
-        with httpx2.Client(
-            transport=httpx2.HTTPTransport(local_address=f"127.0.0.{4 + place % 2}")
-        ) as client:
+        with httpx2.Client(transport=transport) as client:
             assert client.post(url, timeout=60, **discover()).status_code == 200
         return time.perf_counter() - started
 
     with ExitStack() as stack:
         servers = [stack.enter_context(http_server("--threads", "1")) for _ in range(2)]
-        addresses = [server.url.removeprefix("http://").removesuffix("/mcp") for server in servers]
+        addresses = [_host_and_port(server.url) for server in servers]
         url = stack.enter_context(nginx_before(addresses, tmp_path))
         pool = stack.enter_context(ThreadPoolExecutor(N_HONEST))
-        alone = [second for _ in range(3) for second in pool.map(call, range(N_HONEST))]
+        alone: list[float] = []
+        for _ in range(3):
+            alone += pool.map(call, range(N_HONEST))
         idle = stack.enter_context(closing(IdleConnections(url)))
         beside: list[float] = []
-        ends = time.monotonic() + IDLE_FOR_S
-        while time.monotonic() < ends:
+        end = time.monotonic() + IDLE_FOR_S
+        while time.monotonic() < end:
             idle.renew()
             beside += pool.map(call, range(N_HONEST))
         assert idle.n_closed > N_IDLE, "nginx closes them"
@@ -257,38 +262,47 @@ def test_idle_connections_lock_nobody_out(tmp_path: Path) -> None:
         f"slowest call {max(alone):.2f} s alone, {max(beside):.2f} s beside {idle.n_closed} "
         "closed connections"
     )
-    assert max(beside) < 2 * max(alone) + LONGEST_WAIT_S  # the machine may be busy
+    # The machine may be busy.
+    assert max(beside) < 2 * max(alone) + MAX_WAIT_S
 
 
 class IdleConnections:
-    """Connections of one stranger at two addresses: half say nothing, half stay after an answer."""
+    """Connections of a stranger from two addresses: half are silent, half stay after an answer."""
 
     def __init__(self, url: str) -> None:
-        host, port = url.removeprefix("http://").removesuffix("/mcp").split(":")
+        host, port = _host_and_port(url).split(":")
         self._address = host, int(port)
         self._open: list[socket.socket] = []
         self.n_closed = 0
 
     def renew(self) -> None:
-        """Replace those that nginx has closed."""
-        for each in list(self._open):
-            with suppress(BlockingIOError):
-                with suppress(ConnectionResetError):
-                    if each.recv(4096):
-                        continue
-                self._open.remove(each)
-                each.close()
+        """Replace the connections that nginx has closed."""
+        for connection in list(self._open):
+            if _is_closed(connection):
+                self._open.remove(connection)
+                connection.close()
                 self.n_closed += 1
         for i in range(2 * N_IDLE - len(self._open)):
-            connection = socket.socket()
-            connection.bind((f"127.0.0.{2 + i // 2 % 2}", 0))
-            connection.connect(self._address)
-            if i % 2:
+            # Two connections from one address, then two from the other.
+            host = f"127.0.0.{2 + i // 2 % 2}"
+            connection = socket.create_connection(self._address, source_address=(host, 0))
+            if i % 2 == 1:
                 connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
             connection.setblocking(False)
             self._open.append(connection)
 
     def close(self) -> None:
-        """Close all."""
-        for each in self._open:
-            each.close()
+        """Close all connections."""
+        for connection in self._open:
+            connection.close()
+
+
+def _is_closed(connection: socket.socket) -> bool:
+    """Test whether the other side has closed a connection that does not block."""
+    try:
+        # An answer that has arrived is read; no bytes mean the end.
+        return not connection.recv(4096)
+    except BlockingIOError:
+        return False
+    except ConnectionResetError:
+        return True

@@ -1,4 +1,4 @@
-"""A QGIS plugin: VehAnchor's command as Processing algorithms."""
+"""QGIS plugin: VehAnchor's command as Processing algorithms."""
 
 
 def classFactory(iface):  # noqa: ARG001, N802 - QGIS's name

@@ -1,7 +1,7 @@
 """Two algorithms that run the command ``vehanchor``.
 
-QGIS's own Python does not need VehAnchor: the command is a program on the PATH, or named by the
-environment variable ``VEHANCHOR``.
+QGIS's own Python does not need VehAnchor. The command is a program on the PATH, or the one that the
+environment variable ``VEHANCHOR`` names.
 """
 
 import json
@@ -22,12 +22,14 @@ from qgis.core import (
     QgsProcessingParameterVectorDestination,
 )
 
-NOT_OK = 3  # exit status of the command for an unusable scale
-POLL_S = 0.2  # interval of checks for cancellation
+# Exit status of the command for an unusable scale.
+NOT_OK = 3
+# Interval of checks for cancellation.
+POLL_S = 0.2
 
 
 class _Command(QgsProcessingAlgorithm):
-    """An algorithm that runs the command."""
+    """Algorithm that runs the command."""
 
     IMAGE = "IMAGE"
     REGION = "REGION"
@@ -38,11 +40,11 @@ class _Command(QgsProcessingAlgorithm):
         return type(self)()
 
     def group(self):
-        """No group for two algorithms."""
+        """Return no group: there are only two algorithms."""
         return ""
 
     def groupId(self):  # noqa: N802 - QGIS's name
-        """No group."""
+        """Return no group."""
         return ""
 
     def add_parameters(self):
@@ -61,22 +63,28 @@ class _Command(QgsProcessingAlgorithm):
 
     def arguments(self, parameters, context):
         """Build the command's arguments."""
-        region = self.parameterAsString(parameters, self.REGION, context)
         words = [self.parameterAsFile(parameters, self.IMAGE, context)]
-        words += ["--region", region] if region else []
+        region = self.parameterAsString(parameters, self.REGION, context)
+        if region:
+            words += ["--region", region]
         if parameters.get(self.HEIGHT) is not None:
-            words += ["--height", str(self.parameterAsDouble(parameters, self.HEIGHT, context))]
+            height = self.parameterAsDouble(parameters, self.HEIGHT, context)
+            words += ["--height", str(height)]
         return words
 
-    def ask(self, words, feedback):
-        """Run the command; return stdout, stderr and exit status."""
+    def run_command(self, words, feedback):
+        """Run the command; return stdout, stderr and exit status.
+
+        Raises:
+            QgsProcessingException: the command is missing, fails, or is cancelled.
+        """
         program = os.environ.get("VEHANCHOR") or shutil.which("vehanchor")
         if program is None:
             raise QgsProcessingException(
                 "command vehanchor not found: pip install 'vehanchor[geo]', or set the variable "
                 "VEHANCHOR"
             )
-        # PYTHONHOME and PYTHONPATH belong to QGIS's own Python
+        # PYTHONHOME and PYTHONPATH belong to QGIS's own Python.
         environment = {
             name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
         }
@@ -93,9 +101,8 @@ class _Command(QgsProcessingAlgorithm):
         if feedback.isCanceled():
             raise QgsProcessingException("cancelled")
         if running.returncode not in (0, NOT_OK):
-            raise QgsProcessingException(
-                errors.strip() or f"vehanchor ended with status {running.returncode}"
-            )
+            reason = errors.strip() or f"vehanchor ended with status {running.returncode}"
+            raise QgsProcessingException(reason)
         return output, errors, running.returncode
 
     def wait(self, running, feedback):
@@ -109,38 +116,37 @@ class _Command(QgsProcessingAlgorithm):
 
 
 class EstimateScale(_Command):
-    """Metres per pixel with confidence and status, and the vehicles as a layer."""
+    """Algorithm that estimates metres per pixel, and makes a layer of the vehicles."""
 
     BOXES = "BOXES"
 
     def name(self):
-        """Name of the algorithm after the provider's."""
+        """Return the algorithm's name, which follows the provider's."""
         return "scale"
 
     def displayName(self):  # noqa: N802 - QGIS's name
-        """Displayed name."""
+        """Return the displayed name."""
         return "Estimate the scale of a photograph"
 
     def shortHelpString(self):  # noqa: N802 - QGIS's name
-        """Help text."""
+        """Return the help text."""
         return (
-            "Measures metres per pixel from the cars in an aerial photograph. Use the scale "
-            "only with status ok. The "
-            "vehicles have map coordinates if the file is georeferenced, otherwise pixels, y down."
+            "Measures metres per pixel from the cars in an aerial photograph. Use the scale only "
+            "with status ok. The vehicles have map coordinates if the file is georeferenced, "
+            "otherwise pixels, y down."
         )
 
     def initAlgorithm(self, configuration=None):  # noqa: ARG002, N802 - QGIS's name
         """Declare parameters and outputs."""
         self.add_parameters()
-        self.addParameter(
-            QgsProcessingParameterVectorDestination(
-                self.BOXES,
-                "Vehicles",
-                QgsProcessing.TypeVectorPolygon,
-                optional=True,
-                createByDefault=False,
-            )
+        boxes = QgsProcessingParameterVectorDestination(
+            self.BOXES,
+            "Vehicles",
+            QgsProcessing.TypeVectorPolygon,
+            optional=True,
+            createByDefault=False,
         )
+        self.addParameter(boxes)
         self.addOutput(QgsProcessingOutputNumber("GSD", "Metres per pixel"))
         self.addOutput(QgsProcessingOutputNumber("CONFIDENCE", "Confidence"))
         self.addOutput(QgsProcessingOutputString("STATUS", "Status"))
@@ -152,7 +158,8 @@ class EstimateScale(_Command):
         if parameters.get(self.BOXES):
             boxes = self.parameterAsOutputLayer(parameters, self.BOXES, context)
             words += ["--boxes", boxes]
-        record = json.loads(self.ask(words, feedback)[0])
+        output, _, _ = self.run_command(words, feedback)
+        record = json.loads(output)
         return {
             "GSD": record["gsd_m_per_px"],
             "CONFIDENCE": record["confidence"],
@@ -162,20 +169,20 @@ class EstimateScale(_Command):
 
 
 class LocalMetres(_Command):
-    """The photograph as a raster in local metres."""
+    """Algorithm that writes the photograph as a raster in local metres."""
 
     RASTER = "RASTER"
 
     def name(self):
-        """Name of the algorithm after the provider's."""
+        """Return the algorithm's name, which follows the provider's."""
         return "localmetres"
 
     def displayName(self):  # noqa: N802 - QGIS's name
-        """Displayed name."""
+        """Return the displayed name."""
         return "Photograph in local metres"
 
     def shortHelpString(self):  # noqa: N802 - QGIS's name
-        """Help text."""
+        """Return the help text."""
         return "Writes a GeoTIFF with the estimated pixel size and the upper left corner at 0, 0."
 
     def initAlgorithm(self, configuration=None):  # noqa: ARG002, N802 - QGIS's name
@@ -188,11 +195,9 @@ class LocalMetres(_Command):
     def processAlgorithm(self, parameters, context, feedback):  # noqa: N802 - QGIS's name
         """Run the algorithm."""
         raster = self.parameterAsOutputLayer(parameters, self.RASTER, context)
-        _, errors, status = self.ask(
-            ["estimate", *self.arguments(parameters, context), "--geotiff", raster], feedback
-        )
+        words = ["estimate", *self.arguments(parameters, context), "--geotiff", raster]
+        _, errors, status = self.run_command(words, feedback)
         if status == NOT_OK:
-            raise QgsProcessingException(
-                f"the scale is not usable: {errors.strip() or 'see the log'}"
-            )
+            reason = errors.strip() or "see the log"
+            raise QgsProcessingException(f"the scale is not usable: {reason}")
         return {self.RASTER: raster}

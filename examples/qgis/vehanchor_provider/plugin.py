@@ -1,4 +1,4 @@
-"""The plugin and its Processing provider."""
+"""Plugin and Processing provider."""
 
 from qgis.core import QgsApplication, QgsProcessingProvider
 
@@ -31,7 +31,7 @@ class VehAnchorProvider(QgsProcessingProvider):
 
 
 class VehAnchorPlugin:
-    """The plugin, for QGIS and for ``qgis_process``."""
+    """Plugin, for QGIS and for ``qgis_process``."""
 
     def __init__(self):
         self.provider = None

@@ -1,14 +1,14 @@
 """GeoJSON files of boxes, outlines and lines.
 
-Coordinates are degrees of WGS 84 for a georeferenced image, as the format requires, else pixels of
-the image, y down. RFC 7946 knows degrees only. Files in pixels have the member ``crs`` of the
-earlier standard, which GDAL and geopandas read: without it they would take the pixels for degrees.
+Coordinates are degrees of WGS 84 for a georeferenced image, as RFC 7946 requires. For other images
+they are pixels of the image, y down. These files have the member ``crs`` of the standard before
+RFC 7946, which GDAL and geopandas read. Without it they would take the pixels for degrees.
 """
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import OutputError
 from vehanchor.storage.atomic import check_output_path, whole_file
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.metadata.georeference import Ground
 
+    Feature: TypeAlias = dict[str, Any]
+
 SUFFIX = ".geojson"
 PIXELS_WKT = (
-    'LOCAL_CS["Pixels of the image, y '
-    'down",LOCAL_DATUM["Image",0],UNIT["pixel",1],AXIS["x",EAST],AXIS["y",SOUTH]]'
+    'LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],'
+    'AXIS["x",EAST],AXIS["y",SOUTH]]'
 )
-"""Reference system of an image without coordinates: GDAL and geopandas read the unit as pixels, not metres."""
+"""Reference system of an image without a georeference; readers take its unit for pixels."""
 
 
 def check_geojson_path(path: Path) -> None:
@@ -46,12 +48,14 @@ def write_shapes(path: Path, analysis: ScaleAnalysis | AreaAnalysis | DistanceAn
     Raises:
         OutputError: the file cannot be written.
     """
-    found = analysis.__geo_interface__
-    features = [each for each in found.get("features", [found]) if each["geometry"]["coordinates"]]
-    write_features(path, [(each, analysis.ground) for each in features])
+    shapes = analysis.__geo_interface__
+    # A measurement is one feature, a scale a collection of them.
+    features = shapes.get("features", [shapes])
+    drawn = [feature for feature in features if feature["geometry"]["coordinates"]]
+    write_features(path, [(feature, analysis.ground) for feature in drawn])
 
 
-def write_features(path: Path, placed: Sequence[tuple[dict[str, Any], Ground | None]]) -> None:
+def write_features(path: Path, placed: Sequence[tuple[Feature, Ground | None]]) -> None:
     """Write features of one or many images.
 
     Args:
@@ -62,12 +66,13 @@ def write_features(path: Path, placed: Sequence[tuple[dict[str, Any], Ground | N
     Raises:
         OutputError: the file cannot be written, or only some images are georeferenced.
     """
-    if len({ground is None for _, ground in placed}) > 1:
+    in_pixels = [ground is None for _, ground in placed]
+    if any(in_pixels) and not all(in_pixels):
         raise OutputError(
             "some images are georeferenced and others are not: write one file for each kind"
         )
     collection: dict[str, Any] = {"type": "FeatureCollection"}
-    if all(ground is None for _, ground in placed):
+    if all(in_pixels):
         collection["crs"] = {"type": "name", "properties": {"name": PIXELS_WKT}}
     collection["features"] = [
         feature if ground is None else _in_degrees(feature, ground) for feature, ground in placed
@@ -76,19 +81,23 @@ def write_features(path: Path, placed: Sequence[tuple[dict[str, Any], Ground | N
         partial.write_text(json.dumps(collection), encoding="utf-8")
 
 
-def _in_degrees(feature: dict[str, Any], ground: Ground) -> dict[str, Any]:
+def _in_degrees(feature: Feature, ground: Ground) -> Feature:
     """Convert a feature of a georeferenced image to degrees."""
+    geometry = feature["geometry"]
+    coordinates = _coordinates_in_degrees(geometry["coordinates"], ground)
+    return {**feature, "geometry": {**geometry, "coordinates": coordinates}}
+
+
+def _coordinates_in_degrees(coordinates: Any, ground: Ground) -> list[Any]:
+    """Convert a line of x, y, or nested lists of lines such as those of a polygon."""
     from rasterio.warp import transform
 
+    is_line = isinstance(coordinates[0][0], int | float)
+    if not is_line:
+        return [_coordinates_in_degrees(part, ground) for part in coordinates]
+    # The affine transform of the file, from pixels to its reference system.
     a, b, c, d, e, f = ground.transform[:6]
-
-    def moved(part: Any) -> list[Any]:
-        if not isinstance(part[0][0], int | float):
-            return [moved(each) for each in part]
-        eastings = [a * x + b * y + c for x, y in part]
-        northings = [d * x + e * y + f for x, y in part]
-        longitudes, latitudes = transform(ground.crs, "EPSG:4326", eastings, northings)
-        return list(map(list, zip(longitudes, latitudes, strict=True)))
-
-    geometry = feature["geometry"]
-    return {**feature, "geometry": {**geometry, "coordinates": moved(geometry["coordinates"])}}
+    eastings = [a * x + b * y + c for x, y in coordinates]
+    northings = [d * x + e * y + f for x, y in coordinates]
+    longitudes, latitudes = transform(ground.crs, "EPSG:4326", eastings, northings)
+    return [[x, y] for x, y in zip(longitudes, latitudes, strict=True)]

@@ -1,4 +1,4 @@
-"""GeoTIFF copy of an image in local metres: GIS programs measure in it with the estimated scale.
+"""GeoTIFF copy of an image in local metres, in which GIS programs measure with the estimated scale.
 
 The position on Earth is unknown. The reference system is a local plane with the upper left corner
 at 0, 0, x to the right and y upwards.
@@ -26,7 +26,7 @@ def check_copy_path(path: Path) -> None:
     """Check, before the work, that a copy can be written to a path.
 
     Raises:
-        OutputError: the suffix is not that of a TIFF, or the folder does not exist.
+        OutputError: the suffix is not ``.tif`` or ``.tiff``, or the folder does not exist.
         MissingExtraError: rasterio is not installed.
     """
     check_output_path(path, (".tif", ".tiff"), kind="a GeoTIFF")
@@ -39,7 +39,7 @@ def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
 
     Args:
         path: ``.tif`` or ``.tiff``, checked by ``check_copy_path``.
-        raster: the image, read by rows of tiles.
+        raster: the image, read one row of tiles at a time.
         gsd_m_per_px: the side of a pixel, metres.
 
     Raises:
@@ -65,7 +65,7 @@ def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
         "blockysize": _TILE_PX,
         "BIGTIFF": "IF_SAFER",
         "crs": rasterio.CRS.from_wkt(_LOCAL_METRES),
-        "transform": rasterio.Affine(gsd_m_per_px, 0, 0, 0, -gsd_m_per_px, 0),
+        "transform": rasterio.Affine.scale(gsd_m_per_px, -gsd_m_per_px),
     }
     with whole_file(path) as partial:
         try:
@@ -73,6 +73,7 @@ def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:
                 for top in range(0, height, _TILE_PX):
                     rows = min(_TILE_PX, height - top)
                     pixels = raster.read(Window(0, top, width_px=width, height_px=rows))
-                    copy.write(pixels.transpose(2, 0, 1), window=((top, top + rows), (0, width)))
+                    bands = pixels.transpose(2, 0, 1)
+                    copy.write(bands, window=((top, top + rows), (0, width)))
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"cannot write {str(path)!r}: {error}") from error

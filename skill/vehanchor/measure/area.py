@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.options import ScaleOptions
@@ -23,19 +25,20 @@ from vehanchor.records import (
 from vehanchor.segmentation.doubts import mask_notices
 from vehanchor.segmentation.prompt import prompt_in_image
 from vehanchor.segmentation.segmenter import Segmenter
-from vehanchor.segmentation.shape import inscribed_circle, outline_parts, perimeter, rotated_extents
+from vehanchor.segmentation.shape import inscribed_circle, perimeter, rotated_extents, trace_outline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.scale_source import MeasurementScale, ScaleInput
     from vehanchor.options import Frame
+    from vehanchor.scale.lengths import Spread
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
+    from vehanchor.segmentation.shape import Mask
 
 
 def analyse_objects(
@@ -52,7 +55,7 @@ def analyse_objects(
     Args:
         raster: the image.
         prompts: results of ``read_prompt``, in the caller's coordinates.
-        segmenter: finds the objects.
+        segmenter: segments the objects.
         scale: the known scale, or the analysis that finds it.
         options: all options of the scale estimate.
         object_height_m: height of all objects above the ground.
@@ -62,86 +65,104 @@ def analyse_objects(
         the scale.
 
     Raises:
-        VehAnchorError: as ``Engine.measure_area``.
+        VehAnchorError: see ``Engine.measure_area``.
     """
     options.frame.check(raster.width_px, raster.height_px)
-    prompts = [
-        prompt_in_image(each, options.frame, width_px=raster.width_px, height_px=raster.height_px)
-        for each in prompts
+    in_image = [
+        prompt_in_image(prompt, options.frame, width_px=raster.width_px, height_px=raster.height_px)
+        for prompt in prompts
     ]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
-    masks = [segmenter.segment(raster, prompt, limits=options.reading.limits) for prompt in prompts]
-    found = find_measurement_scale(raster, scale, options, object_height_m=object_height_m)
-    return tuple(
-        AreaAnalysis(
-            _conclude(raster, mask, prompt, segmenter.card, options, found),
+    masks = [
+        segmenter.segment(raster, prompt, limits=options.reading.limits) for prompt in in_image
+    ]
+    measurement_scale = find_measurement_scale(
+        raster, scale, options, object_height_m=object_height_m
+    )
+    analyses = []
+    for prompt, mask in zip(in_image, masks, strict=True):
+        record = _measure_object(
+            raster,
+            mask,
+            prompt=prompt,
+            card=segmenter.card,
+            options=options,
+            scale=measurement_scale,
+        )
+        analysis = AreaAnalysis(
+            record,
             mask,
             prompt,
-            scale=found.analysis,
-            nadir=found.plane is None,
+            scale=measurement_scale.analysis,
+            nadir=measurement_scale.plane is None,
         )
-        for prompt, mask in zip(prompts, masks, strict=True)
-    )
+        analyses.append(analysis)
+    return tuple(analyses)
 
 
-def _conclude(
+def _measure_object(
     raster: Raster,
-    found: Segmentation,
+    segmentation: Segmentation,
+    *,
     prompt: Prompt,
     card: SegmenterCard,
     options: ScaleOptions,
     scale: MeasurementScale,
 ) -> AreaMeasurement:
     """Make the record from mask and scale."""
-    mask = found.mask
-    left = found.window.x_px
-    top = found.window.y_px
-    circle = inscribed_circle(mask)
+    mask = segmentation.mask
+    left = segmentation.window.x_px
+    top = segmentation.window.y_px
     n_px = int(mask.sum())
-    outline_px = perimeter(mask)
-    (length_px, width_px) = rotated_extents(mask)
-    measured = scale.gsd_over(mask, left, top)  # an empty mask has no size, not a size of zero
-    area = diameter = _Size()
-    if measured is not None and circle is not None:
-        # the paper, section III-G
-        area_m2 = n_px * measured**2
-        diameter_m = circle.diameter * measured
-        area_sd = card.area_log_sd(prompt, found)
-        diameter_sd = _diameter_log_sd(
-            area_sd, n_px, perimeter_px=outline_px, diameter_px=circle.diameter
+    perimeter_px = perimeter(mask)
+    length_px, width_px = rotated_extents(mask)
+    circle = inscribed_circle(mask)
+    # None for an empty mask, too: it has no size, not a size of zero.
+    gsd = scale.gsd_over(mask, left, top)
+    area = _NO_SIZE
+    diameter = _NO_SIZE
+    centre = None
+    if circle is not None:
+        centre = ImagePoint(x_px=circle.x + left, y_px=circle.y + top)
+    if gsd is not None and circle is not None:
+        area_log_sd = card.area_log_sd(prompt, segmentation)
+        # The paper, section III-G: the area is the number of pixels times the scale squared, so
+        # the log error of the scale counts twice.
+        area = _Size.of(n_px * gsd**2, scale.spread.times(2).plus(area_log_sd))
+        diameter_log_sd = _diameter_log_sd(
+            area_log_sd, n_px, perimeter_px=perimeter_px, diameter_px=circle.diameter
         )
-        area = _Size(area_m2, *scale.spread.times(2).plus(area_sd).around(area_m2))
-        diameter = _Size(diameter_m, *scale.spread.plus(diameter_sd).around(diameter_m))
-    box = _box(found)
+        diameter = _Size.of(circle.diameter * gsd, scale.spread.plus(diameter_log_sd))
+    mode_length_px = None
+    if scale.estimate is not None:
+        mode_length_px = scale.estimate.mode_length_px
+    status = scale.status
+    if status == "ok" and card.is_doubtful(segmentation):
+        status = "low_confidence"
+    box = _box(segmentation)
+    doubts = mask_notices(raster, segmentation, prompt=prompt, card=card, width_px=width_px)
     return AreaMeasurement(
-        status="low_confidence"
-        if scale.status == "ok" and card.is_doubtful(found)
-        else scale.status,
+        status=status,
         area_m2=area.value,
         area_ci95_low_m2=area.low,
         area_ci95_high_m2=area.high,
-        mode_length_px=None if scale.estimate is None else scale.estimate.mode_length_px,
+        mode_length_px=mode_length_px,
         mask_area_px=n_px,
-        mask_score=found.score,
-        perimeter_m=measured and outline_px * measured,
-        length_m=measured and length_px * measured,
-        width_m=measured and width_px * measured,
+        mask_score=segmentation.score,
+        perimeter_m=_metres(perimeter_px, gsd),
+        length_m=_metres(length_px, gsd),
+        width_m=_metres(width_px, gsd),
         inscribed_diameter_m=diameter.value,
         inscribed_diameter_ci95_low_m=diameter.low,
         inscribed_diameter_ci95_high_m=diameter.high,
-        inscribed_center=None
-        if circle is None
-        else ImagePoint(x_px=circle.x + left, y_px=circle.y + top),
+        inscribed_center=centre,
         bounding_box=box,
-        alternatives=tuple(_other_object(each, scale) for each in found.alternatives),
+        alternatives=tuple(_other_object(other, scale) for other in segmentation.alternatives),
         outline=_outline(mask, left, top),
-        frame=_frame(options.frame, raster, gsd=scale.gsd_m_per_px, box=box),
+        frame=_frame_area(options.frame, raster, gsd=scale.gsd_m_per_px, box=box),
         segmenter=card.name,
         segmenter_sha256=card.sha256,
-        warnings=(
-            *scale.notices,
-            *mask_notices(raster, found, prompt=prompt, card=card, width_px=width_px),
-        ),
+        warnings=(*scale.notices, *doubts),
         **scale.fields(raster.width_px, raster.height_px),
     )
 
@@ -149,13 +170,25 @@ def _conclude(
 class _Size(NamedTuple):
     """Size in metres or square metres with its 95 % interval; None without a scale or a mask."""
 
-    value: float | None = None
-    low: float | None = None
-    high: float | None = None
+    value: float | None
+    low: float | None
+    high: float | None
+
+    @classmethod
+    def of(cls, value: float, spread: Spread) -> _Size:
+        low, high = spread.around(value)
+        return cls(value, low, high)
+
+
+_NO_SIZE = _Size(None, None, None)
+
+
+def _metres(length_px: float, gsd: float | None) -> float | None:
+    return None if gsd is None else length_px * gsd
 
 
 def _diameter_log_sd(
-    area_log_sd: float, area_px: float, perimeter_px: float, diameter_px: float
+    area_log_sd: float, area_px: float, *, perimeter_px: float, diameter_px: float
 ) -> float:
     """Propagate the mask's uncertainty to the diameter of its inscribed circle.
 
@@ -163,39 +196,50 @@ def _diameter_log_sd(
     The relative error of the diameter is half of the area's for a disc, and equal to it for a
     narrow strip.
     """
-    return max(area_log_sd / 2, 2 * area_log_sd * area_px / (perimeter_px * diameter_px))
+    of_outline = 2 * area_log_sd * area_px / (perimeter_px * diameter_px)
+    return max(area_log_sd / 2, of_outline)
 
 
-def _other_object(found: Segmentation, scale: MeasurementScale) -> OtherObject:
-    n_px = int(found.mask.sum())
-    box = _box(found)
+def _other_object(segmentation: Segmentation, scale: MeasurementScale) -> OtherObject:
+    n_px = int(segmentation.mask.sum())
+    box = _box(segmentation)
     assert box is not None, "alternatives are not empty"
-    gsd = scale.gsd_over(found.mask, found.window.x_px, found.window.y_px)
+    gsd = scale.gsd_over(segmentation.mask, segmentation.window.x_px, segmentation.window.y_px)
     return OtherObject(
-        area_m2=gsd and n_px * gsd**2, mask_area_px=n_px, mask_score=found.score, bounding_box=box
+        area_m2=None if gsd is None else n_px * gsd**2,
+        mask_area_px=n_px,
+        mask_score=segmentation.score,
+        bounding_box=box,
     )
 
 
-def _box(found: Segmentation) -> BoundingBox | None:
-    box = found.bounding_box
-    return box and BoundingBox(x1_px=box[0], y1_px=box[1], x2_px=box[2], y2_px=box[3])
+def _box(segmentation: Segmentation) -> BoundingBox | None:
+    bounds = segmentation.bounding_box
+    if bounds is None:
+        return None
+    x1, y1, x2, y2 = bounds
+    return BoundingBox(x1_px=x1, y1_px=y1, x2_px=x2, y2_px=y2)
 
 
-def _outline(mask: NDArray[np.bool_], left: int, top: int) -> tuple[OutlinePolygon, ...]:
-    def ring(points: NDArray[np.float64]) -> OutlineRing:
-        return OutlineRing(
-            points=tuple(ImagePoint(x_px=float(x) + left, y_px=float(y) + top) for x, y in points)
-        )
-
-    return tuple(
-        OutlinePolygon(exterior=ring(around), holes=tuple(map(ring, holes)))
-        for around, *holes in outline_parts(mask)
-    )
+def _outline(mask: Mask, left: int, top: int) -> tuple[OutlinePolygon, ...]:
+    """Trace the outline of a mask whose first pixel is at ``left``, ``top`` of the image."""
+    polygons = []
+    for rings in trace_outline(mask):
+        exterior, *holes = [_outline_ring(ring, left, top) for ring in rings]
+        polygons.append(OutlinePolygon(exterior=exterior, holes=tuple(holes)))
+    return tuple(polygons)
 
 
-def _frame(
-    frame: Frame, raster: Raster, gsd: float | None, box: BoundingBox | None
+def _outline_ring(ring: NDArray[np.float64], left: int, top: int) -> OutlineRing:
+    in_image = np.add(ring, (left, top))
+    points = [ImagePoint(x_px=float(x), y_px=float(y)) for x, y in in_image]
+    return OutlineRing(points=tuple(points))
+
+
+def _frame_area(
+    frame: Frame, raster: Raster, *, gsd: float | None, box: BoundingBox | None
 ) -> FrameArea | None:
+    """Convert scale and bounding box to the caller's resized copy; None without a copy."""
     if frame.size is None:
         return None
     width, height = frame.size
@@ -205,5 +249,5 @@ def _frame(
         width_px=width,
         height_px=height,
         gsd_m_per_px=None if gsd is None else gsd / across,
-        bounding_box=box and box.scaled(across, down),
+        bounding_box=None if box is None else box.scaled(across, down),
     )

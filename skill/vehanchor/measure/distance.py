@@ -32,7 +32,8 @@ MIN_PATH_PX = 2.0
 """Shortest path, pixels of the full image."""
 
 MAX_PATH_POINTS = 1000
-# of a point, in the finest step of the caller's coordinates, as for lines of known length
+# Standard deviation of a point, in the finest step of the caller's coordinates. It is that of
+# lines of known length.
 _POINT_SD = 1.0
 
 
@@ -40,22 +41,25 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
     """Read and check a path of the caller: points, or a line of shapely.
 
     Raises:
-        PromptError: another geometry, fewer than two points, or one that is not two finite numbers.
+        PromptError: the path is another geometry, has fewer than two points, or has a point that is
+            not two finite numbers.
     """
     try:
-        given: Any = getattr(path, "coords", path)
-    except NotImplementedError:  # of shapely's polygons and collections
-        given = None
-    if isinstance(given, str) or not isinstance(given, Iterable):
+        coordinates: Any = getattr(path, "coords", path)
+    except NotImplementedError:  # from shapely's polygons and collections
+        coordinates = None
+    if isinstance(coordinates, str) or not isinstance(coordinates, Iterable):
         raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
-    places = []
-    for each in given:
-        x, y = read_numbers(each, (2,), name="a point of the path", wanted="x, y")
-        places.append((x, y))
-    if not 2 <= len(places) <= MAX_PATH_POINTS:
-        n = count(len(places), "point")
-        raise PromptError(f"the path has {n}: give two, or up to {MAX_PATH_POINTS} along a line")
-    return tuple(places)
+    points = []
+    for point in coordinates:
+        x, y = read_numbers(point, (2,), name="a point of the path", expected="x, y")
+        points.append((x, y))
+    if not 2 <= len(points) <= MAX_PATH_POINTS:
+        n_points = count(len(points), "point")
+        raise PromptError(
+            f"the path has {n_points}: give two, or up to {MAX_PATH_POINTS} along a line"
+        )
+    return tuple(points)
 
 
 def analyse_paths(
@@ -76,76 +80,91 @@ def analyse_paths(
         object_height_m: height of all paths above the ground.
 
     Raises:
-        VehAnchorError: as ``Engine.measure_distance``.
+        VehAnchorError: see ``Engine.measure_distance``.
     """
     options.frame.check(raster.width_px, raster.height_px)
     coordinates = CoordinateFrame(options.frame, raster.width_px, raster.height_px)
-    in_image = [_in_image(path, coordinates) for path in paths]
-    found = find_measurement_scale(raster, scale, options, object_height_m=object_height_m)
+    in_image = [_path_in_image(path, coordinates) for path in paths]
+    measurement_scale = find_measurement_scale(
+        raster, scale, options, object_height_m=object_height_m
+    )
     return tuple(
         DistanceAnalysis(
-            _conclude(path, coordinates, found), scale=found.analysis, nadir=found.plane is None
+            _measure_path(path, coordinates, measurement_scale),
+            scale=measurement_scale.analysis,
+            nadir=measurement_scale.plane is None,
         )
         for path in in_image
     )
 
 
-def _in_image(path: Sequence[Place], coordinates: CoordinateFrame) -> list[Place]:
-    outside = next((place for place in path if not coordinates.inside([place])), None)
-    if outside is not None:
-        raise PromptError(
-            f"point {outside[0]:g}, {outside[1]:g} is not inside the {coordinates.name}"
-            f"{coordinates.other_reading(path)}"
-        )
-    places = [coordinates.in_image(*place) for place in path]
-    length_px = _length(places)
+def _path_in_image(path: Sequence[Place], coordinates: CoordinateFrame) -> list[Place]:
+    """Convert a path to pixels of the full image and check it against the image.
+
+    Raises:
+        PromptError: a point is outside the image, or the path is too short.
+    """
+    for point in path:
+        if not coordinates.inside([point]):
+            x, y = point
+            raise PromptError(
+                f"point {x:g}, {y:g} is not inside the {coordinates.name}"
+                f"{coordinates.other_reading(path)}"
+            )
+    points = [coordinates.in_image(x, y) for x, y in path]
+    length_px = _length(points)
     if length_px < MIN_PATH_PX:
         raise PromptError(
-            f"the path is {length_px:.3g} px of the full image long: at least {MIN_PATH_PX:g} "
-            "px are needed"
-            f"{coordinates.other_reading(path)}"
+            f"the path is {length_px:.3g} px of the full image long: at least {MIN_PATH_PX:g} px "
+            f"are needed{coordinates.other_reading(path)}"
         )
-    return places
+    return points
 
 
-def _length(places: Sequence[Place]) -> float:
-    return sum(math.dist(first, second) for first, second in pairwise(places))
+def _length(points: Sequence[Place]) -> float:
+    return sum(math.dist(first, second) for first, second in pairwise(points))
 
 
-def _length_sd(places: Sequence[Place], unit_px: tuple[float, float]) -> float:
-    """Compute the standard deviation of a path's length, pixels, from an error of one step of coordinates per point."""
-    legs = np.diff(np.array(places), axis=0)
-    reach = np.hypot(legs[:, 0], legs[:, 1])[:, None]
-    along = np.divide(legs, reach, out=np.zeros_like(legs), where=reach > 0)
-    # of the length by each point; 0 on a straight line
-    gradient = np.diff(along, axis=0, prepend=0.0, append=0.0)
-    return float(np.hypot.reduce((gradient * unit_px * _POINT_SD).ravel()))
+def _length_sd(points: Sequence[Place], unit_px: tuple[float, float]) -> float:
+    """Compute the standard deviation of a path's length, pixels, from the errors of its points.
+
+    Args:
+        points: path in pixels of the full image.
+        unit_px: finest step of the caller's coordinates across and down, pixels.
+    """
+    legs = np.diff(np.array(points), axis=0)
+    lengths = np.hypot(legs[:, 0], legs[:, 1])[:, None]
+    # Unit vectors of the legs; zero where two points coincide.
+    directions = np.divide(legs, lengths, out=np.zeros_like(legs), where=lengths > 0)
+    # Derivative of the length by each point: the difference of the directions before and after it.
+    # On a straight line it is 0, so a stop on the way adds no error.
+    gradient = np.diff(directions, axis=0, prepend=0.0, append=0.0)
+    errors_px = gradient * unit_px * _POINT_SD
+    return float(np.hypot.reduce(errors_px.ravel()))
 
 
-def _conclude(
-    places: Sequence[Place], coordinates: CoordinateFrame, scale: MeasurementScale
+def _measure_path(
+    points: Sequence[Place], coordinates: CoordinateFrame, scale: MeasurementScale
 ) -> DistanceMeasurement:
     """Make the record from path and scale."""
-    length_px = _length(places)
-    gsd = scale.gsd_m_per_px
+    length_px = _length(points)
     distance = None
     low = None
     high = None
-    if gsd is not None:
-        plane = scale.plane
-        distance = (
-            gsd * length_px if plane is None else float(plane.length(places[:-1], places[1:]).sum())
-        )
-        low, high = scale.spread.plus(_length_sd(places, coordinates.unit_px) / length_px).around(
-            distance
-        )
+    if scale.gsd_m_per_px is not None:
+        if scale.plane is None:
+            distance = scale.gsd_m_per_px * length_px
+        else:
+            distance = float(scale.plane.length(points[:-1], points[1:]).sum())
+        log_sd = _length_sd(points, coordinates.unit_px) / length_px
+        low, high = scale.spread.plus(log_sd).around(distance)
     return DistanceMeasurement(
         status=scale.status,
         distance_m=distance,
         distance_ci95_low_m=low,
         distance_ci95_high_m=high,
         length_px=length_px,
-        path=tuple(ImagePoint(x_px=x, y_px=y) for x, y in places),
+        path=tuple(ImagePoint(x_px=x, y_px=y) for x, y in points),
         warnings=scale.notices,
         **scale.fields(coordinates.width_px, coordinates.height_px),
     )

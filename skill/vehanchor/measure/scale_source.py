@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from vehanchor.analysis.pipeline import georeference_notice, notices_of
 from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliqueError
@@ -27,37 +27,40 @@ from vehanchor.scale.reliability import RELIABILITY
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
+    from vehanchor.options.rulers import StatedScale
     from vehanchor.records import GsdEstimate, ScaleSource, Status
     from vehanchor.scale.plane import GroundPlane
+    from vehanchor.segmentation.shape import Mask
 
-_COARSE_M_PER_PX = 3.0
-"""From here on a car has fewer than two pixels: 5 to 30 cm are usual for aerial photographs, and easily typed."""
+# A caller who types 5 to 30, the usual centimetres per pixel of aerial photographs, means another
+# unit. At this scale a car has fewer than two pixels.
+_MIN_COARSE_M_PER_PX = 3.0
+# A number this close to the file's own scale, as a factor either way, is in the right unit.
+_SAME_UNIT_FACTOR = 10
 
 ScaleInput: TypeAlias = "Callable[[Raster, ScaleOptions], ScaleAnalysis] | float | KnownScale"
 """The known scale, or the analysis that finds it."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MeasurementScale:
     """Scale of a measurement and its confidence.
 
     Attributes:
         gsd_m_per_px: metres per pixel of the full image; None without a scale.
-        spread: of its log; 0 for a number from the caller.
+        spread: uncertainty of its log; 0 for a number from the caller.
         confidence: 0..1; None for a number from the caller.
-        source: source of the scale.
+        source: origin of the scale: ``estimated``, ``given`` or ``reused``.
         analysis: the analysis behind it; None without a search.
         notices: warnings about the image and the scale.
         plane: ground plane of a tilted camera, with the scale of the image's centre; None if one
             scale holds.
-        known: the scale of the ground, to give back; None for a number, and without a scale.
+        known: the scale of the ground, which the caller can give back; None for a number, and
+            without a scale.
     """
 
     gsd_m_per_px: float | None
@@ -69,48 +72,55 @@ class MeasurementScale:
     plane: GroundPlane | None = None
     known: KnownScale | None = None
 
-    def gsd_over(self, mask: NDArray[np.bool_], left: int, top: int) -> float | None:
-        """Compute metres per pixel over a mask, the root of the mean pixel area; None without a scale or a mask.
+    def gsd_over(self, mask: Mask, left: int, top: int) -> float | None:
+        """Compute metres per pixel over a mask: the square root of the mean area of its pixels.
 
         Args:
             mask: ``[h, w]`` bool.
             left: first column of the mask in the image.
             top: first row of the mask in the image.
+
+        Returns:
+            None without a scale or a mask.
         """
         n_px = int(mask.sum())
-        if self.gsd_m_per_px is None or not n_px:
+        if self.gsd_m_per_px is None or n_px == 0:
             return None
-        return (
-            self.gsd_m_per_px
-            if self.plane is None
-            else math.sqrt(self.plane.area(mask, left, top) / n_px)
-        )
+        if self.plane is None:
+            return self.gsd_m_per_px
+        return math.sqrt(self.plane.area(mask, left, top) / n_px)
 
     @property
     def estimate(self) -> GsdEstimate | None:
         """Record of the scale; None unless it was estimated now."""
-        return None if self.analysis is None else self.analysis.estimate
+        if self.analysis is None:
+            return None
+        return self.analysis.estimate
 
     def fields(self, width_px: int, height_px: int) -> dict[str, Any]:
-        """Make the fields that the records of areas and distances share, for an image of this size."""
+        """Make the fields that records of areas and distances share, for the image's size."""
+        estimate = self.estimate
         return {
             "scale_confidence": self.confidence,
             "gsd_m_per_px": self.gsd_m_per_px,
-            "n_vehicles": None if self.estimate is None else self.estimate.n_vehicles,
+            "n_vehicles": None if estimate is None else estimate.n_vehicles,
             "scale_source": self.source,
             "image_width_px": width_px,
             "image_height_px": height_px,
             "scale": self.known,
-            "estimate": self.estimate,
+            "estimate": estimate,
         }
 
     @property
     def status(self) -> Status:
         """Status of the scale."""
-        if self.estimate is not None or self.gsd_m_per_px is None:
-            return "no_scale" if self.estimate is None else self.estimate.status
-        doubtful = self.confidence is not None and self.confidence < USABLE_CHANCE
-        return "low_confidence" if doubtful else "ok"
+        if self.estimate is not None:
+            return self.estimate.status
+        if self.gsd_m_per_px is None:
+            return "no_scale"
+        if self.confidence is not None and self.confidence < USABLE_CHANCE:
+            return "low_confidence"
+        return "ok"
 
 
 def given_scale(
@@ -123,33 +133,30 @@ def given_scale(
     Args:
         gsd_m_per_px: a number from the caller.
         scale: an earlier estimate of the same image, or its ``scale``.
-        options: of the method.
+        options: all options of the method.
 
     Raises:
         InvalidParameterError: both are given, one is given with lines of known length, or one is
             invalid.
     """
-    known = [
-        name
-        for name, value in (("gsd_m_per_px", gsd_m_per_px), ("scale", scale))
-        if value is not None
-    ]
-    if len(known) > 1:
+    if gsd_m_per_px is not None and scale is not None:
         raise InvalidParameterError("give gsd_m_per_px or scale, not both")
-    if known and options.rulers.known_lengths:
+    if gsd_m_per_px is None and scale is None:
+        return None
+    name = "gsd_m_per_px" if scale is None else "scale"
+    if options.rulers.known_lengths:
         raise InvalidParameterError(
-            f"give {known[0]} or lines of known length, not both: a given scale is not measured "
-            "again. To measure with "
-            f"the lines, leave out {known[0]}"
+            f"give {name} or lines of known length, not both: a given scale is not measured "
+            f"again. To measure with the lines, leave out {name}"
         )
-    if known and options.by_hand.given:
+    if options.by_hand.given:
         raise InvalidParameterError(
-            f"give {known[0]} or {options.by_hand.given}, not both: with a given scale no "
-            "vehicles are searched"
+            f"give {name} or {options.by_hand.given}, not both: with a given scale no vehicles "
+            "are searched"
         )
     if scale is not None:
         return read_known_scale(scale)
-    return None if gsd_m_per_px is None else GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
+    return GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
 
 
 def find_measurement_scale(
@@ -175,66 +182,73 @@ def find_measurement_scale(
         ScaleMismatchError: the scale was measured on another image.
         TooObliqueError: the horizon is visible, or nearly so; or the object is higher than the
             camera.
-        VehAnchorError: as ``Engine.estimate``.
+        VehAnchorError: see ``Engine.estimate``.
     """
     if object_height_m is None:
-        return _on_the_ground(raster, scale, options)
-    camera = _camera_above(raster, options, object_height_m)
-    return _raised(_on_the_ground(raster, scale, options), object_height_m, *camera)
+        return _ground_scale(raster, scale, options)
+    # Before the search, because an unknown height of the camera ends the call.
+    camera = _camera_above_ground(raster, options, object_height_m)
+    ground_scale = _ground_scale(raster, scale, options)
+    return _scale_at_height(ground_scale, object_height_m, camera)
 
 
-def _on_the_ground(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> MeasurementScale:
+def _ground_scale(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> MeasurementScale:
+    """Resolve the scale of the ground."""
+    # A measured scale leads, and the image is not searched.
     stated = options.rulers.stated_scale
-    if stated is not None and stated.basis == "measured":  # it leads, and the image is not searched
-        found = answer([stated_witness(stated)])
-        assert found is not None
-        gsd = stated.gsd_m_per_px
-        name = "the stated scale is"
-        spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
-        return _given(
-            raster,
-            options,
-            MeasurementScale(gsd, spread, confidence=found.chance, source="given"),
-            name,
-        )
+    if stated is not None and stated.basis == "measured":
+        return _use_stated_scale(raster, stated, options)
     if callable(scale):
-        analysis = scale(raster, options)
-        record = analysis.estimate
-        plane = _plane(raster, record.scale)
-        notices = record.warnings
-        return MeasurementScale(
-            record.gsd_m_per_px,
-            _spread(record),
-            confidence=record.confidence,
-            source="estimated",
-            analysis=analysis,
-            notices=notices,
-            plane=plane,
-            known=record.scale,
-        )
-    if not isinstance(scale, KnownScale):
-        return _given(
-            raster,
-            options,
-            MeasurementScale(scale, Spread(), confidence=None, source="given"),
-            "the given scale is",
-        )
-    seen = image_id(raster)
-    if seen != scale.image_id:
-        raise ScaleMismatchError(
-            f"the scale was measured on another image ({scale.image_id}), this one is {seen}: "
-            "estimate the scale "
-            "of this image, or leave scale out"
-        )
-    reused = MeasurementScale(
-        scale.gsd_m_per_px,
-        _spread(scale),
-        confidence=scale.confidence,
-        source="reused",
-        plane=_plane(raster, scale),
-        known=scale,
+        return _estimate_scale(raster, scale(raster, options))
+    if isinstance(scale, KnownScale):
+        return _reuse_scale(raster, scale, options)
+    number = MeasurementScale(gsd_m_per_px=scale, spread=Spread(), confidence=None, source="given")
+    return _with_metadata(raster, options, number, "the given scale is")
+
+
+def _use_stated_scale(
+    raster: Raster, stated: StatedScale, options: ScaleOptions
+) -> MeasurementScale:
+    decision = answer([stated_witness(stated)])
+    assert decision is not None
+    gsd = stated.gsd_m_per_px
+    spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
+    scale = MeasurementScale(
+        gsd_m_per_px=gsd, spread=spread, confidence=decision.chance, source="given"
     )
-    return _given(raster, options, reused, "the scale given back is")
+    return _with_metadata(raster, options, scale, "the stated scale is")
+
+
+def _estimate_scale(raster: Raster, analysis: ScaleAnalysis) -> MeasurementScale:
+    record = analysis.estimate
+    return MeasurementScale(
+        gsd_m_per_px=record.gsd_m_per_px,
+        spread=_spread(record),
+        confidence=record.confidence,
+        source="estimated",
+        analysis=analysis,
+        notices=record.warnings,
+        plane=_ground_plane(raster, record.scale),
+        known=record.scale,
+    )
+
+
+def _reuse_scale(raster: Raster, known: KnownScale, options: ScaleOptions) -> MeasurementScale:
+    this_image = image_id(raster)
+    if this_image != known.image_id:
+        raise ScaleMismatchError(
+            f"the scale was measured on another image ({known.image_id}), this one is "
+            f"{this_image}: estimate the scale of this image, or leave scale out"
+        )
+    scale = MeasurementScale(
+        gsd_m_per_px=known.gsd_m_per_px,
+        spread=_spread(known),
+        confidence=known.confidence,
+        source="reused",
+        plane=_ground_plane(raster, known),
+        known=known,
+    )
+    return _with_metadata(raster, options, scale, "the scale given back is")
 
 
 def _spread(scale: KnownScale | GsdEstimate) -> Spread:
@@ -243,37 +257,55 @@ def _spread(scale: KnownScale | GsdEstimate) -> Spread:
     )
 
 
-def _given(
-    raster: Raster, options: ScaleOptions, found: MeasurementScale, name: str
+def _with_metadata(
+    raster: Raster, options: ScaleOptions, scale: MeasurementScale, described: str
 ) -> MeasurementScale:
-    """Complete a scale from the caller: the plane by the image's metadata, and warnings about image and scale."""
-    gsd = found.gsd_m_per_px
-    own = raster.georeference_gsd_m_per_px
+    """Complete a scale from the caller with the metadata of the image.
+
+    Args:
+        raster: the image.
+        options: all options of the method.
+        scale: the scale, without notices.
+        described: the scale as subject and verb of a sentence.
+
+    Returns:
+        The scale with the warnings about it and the image, and with a ground plane if the image is
+        tilted.
+    """
+    gsd = scale.gsd_m_per_px
     assert gsd is not None
-    unit = _unit_notice(gsd, own) if found.source == "given" else ()
-    notices = (*notices_of(raster.warnings), *unit, *georeference_notice(own, gsd, name))
-    image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
-    tilt = metadata_tilt(image, options) if found.plane is None else None
-    return replace(found, notices=notices, plane=tilt.plane(image, gsd) if tilt else found.plane)
+    file_gsd = raster.georeference_gsd_m_per_px
+    notices = [*notices_of(raster.warnings)]
+    if scale.source == "given":
+        notices += _unit_notices(gsd, file_gsd)
+    notices += georeference_notice(file_gsd, gsd, described)
+    plane = scale.plane
+    if plane is None:
+        image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
+        tilt = metadata_tilt(image, options)
+        if tilt is not None:
+            plane = tilt.plane(image, gsd)
+    return replace(scale, notices=tuple(notices), plane=plane)
 
 
-def _unit_notice(gsd_m_per_px: float, own_m_per_px: float | None) -> tuple[Notice, ...]:
-    """Ask about a number that looks like centimetres, unless the file has the same scale."""
-    alike = own_m_per_px is not None and 0.1 < gsd_m_per_px / own_m_per_px < 10
-    if gsd_m_per_px < _COARSE_M_PER_PX or alike:
-        return ()
-    return (
-        Notice(
-            code=NoticeCode.UNIT_MISTYPED,
-            message=f"The given scale is {gsd_m_per_px:g} metres per pixel. Were centimetres "
-            "meant? Then give "
-            f"{gsd_m_per_px / 100:g}.",
-        ),
+def _unit_notices(gsd_m_per_px: float, file_m_per_px: float | None) -> list[Notice]:
+    """Ask about a number that looks like centimetres, unless the file has a similar scale."""
+    if gsd_m_per_px < _MIN_COARSE_M_PER_PX:
+        return []
+    if file_m_per_px is not None:
+        ratio = gsd_m_per_px / file_m_per_px
+        if 1 / _SAME_UNIT_FACTOR < ratio < _SAME_UNIT_FACTOR:
+            return []
+    question = Notice(
+        code=NoticeCode.UNIT_MISTYPED,
+        message=f"The given scale is {gsd_m_per_px:g} metres per pixel. Were centimetres meant? "
+        f"Then give {gsd_m_per_px / 100:g}.",
     )
+    return [question]
 
 
-def _plane(raster: Raster, scale: KnownScale | None) -> GroundPlane | None:
-    """Make the ground plane of an estimate; None for an image taken at nadir, or without a scale."""
+def _ground_plane(raster: Raster, scale: KnownScale | None) -> GroundPlane | None:
+    """Make the ground plane of an estimate; None for an image taken at nadir, and without scale."""
     if scale is None or scale.plane is None:
         return None
     plane = ground_plane(
@@ -283,71 +315,85 @@ def _plane(raster: Raster, scale: KnownScale | None) -> GroundPlane | None:
     return plane
 
 
-def _camera_above(
-    raster: Raster, options: ScaleOptions, object_height_m: float
-) -> tuple[Lens | None, float | None, float]:
-    """Collect data for the camera's height before the work.
+class _CameraAboveGround(NamedTuple):
+    """Data that give the camera's height above the ground.
 
-    Returns:
-        The lens, which gives the height from the scale; the stated height above the ground, or
-        above take-off, metres; and the standard deviation of its log. None if unknown.
+    Attributes:
+        lens: the lens, which gives the height from the scale; None if unknown.
+        height_m: the stated height above the ground, or above take-off; None if unknown.
+        height_log_sd: standard deviation of the log of the stated height.
+    """
+
+    lens: Lens | None
+    height_m: float | None
+    height_log_sd: float
+
+
+def _camera_above_ground(
+    raster: Raster, options: ScaleOptions, object_height_m: float
+) -> _CameraAboveGround:
+    """Collect data for the camera's height before the search.
 
     Raises:
         InvalidParameterError: the object's height is invalid, or the camera's height is unknown.
     """
     OBJECT_HEIGHT_M.check("object_height_m", object_height_m)
-    chosen = options.rulers
-    camera = raster.camera if options.rulers.metadata else None
-    seen = lens(ImageFacts(raster.width_px, raster.height_px), camera, chosen.focal_35mm)
-    height = chosen.height_m or (camera.height_m if camera is not None else None)
-    if seen is None and height is None:
+    rulers = options.rulers
+    camera = raster.camera if rulers.metadata else None
+    image = ImageFacts(raster.width_px, raster.height_px)
+    camera_lens = lens(image, camera, rulers.focal_35mm)
+    if rulers.height_m is not None:
+        log_sd = RELIABILITY["measured height"].log_sd
+        return _CameraAboveGround(camera_lens, rulers.height_m, log_sd)
+    if camera is not None and camera.height_m is not None:
+        return _CameraAboveGround(camera_lens, camera.height_m, height_log_sd(camera.height_m))
+    if camera_lens is None:
         raise InvalidParameterError(
             "object_height_m needs the camera's height, which is in neither the file nor an "
-            "option: give height_m, or "
-            "measure on the ground"
+            "option: give height_m, or measure on the ground"
         )
-    given = RELIABILITY["measured height"].log_sd
-    spread = (
-        given if chosen.height_m is not None else 0.0 if height is None else height_log_sd(height)
-    )
-    return seen, height, spread
+    return _CameraAboveGround(camera_lens, None, 0.0)
 
 
-def _raised(
-    found: MeasurementScale,
-    object_height_m: float,
-    lens: Lens | None,
-    camera_height_m: float | None,
-    height_log_sd: float,
+def _scale_at_height(
+    ground_scale: MeasurementScale, object_height_m: float, camera: _CameraAboveGround
 ) -> MeasurementScale:
     """Convert the scale of the ground to a height above it, nearer to the camera.
 
     Raises:
         TooObliqueError: the object is higher than the camera.
     """
-    if found.gsd_m_per_px is None or object_height_m == 0:
-        return found
-    focal_px = found.plane.focal_px if found.plane is not None else lens and lens.pixels
-    if found.plane is not None:
-        height = found.plane.height_m
+    ground_gsd = ground_scale.gsd_m_per_px
+    if ground_gsd is None or object_height_m == 0:
+        return ground_scale
+    plane = ground_scale.plane
+    focal_px = None
+    lens_log_sd = 0.0
+    if camera.lens is not None:
+        focal_px = camera.lens.pixels
+        lens_log_sd = camera.lens.log_sd
+    if plane is not None:
+        focal_px = plane.focal_px
+        camera_height_m = plane.height_m
+    elif focal_px:
+        camera_height_m = ground_gsd * focal_px
     else:
-        height = found.gsd_m_per_px * focal_px if focal_px else camera_height_m or math.inf
-    share = object_height_m / height
+        camera_height_m = camera.height_m or math.inf
+    # Share of the camera's height: the scale falls in proportion to the distance from the camera.
+    share = object_height_m / camera_height_m
     if share >= 1:
         raise TooObliqueError(
-            f"an object {object_height_m:g} m above the ground lies above the camera, which is "
-            f"{height:.0f} m up: give "
-            "a lower height"
+            f"an object at {object_height_m:g} m above the ground is above the camera, whose "
+            f"height is {camera_height_m:.0f} m: give a lower height"
         )
-    if focal_px:  # scale less height over focal length: the relative error grows with height
-        lens_log_sd = lens.log_sd if lens else 0.0
-        spread = found.spread.plus(share * lens_log_sd).times(1 / (1 - share))
+    if focal_px:
+        # gsd = ground_gsd - object_height / focal: the absolute error of ground_gsd stays, so its
+        # relative error grows.
+        spread = ground_scale.spread.plus(share * lens_log_sd).times(1 / (1 - share))
     else:
-        spread = found.spread.plus(share / (1 - share) * height_log_sd)
-    gsd = found.gsd_m_per_px * (1 - share)
-    return replace(
-        found,
-        gsd_m_per_px=gsd,
-        spread=spread,
-        plane=found.plane and replace(found.plane, gsd_m_per_px=gsd),
-    )
+        # gsd = ground_gsd * (1 - object_height / camera_height).
+        spread = ground_scale.spread.plus(share / (1 - share) * camera.height_log_sd)
+    gsd = ground_gsd * (1 - share)
+    if plane is not None:
+        plane = replace(plane, gsd_m_per_px=gsd)
+    return replace(ground_scale, gsd_m_per_px=gsd, spread=spread, plane=plane)

@@ -19,30 +19,51 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.scale_source import ScaleInput
     from vehanchor.options import ScaleOptions
+    from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
+    from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmenter
 
 Kind: TypeAlias = Literal["box", "point", "line"]
 
-_NEEDED = ("file", "x1", "y1")
-_OPTIONAL = ("x2", "y2", "kind", "name")
+_REQUIRED_COLUMNS = ("file", "x1", "y1")
+_OPTIONAL_COLUMNS = ("x2", "y2", "kind", "name")
 _KINDS: tuple[Kind, ...] = ("box", "point", "line")
-_SIZES = (
-    *("area_m2", "area_ci95_low_m2", "area_ci95_high_m2", "length_m", "width_m", "perimeter_m"),
-    *("distance_m", "distance_ci95_low_m", "distance_ci95_high_m", "gsd_m_per_px"),
+_N_NUMBERS: dict[Kind, int] = {"box": 4, "point": 2, "line": 4}
+_COORDINATES = ("x1", "y1", "x2", "y2")
+_AREA_FIELDS = (
+    "area_m2",
+    "area_ci95_low_m2",
+    "area_ci95_high_m2",
+    "length_m",
+    "width_m",
+    "perimeter_m",
 )
-_SCORES = ("scale_confidence", "mask_score")
+_DISTANCE_FIELDS = ("distance_m", "distance_ci95_low_m", "distance_ci95_high_m")
+# Fields that the results take from a record; a record without a field leaves its cell empty.
+_NUMBER_FIELDS = (
+    *_AREA_FIELDS,
+    *_DISTANCE_FIELDS,
+    "gsd_m_per_px",
+    "scale_confidence",
+    "mask_score",
+)
 TARGET_COLUMNS: dict[str, type] = {
-    **dict.fromkeys(("file", "name", "kind"), str),
-    **dict.fromkeys(("x1", "y1", "x2", "y2"), float),
+    "file": str,
+    "name": str,
+    "kind": str,
+    **dict.fromkeys(_COORDINATES, float),
     "status": str,
-    **dict.fromkeys((*_SIZES, *_SCORES), float),
-    **dict.fromkeys(("warnings", "error_code", "error"), str),
+    **dict.fromkeys(_NUMBER_FIELDS, float),
+    "warnings": str,
+    "error_code": str,
+    "error": str,
 }
 """Columns of the table of results and the types of their values, in order."""
 
@@ -68,10 +89,10 @@ class TargetRow(NamedTuple):
     """Result for one target: a record, or an error.
 
     Attributes:
-        target: what was measured.
+        target: the object or line.
         record: the measurement; None with an error.
         ground: position of the image on the ground; None without a georeference.
-        error: why there is no record.
+        error: reason for a missing record.
     """
 
     target: Target
@@ -80,35 +101,41 @@ class TargetRow(NamedTuple):
     error: VehAnchorError | None = None
 
     def flat(self) -> dict[str, Any]:
-        """Give the values by column."""
-        given = (*self.target.numbers, None, None)[:4]
-        values = dict.fromkeys(TARGET_COLUMNS) | dict(
-            zip(("x1", "y1", "x2", "y2"), given, strict=True)
-        )
-        values |= {"file": self.target.file, "name": self.target.name, "kind": self.target.kind}
+        """Return the values by column."""
+        target = self.target
+        values: dict[str, Any] = dict.fromkeys(TARGET_COLUMNS)
+        values["file"] = target.file
+        values["name"] = target.name
+        values["kind"] = target.kind
+        # A point has no x2 and y2.
+        values.update(zip(_COORDINATES, target.numbers, strict=False))
         if self.record is not None:
-            values |= {
-                name: getattr(self.record, name, None) for name in ("status", *_SIZES, *_SCORES)
-            }
-            values["warnings"] = " ".join(each.code for each in self.record.warnings)
+            for name in ("status", *_NUMBER_FIELDS):
+                values[name] = getattr(self.record, name, None)
+            values["warnings"] = " ".join(notice.code for notice in self.record.warnings)
         if self.error is not None:
-            values |= {"error_code": self.error.code, "error": str(self.error)}
+            values["error_code"] = self.error.code
+            values["error"] = str(self.error)
         return values
 
     def feature(self) -> dict[str, Any] | None:
         """Make the GeoJSON feature of the outline or line, in pixels; None without one."""
-        geometry = None if self.record is None else self.record.__geo_interface__
+        if self.record is None:
+            return None
+        geometry = self.record.__geo_interface__
         if geometry is None or not geometry["coordinates"]:
             return None
-        hidden = ("x1", "y1", "x2", "y2", "error_code", "error")
+        hidden = (*_COORDINATES, "error_code", "error")
         properties = {name: value for name, value in self.flat().items() if name not in hidden}
         return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
 def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
-    """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2``, and optionally ``kind`` and ``name``.
+    """Read a CSV of targets.
 
-    The kind is ``box``, ``line`` or ``point``; an empty one is a point without ``x2``, else a box.
+    The columns are ``file``, ``x1``, ``y1`` and optionally ``x2``, ``y2``, ``kind`` and ``name``.
+    The kind is ``box``, ``line`` or ``point``. A row without a kind is a point if it has no ``x2``
+    and ``y2``, else a box.
 
     Args:
         path: path of the table. Files are relative to the table.
@@ -120,7 +147,12 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
         PromptError: the table cannot be read, or a row is invalid; the message names the row.
     """
     return read_image_table(
-        path, "targets", needed=_NEEDED, read_row=_target, error=PromptError, optional=_OPTIONAL
+        path,
+        "targets",
+        needed=_REQUIRED_COLUMNS,
+        read_row=_read_target,
+        error=PromptError,
+        optional=_OPTIONAL_COLUMNS,
     )
 
 
@@ -134,10 +166,10 @@ def measure_targets(
     """Measure all targets of an image with one search.
 
     Args:
-        image: its path.
-        targets: of this image.
-        detector: finds the vehicles.
-        segmenter: finds the objects.
+        image: path of the image.
+        targets: targets in this image.
+        detector: detects the vehicles.
+        segmenter: segments the objects.
         options: all options of the method.
 
     Returns:
@@ -145,50 +177,84 @@ def measure_targets(
     """
     try:
         with open_raster(image, options.reading) as raster:
+            # Only the first target without a known scale searches the image.
             search = cache(lambda: analyse_raster(detector, raster, options))
+
+            def find_scale(_raster: Raster, _options: ScaleOptions) -> ScaleAnalysis:
+                return search()
+
             return [
-                _measure(raster, target, segmenter, lambda *_: search(), options)
+                _measure_target(raster, target, segmenter, scale=find_scale, options=options)
                 for target in targets
             ]
     except VehAnchorError as error:
         return [TargetRow(target, error=error) for target in targets]
 
 
-def _target(row: Mapping[str, str | None]) -> Target:
-    numbers = tuple(
-        float(row.get(name) or "")
-        for name in ("x1", "y1", "x2", "y2")
-        if row.get(name) or name[1] == "1"
-    )
-    kind = row.get("kind") or ("point" if len(numbers) == 2 else "box")
+def _read_target(row: Mapping[str, str | None]) -> Target:
+    """Read a row of the table.
+
+    Raises:
+        PromptError: a number or the kind is invalid, or the numbers do not fit the kind.
+    """
+    numbers = [_read_number(row, "x1"), _read_number(row, "y1")]
+    numbers += [_read_number(row, name) for name in ("x2", "y2") if row.get(name)]
+    kind = row.get("kind")
+    if not kind:
+        kind = "point" if len(numbers) == 2 else "box"
     if kind not in _KINDS:
         raise PromptError(f"kind is {kind!r}: use {', '.join(_KINDS)}")
-    if len(numbers) != (2 if kind == "point" else 4):
+    if len(numbers) != _N_NUMBERS[kind]:
         raise PromptError(
-            f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, "
-            "y1, x2, y2"
+            f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, "
+            "x2, y2"
         )
-    return Target(row["file"] or "", row.get("name") or "", kind, numbers)
+    file = row["file"] or ""
+    name = row.get("name") or ""
+    return Target(file, name, kind=kind, numbers=tuple(numbers))
 
 
-def _measure(
-    raster: Raster, target: Target, segmenter: Segmenter, scale: ScaleInput, options: ScaleOptions
+def _read_number(row: Mapping[str, str | None], column: str) -> float:
+    text = row.get(column) or ""
+    try:
+        return float(text)
+    except ValueError:
+        raise PromptError(f"{column} is {text!r}: use a number") from None
+
+
+def _measure_target(
+    raster: Raster,
+    target: Target,
+    segmenter: Segmenter,
+    *,
+    scale: ScaleInput,
+    options: ScaleOptions,
 ) -> TargetRow:
-    """Measure a target; an error in its place is its row's alone."""
-    given: Any = target.numbers
-    found: AreaAnalysis | DistanceAnalysis
+    """Measure a target; an invalid prompt concerns only its own row."""
+    analyses: tuple[AreaAnalysis | DistanceAnalysis, ...]
     try:
         if target.kind == "line":
-            (found,) = analyse_paths(
-                raster, [read_path([given[:2], given[2:]])], scale=scale, options=options
-            )
+            path = _target_path(target)
+            analyses = analyse_paths(raster, [path], scale=scale, options=options)
         else:
-            prompt = (
-                read_prompt(given, None) if target.kind == "box" else read_prompt(None, [given])
-            )
-            (found,) = analyse_objects(
+            prompt = _target_prompt(target)
+            analyses = analyse_objects(
                 raster, [prompt], segmenter=segmenter, scale=scale, options=options
             )
     except PromptError as error:
         return TargetRow(target, error=error)
-    return TargetRow(target, found.measurement, raster.ground)
+    (analysis,) = analyses
+    return TargetRow(target, analysis.measurement, raster.ground)
+
+
+def _target_path(target: Target) -> tuple[Place, ...]:
+    x1, y1, x2, y2 = target.numbers
+    return read_path([(x1, y1), (x2, y2)])
+
+
+def _target_prompt(target: Target) -> Prompt:
+    if target.kind == "box":
+        x1, y1, x2, y2 = target.numbers
+        return read_prompt((x1, y1, x2, y2), None)
+    x, y = target.numbers
+    return read_prompt(None, [(x, y)])

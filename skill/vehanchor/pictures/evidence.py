@@ -26,8 +26,8 @@ class ScaleEvidence:
 
     Attributes:
         estimate: the record.
-        witnesses: of all rulers.
-        detections: all vehicles found, in pixels of the image: ``boxes`` and ``scores``, best
+        witnesses: witnesses of all rulers.
+        detections: all detected vehicles, in pixels of the image: ``boxes`` and ``scores``, best
             first.
         answer: decision on the scale; None without a scale, and in the preset ``paper``.
     """
@@ -44,18 +44,20 @@ class ScaleEvidence:
 
     @property
     def kept(self) -> NDArray[np.bool_]:
-        """``[n]`` bool, the vehicles behind the scale."""
+        """Mask ``[n]`` of the detections behind the scale; empty if vehicles are excluded."""
         vehicles = self.vehicles
-        return np.zeros(0, dtype=bool) if vehicles is None else vehicles.fleet.kept
+        if vehicles is None:
+            return np.zeros(0, dtype=bool)
+        return vehicles.fleet.kept
 
     @property
     def marks(self) -> tuple[Mark, ...]:
         """Lines that rulers measured, in pixels of the image."""
-        return tuple(mark for each in self.witnesses for mark in each.marks)
+        return tuple(mark for witness in self.witnesses for mark in witness.marks)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MeasuredEvidence:
+class MeasurementEvidence:
     """Scale of a measurement.
 
     Attributes:
@@ -68,7 +70,7 @@ class MeasuredEvidence:
 
 
 @dataclass(frozen=True, eq=False)
-class AreaEvidence(MeasuredEvidence):
+class AreaEvidence(MeasurementEvidence):
     """Area with its evidence.
 
     Attributes:
@@ -83,7 +85,7 @@ class AreaEvidence(MeasuredEvidence):
 
 
 @dataclass(frozen=True, eq=False)
-class DistanceEvidence(MeasuredEvidence):
+class DistanceEvidence(MeasurementEvidence):
     """Distance with its evidence.
 
     Attributes:

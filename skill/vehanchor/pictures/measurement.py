@@ -1,4 +1,4 @@
-"""Pictures of measured objects and lines: masks, outlines, prompts, lengths, vehicles and scale bar."""
+"""Pictures of measured objects and lines, with the evidence of their scale and a caption."""
 
 from __future__ import annotations
 
@@ -19,100 +19,107 @@ from vehanchor.scale.posterior import Mark
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
-    from vehanchor.pictures.placement import Placement
+    from vehanchor.pictures.placement import Placement, Points, RgbImage
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
-# Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange
+# Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange.
 MEASURED_RGB = (204, 121, 167)
-PROMPT_RGB = (240, 228, 66)  # Okabe and Ito's yellow
-_OUTSIDE_RGB = (213, 94, 0)  # Okabe and Ito's vermilion, for points outside the object
-_TINT = 0.35
+# Okabe and Ito's yellow.
+PROMPT_RGB = (240, 228, 66)
+# Okabe and Ito's vermilion, for points outside the object.
+_OUTSIDE_RGB = (213, 94, 0)
+_TINT_OPACITY = 0.35
 
 
-def draw_area(
-    image: NDArray[np.uint8], *analyses: AreaEvidence, cut: Cut | None = None
-) -> NDArray[np.uint8]:
-    """Draw measured objects with their evidence and a caption with area, mask, scale and confidence.
+def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) -> RgbImage:
+    """Draw measured objects with their evidence.
 
-    Several objects are numbered. A cut that is enlarged shows the pixels of the masks.
+    The caption gives area, mask, scale and confidence. Several objects are numbered. An enlarged
+    cut shows the pixels of the masks.
 
     Args:
-        image: as in ``vehanchor.pictures.scale.draw_overlay``.
-        analyses: of objects in that image, one at least.
+        image: see ``vehanchor.pictures.scale.draw_overlay``.
+        analyses: analyses of objects in that image, one at least.
         cut: the part to show; None for all of the image.
 
     Returns:
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
-    canvas = open_canvas(image, analyses[0].measurement, scale=analyses[0].scale, cut=cut)
+    first = analyses[0]
+    canvas = open_canvas(image, first.measurement, scale=first.scale, cut=cut)
     for analysis in analyses:
-        _draw_mask(canvas.picture, analysis, canvas.place)
-        _draw_prompt(canvas.picture, analysis, canvas.place)
-    for label, analysis in zip(_numbered([""] * len(analyses)), analyses, strict=True):
-        _write_number(canvas.picture, label, analysis=analysis, place=canvas.place)
-    return _finished(
-        canvas, analyses[0], [_area_text(analysis.measurement) for analysis in analyses]
-    )
+        _draw_mask(canvas.picture, analysis, canvas.placement)
+        _draw_prompt(canvas.picture, analysis, canvas.placement)
+    numbers = _numbered([""] * len(analyses))
+    for number, analysis in zip(numbers, analyses, strict=True):
+        if number:
+            _write_number(canvas.picture, number, analysis=analysis, placement=canvas.placement)
+    sizes = [_area_text(analysis.measurement) for analysis in analyses]
+    return _finish(canvas, first, sizes)
 
 
 def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured objects and their prompts."""
     points = np.concatenate([_extent(analysis) for analysis in analyses])
     record = analyses[0].measurement
-    return Cut(part_around(points, record.image_width_px, record.image_height_px), long_side_px)
+    part = part_around(points, record.image_width_px, record.image_height_px)
+    return Cut(part, long_side_px)
 
 
-def _extent(analysis: AreaEvidence) -> NDArray[np.float64]:
+def _extent(analysis: AreaEvidence) -> Points:
     """Return points that span the mask and the prompt, ``[n, 2]`` pixels of the image."""
     prompt = analysis.prompt
-    box = analysis.measurement.bounding_box
     points = [(x, y) for x, y, _ in prompt.points]
     if prompt.box is not None:
-        points += [(prompt.box[0], prompt.box[1]), (prompt.box[2], prompt.box[3])]
-    if box is not None:
-        points += [(box.x1_px, box.y1_px), (box.x2_px, box.y2_px)]
+        x1, y1, x2, y2 = prompt.box
+        points += [(x1, y1), (x2, y2)]
+    mask_box = analysis.measurement.bounding_box
+    if mask_box is not None:
+        points += [(mask_box.x1_px, mask_box.y1_px), (mask_box.x2_px, mask_box.y2_px)]
     return np.array(points, dtype=np.float64)
 
 
-def draw_distance(
-    image: NDArray[np.uint8], *analyses: DistanceEvidence, cut: Cut | None = None
-) -> NDArray[np.uint8]:
-    """Draw measured lines with their evidence and a caption with length, scale and confidence.
+def draw_distance(image: RgbImage, *analyses: DistanceEvidence, cut: Cut | None = None) -> RgbImage:
+    """Draw measured lines with their evidence.
 
-    A usable length is also written beside the middle of its line. Several lines are numbered.
-    Arguments and result are those of ``draw_area``.
+    The caption gives length, scale and confidence. A usable length is also written beside the
+    middle of its line. Several lines are numbered. Arguments and result are those of ``draw_area``.
     """
-    canvas = open_canvas(image, analyses[0].measurement, scale=analyses[0].scale, cut=cut)
+    first = analyses[0]
+    canvas = open_canvas(image, first.measurement, scale=first.scale, cut=cut)
     records = [analysis.measurement for analysis in analyses]
-    labels = _numbered([_label(record) for record in records])
-    lines = [Mark(_ends(record), label) for record, label in zip(records, labels, strict=True)]
-    draw_marks(canvas.picture, lines, place=canvas.place, colour=MEASURED_RGB)
-    return _finished(canvas, analyses[0], [_distance_text(record) for record in records])
+    labels = _numbered([_line_label(record) for record in records])
+    lines = [
+        Mark(_path_points(record), label) for record, label in zip(records, labels, strict=True)
+    ]
+    draw_marks(canvas.picture, lines, canvas.placement, colour=MEASURED_RGB)
+    return _finish(canvas, first, [_distance_text(record) for record in records])
 
 
 def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured lines."""
-    points = np.array([end for record in records for end in _ends(record)])
-    return Cut(
-        part_around(points, records[0].image_width_px, records[0].image_height_px), long_side_px
-    )
+    points = np.concatenate([_path_points(record) for record in records])
+    part = part_around(points, records[0].image_width_px, records[0].image_height_px)
+    return Cut(part, long_side_px)
 
 
-def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
-    """Tint the object and draw its outline, both from the mask, because the record's outline is simplified."""
+def _draw_mask(picture: RgbImage, analysis: AreaEvidence, placement: Placement) -> None:
+    """Tint the object and draw its outline.
+
+    Both come from the mask, because the record's outline is simplified.
+    """
     mask = analysis.segmentation.mask
     window = analysis.segmentation.window
-    corners = place.at(
+    corners = placement.to_picture(
         [
             [window.x_px, window.y_px],
             [window.x_px + window.width_px, window.y_px + window.height_px],
         ]
     )
     (left, top), (right, bottom) = np.rint(corners).astype(int).tolist()
+    # The part of the mask's window that the picture shows.
     height, width = picture.shape[:2]
     x1 = max(0, left)
     y1 = max(0, top)
@@ -120,45 +127,61 @@ def _draw_mask(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placem
     y2 = min(height, bottom)
     if x2 <= x1 or y2 <= y1:
         return
+    # A reduced pixel belongs to the object if more than half of it does.
     method = cv2.INTER_AREA if right - left < window.width_px else cv2.INTER_NEAREST
-    share = cv2.resize(
-        mask.view(np.uint8) * 255, (right - left, bottom - top), interpolation=method
-    )
-    shown = np.asarray(share[y1 - top : y2 - top, x1 - left : x2 - left] > 127, dtype=np.uint8)
+    size = (right - left, bottom - top)
+    coverage = cv2.resize(mask.view(np.uint8) * 255, size, interpolation=method)
+    covered = coverage[y1 - top : y2 - top, x1 - left : x2 - left]
+    is_object = np.asarray(covered > 127)
     region = picture[y1:y2, x1:x2]
     tint = np.array(MEASURED_RGB, dtype=np.float64)
-    region[shown > 0] = np.rint((1 - _TINT) * region[shown > 0] + _TINT * tint).astype(np.uint8)
-    rings, _ = cv2.findContours(np.pad(shown, 1), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    at = np.array([x1 - 1, y1 - 1], np.int32)
-    cv2.polylines(picture, [ring + at for ring in rings], True, MEASURED_RGB, line_px(picture))
+    tinted = (1 - _TINT_OPACITY) * region[is_object] + _TINT_OPACITY * tint
+    region[is_object] = np.rint(tinted).astype(np.uint8)
+    # The padding closes outlines at the border of the region.
+    padded = np.pad(is_object.astype(np.uint8), 1)
+    rings, _ = cv2.findContours(padded, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    origin = np.array([x1 - 1, y1 - 1], np.int32)
+    cv2.polylines(
+        picture,
+        [ring + origin for ring in rings],
+        isClosed=True,
+        color=MEASURED_RGB,
+        thickness=line_px(picture),
+    )
 
 
-def _draw_prompt(picture: NDArray[np.uint8], analysis: AreaEvidence, place: Placement) -> None:
+def _draw_prompt(picture: RgbImage, analysis: AreaEvidence, placement: Placement) -> None:
     prompt = analysis.prompt
     line = line_px(picture)
     if prompt.box is not None:
-        corners = place.pixels(np.reshape(prompt.box, (2, 2))).tolist()
-        cv2.rectangle(picture, corners[0], corners[1], PROMPT_RGB, 1, cv2.LINE_AA)
+        corners = placement.to_opencv(np.reshape(prompt.box, (2, 2))).tolist()
+        cv2.rectangle(
+            picture,
+            corners[0],
+            corners[1],
+            color=PROMPT_RGB,
+            thickness=1,
+            lineType=cv2.LINE_AA,
+        )
     for x, y, include in prompt.points:
-        at = place.pixels([x, y]).tolist()
+        centre = placement.to_opencv([x, y]).tolist()
         colour = PROMPT_RGB if include else _OUTSIDE_RGB
-        cv2.circle(picture, at, 3 * line, (0, 0, 0), cv2.FILLED, cv2.LINE_AA)
-        cv2.circle(picture, at, 2 * line, colour, cv2.FILLED, cv2.LINE_AA)
+        # A dot with a black rim.
+        for radius, ink in ((3 * line, (0, 0, 0)), (2 * line, colour)):
+            cv2.circle(
+                picture, centre, radius, color=ink, thickness=cv2.FILLED, lineType=cv2.LINE_AA
+            )
 
 
 def _write_number(
-    picture: NDArray[np.uint8], number: str, analysis: AreaEvidence, place: Placement
+    picture: RgbImage, number: str, *, analysis: AreaEvidence, placement: Placement
 ) -> None:
-    """Write an object's number on its middle; nothing for a single object."""
-    if number:
-        capital = text_px(picture.shape[1])
-        x, y = place.at(_extent(analysis)).mean(0).tolist()
-        write_on(
-            picture,
-            number,
-            at=(round(x) - text_width(number, capital) // 2, round(y) + capital // 2),
-            capital_px=capital,
-        )
+    """Write an object's number on its middle."""
+    capital = text_px(picture.shape[1])
+    x, y = placement.to_picture(_extent(analysis)).mean(0).tolist()
+    left = round(x) - text_width(number, capital) // 2
+    baseline = round(y) + capital // 2
+    write_on(picture, number, (left, baseline), capital_px=capital)
 
 
 def _area_text(record: AreaMeasurement) -> str:
@@ -169,47 +192,54 @@ def _area_text(record: AreaMeasurement) -> str:
     mask = f"{record.mask_area_px} px"
     size = with_interval(record.area_m2, low, high=high, unit="m2", missing=f"{mask}; {NO_SCALE}")
     pixels = "" if record.area_m2 is None else f"{mask}, "
-    low_score = any(notice.code == NoticeCode.MASK_SCORE_LOW for notice in record.warnings)
-    return f"{size}; mask {pixels}score {record.mask_score:.2f}{' - low' if low_score else ''}"
+    is_low = any(notice.code == NoticeCode.MASK_SCORE_LOW for notice in record.warnings)
+    doubt = " - low" if is_low else ""
+    return f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
 
 
-def _ends(record: DistanceMeasurement) -> tuple[tuple[float, float], ...]:
+def _path_points(record: DistanceMeasurement) -> tuple[tuple[float, float], ...]:
     return tuple((point.x_px, point.y_px) for point in record.path)
 
 
-def _label(record: DistanceMeasurement) -> str:
-    usable = record.status == "ok" and record.distance_m is not None
-    return f"{significant(record.distance_m or 0)} m" if usable else ""
+def _line_label(record: DistanceMeasurement) -> str:
+    """Return a usable length as a label; empty for any other."""
+    if record.status != "ok" or record.distance_m is None:
+        return ""
+    return f"{significant(record.distance_m)} m"
 
 
 def _distance_text(record: DistanceMeasurement) -> str:
-    low = record.distance_ci95_low_m
-    high = record.distance_ci95_high_m
     return with_interval(
         record.distance_m,
-        low,
-        high=high,
+        record.distance_ci95_low_m,
+        high=record.distance_ci95_high_m,
         unit="m",
         missing=f"{record.length_px:.0f} px; {NO_SCALE}",
     )
 
 
-def _finished(
+def _finish(
     canvas: Canvas, analysis: AreaEvidence | DistanceEvidence, sizes: Sequence[str]
-) -> NDArray[np.uint8]:
-    """Add the caption with sizes and scale, a reason against their use first; no bar for a tilted or unusable scale."""
+) -> RgbImage:
+    """Add the caption with sizes and scale, after an objection to an unusable scale.
+
+    A scale that is unusable, or holds at one place only because of a tilt, has no scale bar.
+    """
     record = analysis.measurement
     objection = _objection(record)
-    lines: list[CaptionLine] = [[(None, f"do not use: {objection}")]] if objection else []
+    lines: list[CaptionLine] = []
+    if objection:
+        lines.append([(None, f"do not use: {objection}")])
     lines += [[(MEASURED_RGB, size)] for size in _numbered(sizes)]
     if record.gsd_m_per_px is not None:
-        source = (
-            "given"
-            if record.scale_confidence is None
-            else f"confidence {record.scale_confidence:.2f}"
-        )
+        source = "given"
+        if record.scale_confidence is not None:
+            source = f"confidence {record.scale_confidence:.2f}"
         lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}")])
-    return canvas.finished(record.gsd_m_per_px if analysis.nadir and not objection else None, lines)
+    bar_gsd = None
+    if analysis.nadir and not objection:
+        bar_gsd = record.gsd_m_per_px
+    return canvas.finished(bar_gsd, lines)
 
 
 def _numbered(labels: Sequence[str]) -> list[str]:
@@ -221,13 +251,10 @@ def _numbered(labels: Sequence[str]) -> list[str]:
 
 def _objection(record: AreaMeasurement | DistanceMeasurement) -> str:
     """Explain why the scale is not usable; empty for a usable scale and without one."""
-    if (
-        record.scale_confidence is None
-        or record.gsd_m_per_px is None
-        or record.scale_confidence >= USABLE_CHANCE
-    ):
+    if record.gsd_m_per_px is None or record.scale_confidence is None:
         return ""
-    reason = None if record.estimate is None else record.estimate.reason
-    return (
-        f"the scale's confidence is below {USABLE_CHANCE}" if reason is None else ADVICE[reason].why
-    )
+    if record.scale_confidence >= USABLE_CHANCE:
+        return ""
+    if record.estimate is None or record.estimate.reason is None:
+        return f"the scale's confidence is below {USABLE_CHANCE}"
+    return ADVICE[record.estimate.reason].why

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -12,12 +12,25 @@ from vehanchor.imagery.raster import Window
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-CUT_SIDE_PX = 1000
-"""Longer side of a picture of a part, unless chosen."""
+RgbImage: TypeAlias = "NDArray[np.uint8]"
+"""Picture ``[h, w, 3]``, RGB."""
 
-_MARGIN = 0.5  # around what a part shows, as a share of its longer side
+Colour: TypeAlias = tuple[int, int, int]
+"""Red, green and blue, 0..255."""
+
+Points: TypeAlias = "NDArray[np.float64]"
+"""Places ``[n, 2]``: x and y in pixels, from the corner of the first one."""
+
+CUT_SIDE_PX = 1000
+"""Default of the longer side of a picture of a part."""
+
+# Margin around the shown points, as a share of their larger extent.
+_MARGIN_SHARE = 0.5
 _MIN_MARGIN_PX = 24
-_MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
+# A larger picture of the same pixels shows nothing more.
+_MAX_ENLARGEMENT = 4.0
+# Longer side of a picture over the width of its lines.
+_SIDE_PER_LINE = 500
 
 
 class Placement(NamedTuple):
@@ -32,7 +45,7 @@ class Placement(NamedTuple):
     origin: NDArray[np.float64]
 
     @classmethod
-    def of(cls, picture: NDArray[np.uint8], part: Window) -> Placement:
+    def of(cls, picture: RgbImage, part: Window) -> Placement:
         """Place a part of an image in a picture that shows nothing else.
 
         Args:
@@ -40,21 +53,19 @@ class Placement(NamedTuple):
             part: the part, pixels of the image.
         """
         height, width = picture.shape[:2]
-        return cls(
-            np.array([width / part.width_px, height / part.height_px]),
-            np.array([part.x_px, part.y_px], dtype=np.float64),
-        )
+        scale = np.array([width / part.width_px, height / part.height_px])
+        origin = np.array([part.x_px, part.y_px], dtype=np.float64)
+        return cls(scale, origin)
 
-    def at(self, points: Any) -> NDArray[np.float64]:
+    def to_picture(self, points: Any) -> NDArray[np.float64]:
         """Convert points, ``[..., 2]`` pixels of the image, to pixels of the picture."""
-        converted: NDArray[np.float64] = (
-            np.asarray(points, dtype=np.float64) - self.origin
-        ) * self.scale
+        from_origin = np.asarray(points, dtype=np.float64) - self.origin
+        converted: NDArray[np.float64] = from_origin * self.scale
         return converted
 
-    def pixels(self, points: Any) -> NDArray[np.int32]:
-        """Convert points to whole pixels of OpenCV, whose origin is the centre of the first pixel."""
-        return np.rint(self.at(points) - 0.5).astype(np.int32)
+    def to_opencv(self, points: Any) -> NDArray[np.int32]:
+        """Convert points to whole pixels of OpenCV, whose origin is the first pixel's centre."""
+        return np.rint(self.to_picture(points) - 0.5).astype(np.int32)
 
 
 class Cut(NamedTuple):
@@ -70,25 +81,37 @@ class Cut(NamedTuple):
 
     def sized(
         self,
-        image: NDArray[np.uint8],
-        most: float = _MAX_ENLARGEMENT,
+        image: RgbImage,
+        max_enlargement: float = _MAX_ENLARGEMENT,
         enlarging: int = cv2.INTER_NEAREST,
-    ) -> NDArray[np.uint8]:
-        """Copy the part's pixels, ``[h, w, 3]`` RGB, at the size of the picture, enlarged by ``most`` at most."""
+    ) -> RgbImage:
+        """Copy the part's pixels at the size of the picture.
+
+        Args:
+            image: ``[h, w, 3]`` RGB, the pixels of the part or a reduced copy of them.
+            max_enlargement: largest side of the image's pixels in the picture.
+            enlarging: OpenCV's interpolation for a larger picture.
+
+        Returns:
+            ``[h', w', 3]`` RGB.
+        """
         width = self.part.width_px
         height = self.part.height_px
-        factor = min(most, self.long_side_px / max(width, height))
-        size = max(1, round(width * factor)), max(1, round(height * factor))
-        method = cv2.INTER_AREA if size[0] < image.shape[1] else enlarging
-        return np.array(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
+        factor = min(max_enlargement, self.long_side_px / max(width, height))
+        picture_width = max(1, round(width * factor))
+        picture_height = max(1, round(height * factor))
+        method = cv2.INTER_AREA if picture_width < image.shape[1] else enlarging
+        picture = cv2.resize(image, (picture_width, picture_height), interpolation=method)
+        return np.array(picture, dtype=np.uint8)
 
 
-def line_px(picture: NDArray[np.uint8], longest: float = np.inf) -> int:
-    """Compute the width of lines for a picture; ``longest`` limits it on small objects."""
-    return int(np.clip(round(min(max(picture.shape[:2]) / 500, longest)), 1, 3))
+def line_px(picture: RgbImage, limit_px: float = np.inf) -> int:
+    """Compute the width of lines for a picture; ``limit_px`` keeps them thin on small objects."""
+    width = min(max(picture.shape[:2]) / _SIDE_PER_LINE, limit_px)
+    return int(np.clip(round(width), 1, 3))
 
 
-def part_around(points: NDArray[np.float64], width_px: int, height_px: int) -> Window:
+def part_around(points: Points, width_px: int, height_px: int) -> Window:
     """Return the part of an image around points, with a margin of half of their extent.
 
     Args:
@@ -98,8 +121,14 @@ def part_around(points: NDArray[np.float64], width_px: int, height_px: int) -> W
     """
     low = points.min(0)
     high = points.max(0)
-    margin = max(_MIN_MARGIN_PX, _MARGIN * float((high - low).max()))
+    extent = float((high - low).max())
+    margin = max(_MIN_MARGIN_PX, _MARGIN_SHARE * extent)
     size = np.array([width_px, height_px])
-    left, top = np.clip(np.floor(low - margin), 0, size - 1).astype(int).tolist()
-    right, bottom = np.clip(np.ceil(high + margin), 1, size).astype(int).tolist()
-    return Window(left, top, width_px=max(1, right - left), height_px=max(1, bottom - top))
+    # Points may lie on the image's edge or, by rounding, beyond it: one pixel remains.
+    first = np.clip(np.floor(low - margin), 0, size - 1)
+    last = np.clip(np.ceil(high + margin), 1, size)
+    left, top = first.astype(int).tolist()
+    right, bottom = last.astype(int).tolist()
+    width = max(1, right - left)
+    height = max(1, bottom - top)
+    return Window(left, top, width_px=width, height_px=height)

@@ -1,4 +1,7 @@
-"""Plot of an estimate: vehicle lengths, their mode, the guard, and the rulers' densities (extra ``plots``)."""
+"""Plot of an estimate: vehicle lengths with their mode, and the rulers' densities.
+
+It needs the extra ``plots``.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,14 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
     from vehanchor.pictures.evidence import ScaleEvidence
+    from vehanchor.records.gsd_estimate import RulerScale
     from vehanchor.scale.defaults import Aggregation
+    from vehanchor.scale.posterior import Witness
 
-# Okabe and Ito: blues, orange
+# Colours of Okabe and Ito: two blues, orange and vermilion.
 _KEPT = "#56B4E9"
 _KEPT_DARK = "#0072B2"
 _DROPPED = "#E69F00"
@@ -31,9 +37,26 @@ _INK = "#222222"
 _WIDTH_IN = 9.6
 _ROW_IN = 4.0
 _DPI = 150
-_PAD = 1.25  # factor beyond the widest interval, of the rulers' axis
-_DRAWN = 0.004  # of the maximum; lower parts of a ruler's curve are not drawn
+# Ends of the rulers' axis, as a factor beyond the widest interval.
+_PAD_FACTOR = 1.25
+# Lower parts of a ruler's curve are not drawn, as a share of its maximum.
+_MIN_DRAWN_SHARE = 0.004
+# The same for the density of lengths.
+_MIN_DRAWN_LENGTH_SHARE = 1e-3
+# Room above the highest bar or curve, as a factor.
+_HEADROOM = 1.12
+# Number of lengths at which the density is drawn.
+_N_CURVE_POINTS = 800
 _RULES = {"kde": "KDE", "weighted_kde": "weighted KDE", "median": "median", "mean": "mean"}
+# Digits of the ticks per decade, from coarse to fine.
+_TICK_DIGITS = (
+    (1, 2, 5),
+    (1, 1.5, 2, 3, 4, 5, 7),
+    tuple(np.arange(1, 10, 0.5)),
+    tuple(np.arange(1, 10, 0.1)),
+)
+_MIN_TICKS = 4
+_MAX_TICKS = 8
 
 
 def require_plots() -> type[Figure]:
@@ -63,29 +86,31 @@ def plot_scale(analysis: ScaleEvidence) -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     estimate = analysis.estimate
-    measured = estimate.mode_length_px is not None
-    fused = analysis.answer is not None
-    n_rows = max(1, measured + fused)
+    has_lengths = estimate.mode_length_px is not None
+    has_posterior = analysis.answer is not None
+    n_rows = 2 if has_lengths and has_posterior else 1
     figure = require_plots()(figsize=(_WIDTH_IN, _ROW_IN * n_rows), dpi=_DPI, layout="constrained")
     rows = figure.subplots(n_rows, squeeze=False)[:, 0]
     for axes in rows:
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-    if not (measured or fused):
+        axes.spines["top"].set_visible(False)
+        axes.spines["right"].set_visible(False)
+    if not has_lengths and not has_posterior:
         rows[0].set_axis_off()
         rows[0].text(0.5, 0.5, NO_SCALE, ha="center", va="center", fontsize=14, color=_INK)
         return figure
-    if measured:
+    if has_lengths:
         _plot_lengths(figure, rows[0], analysis)
-    if fused:
+    if has_posterior:
         plot_rulers(rows[-1], analysis)
-    confidence = "" if estimate.gsd_m_per_px is None else f",  confidence {estimate.confidence:.2f}"
-    rows[0].set_title(f"{scale_text(estimate)}{confidence}", loc="left", fontsize=12)
+    title = scale_text(estimate)
+    if estimate.gsd_m_per_px is not None:
+        title += f",  confidence {estimate.confidence:.2f}"
+    rows[0].set_title(title, loc="left", fontsize=12)
     return figure
 
 
 def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
-    """Plot the lengths, their density, the mode, the guard, and the interval of the vehicles' scale in pixels."""
+    """Plot the lengths, their density, the mode, the guard, and the interval in pixels."""
     vehicles = analysis.vehicles
     assert vehicles is not None
     gsd = vehicles.gsd_m_per_px
@@ -93,44 +118,44 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     guard = vehicles.guard_length_px
     assert gsd is not None
     assert mode is not None
+    reference_m = vehicles.reference.length_m
     lengths = analysis.detections.boxes[:, 2]
     # Twice the longest kept length keeps the cars wide beside a lorry.
-    ends = [
-        guard,
-        mode,
-        float(lengths.min()),
-        min(float(lengths.max()), 2 * float(lengths[analysis.kept].max())),
-    ]
-    reference_m = vehicles.reference.length_m
+    longest_shown = 2 * float(lengths[analysis.kept].max())
+    ends = [guard, mode, float(lengths.min()), min(float(lengths.max()), longest_shown)]
     if vehicles.interval is not None:
-        low, high = (reference_m / scale for scale in reversed(vehicles.interval))
-        axes.axvspan(
-            low,
-            high,
-            color="0.75",
-            alpha=0.4,
-            lw=0,
-            zorder=0,
-            label=f"95 % interval {low:.1f} to {high:.1f} px",
-        )
-        ends += [low, high]
-    axes.set_xlim(0.95 * min(ends), 1.05 * max(ends))
-    _draw_lengths(axes, analysis, right_px=1.05 * max(ends), aggregation=vehicles.aggregation)
-    rule = (
-        f"$P_{{mode}}$ {mode:.1f} px ({_RULES[vehicles.aggregation]}) = "
-        f"{significant(reference_m)} m"
-    )
-    axes.axvline(mode, color=_INK, lw=1.6, label=rule)
+        low_gsd, high_gsd = vehicles.interval
+        # A coarse scale belongs to a short length.
+        shortest = reference_m / high_gsd
+        longest = reference_m / low_gsd
+        label = f"95 % interval {shortest:.1f} to {longest:.1f} px"
+        _shade_interval(axes, shortest, longest, label)
+        ends += [shortest, longest]
+    right_px = 1.05 * max(ends)
+    axes.set_xlim(0.95 * min(ends), right_px)
+    _draw_lengths(axes, analysis, right_px, aggregation=vehicles.aggregation)
+    rule = _RULES[vehicles.aggregation]
+    mode_label = f"$P_{{mode}}$ {mode:.1f} px ({rule}) = {significant(reference_m)} m"
+    axes.axvline(mode, color=_INK, lw=1.6, label=mode_label)
     axes.axvline(guard, color=_GUARD, lw=1.6, ls="--", label=f"resolution guard {guard:.1f} px")
     axes.set_xlabel("vehicle length, pixels")
     axes.set_ylabel("vehicles")
     axes.locator_params(axis="y", integer=True)
-    metres = axes.secondary_xaxis(
-        "top", functions=(lambda px: np.multiply(px, gsd), lambda m: np.divide(m, gsd))
-    )
+
+    def to_metres(length_px: ArrayLike) -> ArrayLike:
+        return np.multiply(length_px, gsd)
+
+    def to_pixels(length_m: ArrayLike) -> ArrayLike:
+        return np.divide(length_m, gsd)
+
+    metres = axes.secondary_xaxis("top", functions=(to_metres, to_pixels))
     metres.set_xlabel("metres, at the vehicles' scale")
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+
+
+def _shade_interval(axes: Axes, low: float, high: float, label: str) -> None:
+    axes.axvspan(low, high, color="0.75", alpha=0.4, lw=0, zorder=0, label=label)
 
 
 def write_plot(path: str | Path, figure: Figure) -> Path:
@@ -143,28 +168,37 @@ def write_plot(path: str | Path, figure: Figure) -> Path:
 
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
-    return write_picture(path, np.asarray(canvas.buffer_rgba())[:, :, :3])
+    rgb = np.asarray(canvas.buffer_rgba())[:, :, :3]
+    return write_picture(path, rgb)
 
 
 def _draw_lengths(
-    axes: Axes, analysis: ScaleEvidence, right_px: float, aggregation: Aggregation
+    axes: Axes, analysis: ScaleEvidence, right_px: float, *, aggregation: Aggregation
 ) -> None:
-    """Draw the histogram of kept and dropped lengths, and the density of the kept ones in the same units."""
+    """Draw the histogram of kept and dropped lengths, and the density of the kept ones.
+
+    Args:
+        axes: axes with the limits of the lengths.
+        analysis: analysis of an image.
+        right_px: longest length of the histogram.
+        aggregation: rule that finds the mode.
+    """
     lengths = analysis.detections.boxes[:, 2]
     kept = lengths[analysis.kept]
     dropped = lengths[~analysis.kept]
-    edges = np.histogram_bin_edges(
-        kept, "auto", (float(lengths.min()), min(float(lengths.max()), right_px))
-    )
+    longest = min(float(lengths.max()), right_px)
+    edges = np.histogram_bin_edges(kept, "auto", (float(lengths.min()), longest))
     groups = [kept]
     colours = [_KEPT]
     labels = [f"{count(len(kept), 'vehicle')} kept"]
     if len(dropped):
+        label = f"{count(len(dropped), 'outlier')} dropped"
         n_beyond = int((dropped > right_px).sum())
-        beyond = f" ({n_beyond} beyond the axis)" if n_beyond else ""
-        groups = [*groups, dropped]
-        colours = [*colours, _DROPPED]
-        labels.append(f"{count(len(dropped), 'outlier')} dropped{beyond}")
+        if n_beyond:
+            label += f" ({n_beyond} beyond the axis)"
+        groups.append(dropped)
+        colours.append(_DROPPED)
+        labels.append(label)
     axes.hist(
         groups,
         bins=list(edges),
@@ -174,61 +208,55 @@ def _draw_lengths(
         edgecolor="white",
         linewidth=0.6,
     )
-    axes.set_ylim(0, 1.12 * axes.get_ylim()[1])
+    axes.set_ylim(0, _HEADROOM * axes.get_ylim()[1])
     if len(kept) < MIN_KDE_VEHICLES:
         return
-    at = np.linspace(*axes.get_xlim(), 800)
-    density = modal_density(
-        at, kept, scores=analysis.detections.scores[analysis.kept], aggregation=aggregation
-    )
-    if density.any():
-        curve = np.where(
-            density > 1e-3 * density.max(), density * len(kept) * (edges[1] - edges[0]), np.nan
-        )
-        label = "density (weighted KDE)" if aggregation == "weighted_kde" else "density (KDE)"
-        axes.plot(at, curve, color=_KEPT_DARK, lw=2, label=label)
-        axes.set_ylim(0, max(axes.get_ylim()[1], 1.12 * float(np.nanmax(curve))))
+    positions = np.linspace(*axes.get_xlim(), _N_CURVE_POINTS)
+    scores = analysis.detections.scores[analysis.kept]
+    density = modal_density(positions, kept, scores=scores, aggregation=aggregation)
+    if not density.any():
+        return
+    # In the unit of the histogram: vehicles a bin.
+    per_bin = density * len(kept) * (edges[1] - edges[0])
+    is_drawn = density > _MIN_DRAWN_LENGTH_SHARE * density.max()
+    curve = np.where(is_drawn, per_bin, np.nan)
+    label = "density (weighted KDE)" if aggregation == "weighted_kde" else "density (KDE)"
+    axes.plot(positions, curve, color=_KEPT_DARK, lw=2, label=label)
+    top = _HEADROOM * float(np.nanmax(curve))
+    axes.set_ylim(0, max(axes.get_ylim()[1], top))
 
 
 def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
-    """Plot the densities of all witnesses, each normalised to its maximum, the posterior, and the scale's interval.
+    """Plot the densities of all witnesses, the posterior, and the interval of the scale.
 
-    The label of a witness has its scale and the chance that it is right.
+    Each curve is normalised to its maximum. The label of a witness has its scale and the chance
+    that it is right.
 
     Args:
         axes: axes of a matplotlib figure.
         analysis: analysis of an image with a scale.
     """
     rulers = {ruler.kind: ruler for ruler in analysis.estimate.rulers}
-    heard = [each for each in analysis.witnesses if each.kind in rulers]
-    found = analysis.answer
+    witnesses = [witness for witness in analysis.witnesses if witness.kind in rulers]
     scales = np.exp(GRID)
-    ends = [end for each in heard if each.interval is not None for end in each.interval]
-    for witness in heard:
-        ruler = rulers[witness.kind]
-        colour = ruler_class(witness.kind).colour
-        label = f"{ruler.label} {significant(ruler.gsd_m_per_px)} (right: {ruler.p_right:.2f})"
-        curve = witness.density / witness.density.max()
-        shown = np.where(curve > _DRAWN, curve, 0.0)
-        axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
-        axes.plot(
-            scales,
-            shown,
-            color=colour,
-            lw=1.6,
-            ls="-" if ruler.probably_right else "--",
-            label=label,
-        )
-    if found is not None:
-        label = f"together {significant(found.gsd_m_per_px)} ({found.chance:.2f})"
-        axes.plot(scales, found.density / found.density.max(), color=_INK, lw=2.2, label=label)
-        axes.axvline(found.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
-        axes.axvspan(
-            *found.interval, color="0.75", alpha=0.4, lw=0, zorder=0, label="95 % interval"
-        )
-        ends += found.interval
+    ends: list[float] = []
+    for witness in witnesses:
+        if witness.interval is not None:
+            ends += witness.interval
+        _plot_witness(axes, witness, rulers[witness.kind])
+    answer = analysis.answer
+    if answer is not None:
+        label = f"together {significant(answer.gsd_m_per_px)} ({answer.chance:.2f})"
+        posterior = answer.density / answer.density.max()
+        axes.plot(scales, posterior, color=_INK, lw=2.2, label=label)
+        axes.axvline(answer.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
+        low, high = answer.interval
+        _shade_interval(axes, low, high, "95 % interval")
+        ends += [low, high]
     axes.set_xscale("log")
-    axes.set_xlim(max(min(ends) / _PAD, scales[0]), min(max(ends) * _PAD, scales[-1]))
+    left = max(min(ends) / _PAD_FACTOR, scales[0])
+    right = min(max(ends) * _PAD_FACTOR, scales[-1])
+    axes.set_xlim(left, right)
     axes.set_ylim(0, 1.08)
     axes.set_yticks([])
     axes.set_xlabel("metres per pixel; each curve is drawn to its own height")
@@ -238,17 +266,24 @@ def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
 
 
+def _plot_witness(axes: Axes, witness: Witness, ruler: RulerScale) -> None:
+    scales = np.exp(GRID)
+    colour = ruler_class(witness.kind).colour
+    curve = witness.density / witness.density.max()
+    shown = np.where(curve > _MIN_DRAWN_SHARE, curve, 0.0)
+    style = "-" if ruler.probably_right else "--"
+    label = f"{ruler.label} {significant(ruler.gsd_m_per_px)} (right: {ruler.p_right:.2f})"
+    axes.fill_between(scales, shown, color=colour, alpha=0.18, lw=0)
+    axes.plot(scales, shown, color=colour, lw=1.6, ls=style, label=label)
+
+
 def _ticks(low: float, high: float) -> list[float]:
-    """Choose round scales between two ends: 1, 2 and 5 per decade on a wide axis, finer steps on a narrow one."""
+    """Choose round scales between two ends, in finer steps on a narrow axis."""
     decades = 10.0 ** np.arange(-4, 2)
-    for steps in (
-        (1, 2, 5),
-        (1, 1.5, 2, 3, 4, 5, 7),
-        tuple(np.arange(1, 10, 0.5)),
-        tuple(np.arange(1, 10, 0.1)),
-    ):
-        ticks = sorted(round(float(step * decade), 6) for decade in decades for step in steps)
+    for digits in _TICK_DIGITS:
+        ticks = sorted(round(float(digit * decade), 6) for decade in decades for digit in digits)
         inside = [tick for tick in ticks if low <= tick <= high]
-        if len(inside) >= 4:
+        if len(inside) >= _MIN_TICKS:
             break
-    return inside[:: max(1, len(inside) // 8)]
+    step = max(1, len(inside) // _MAX_TICKS)
+    return inside[::step]

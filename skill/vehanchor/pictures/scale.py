@@ -1,4 +1,4 @@
-"""Picture of an estimate: kept vehicles, dropped outliers, other rulers and a scale bar over the image."""
+"""Picture of an estimate: the image with its vehicles, outliers, other rulers and a scale bar."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from vehanchor.detection.boxes import box_corners
 from vehanchor.imagery.raster import Window
-from vehanchor.pictures.lettering import FONT, font_scale, stroke_px, text_px, text_width, write_on
+from vehanchor.pictures.lettering import put_text, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Cut, Placement, line_px
 from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
@@ -23,47 +23,61 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.evidence import ScaleEvidence
+    from vehanchor.pictures.placement import Colour, RgbImage
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
-CaptionLine: TypeAlias = list[tuple[tuple[int, int, int] | None, str]]
+CaptionLine: TypeAlias = "list[tuple[Colour | None, str]]"
 """Texts of one line, each with the colour of the swatch before it."""
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
-# Okabe and Ito's sky blue and orange, distinct with every colour blindness
+# Okabe and Ito's sky blue and orange, distinct with every colour blindness.
 KEPT_RGB = (86, 180, 233)
 DROPPED_RGB = (230, 159, 0)
-MIN_WIDTH_PX = 768  # smaller images are enlarged, so that text is legible
-MAX_SIDE_PX = 2048  # larger images are reduced for display
+# Smaller images are enlarged, so that text is legible. Larger ones are reduced for display.
+MIN_WIDTH_PX = 768
+MAX_SIDE_PX = 2048
 
-_MIN_CANVAS_PX = 480  # narrower pictures (of tall, thin images) get margins for the caption
-_BAR_SHARE = 0.2  # approximate length of the scale bar as a share of the picture's width
-# capitals of vehicles' numbers: share of a drawn width, and pixels
+# Narrower pictures (of tall, thin images) get margins for the caption.
+_MIN_CANVAS_PX = 480
+# Approximate length of the scale bar as a share of the picture's width.
+_BAR_SHARE = 0.2
+# Capitals of vehicles' numbers: share of a vehicle's drawn width, and limits in pixels.
 _NUMBER_SHARE = 0.5
 _NUMBER_RANGE_PX = (8, 16)
-# more vehicles than that, drawn shorter, have no numbers
+# More vehicles than that have no numbers if they are drawn shorter.
 _MANY_VEHICLES = 100
 _NUMBERED_PX = 30.0
-_HALO_MIN_PX = 22.0  # least drawn length of vehicles for a dark line under the coloured one
+# Vehicles drawn at least this long have a dark line under the coloured one.
+_MIN_HALO_PX = 22.0
+# Drawn length of a vehicle over the width of its lines.
+_LENGTH_PER_LINE = 16
 _PANEL_RGB = (22, 24, 28)
 _TEXT_RGB = (238, 238, 238)
+_MIN_CAPTION_CAPITAL_PX = 8
+# Dimensions of the caption in heights of its capitals.
+_LINE_PITCH = 2.1
+_FIRST_BASELINE = 1.7
+_SWATCH_WIDTH = 1.7
+_TEXT_GAP = 2
 _JPEG_QUALITY = 92
-_ROWS_PER_READ = 1024  # rows of the image per strip
+# Rows of the image that are read at a time.
+_ROWS_PER_STRIP = 1024
 
 
-def draw_overlay(
-    image: NDArray[np.uint8], analysis: ScaleEvidence, cut: Cut | None = None
-) -> NDArray[np.uint8]:
-    """Draw the evidence of an estimate: kept vehicles in blue, outliers crossed in orange, other rulers in green.
+def draw_overlay(image: RgbImage, analysis: ScaleEvidence, cut: Cut | None = None) -> RgbImage:
+    """Draw the evidence of an estimate over its image.
 
-    Small images are enlarged and large ones reduced. A caption below gives scale, interval and
-    confidence. A usable scale has a scale bar of round length, unless the camera was tilted: then
-    the scale holds at the centre only. For an unusable scale the caption begins with the reason and
-    with advice.
+    Kept vehicles are blue, outliers orange with a cross, other rulers green. Small images are
+    enlarged and large ones reduced.
+
+    A caption below gives scale, interval and confidence. For an unusable scale it begins with the
+    reason and with advice. A usable scale has a scale bar of round length, unless the camera was
+    tilted: then the scale holds at the centre only.
 
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of
             either (see ``read_reduced``).
-        analysis: of that image.
+        analysis: analysis of that image.
         cut: the part to show; None for all of the image.
 
     Returns:
@@ -71,8 +85,10 @@ def draw_overlay(
     """
     estimate = analysis.estimate
     canvas = open_canvas(image, estimate, scale=analysis, cut=cut)
-    bar = estimate.gsd_m_per_px if estimate.status == "ok" and estimate.tilt is None else None
-    return canvas.finished(bar, _caption_lines(analysis))
+    bar_gsd = None
+    if estimate.status == "ok" and estimate.tilt is None:
+        bar_gsd = estimate.gsd_m_per_px
+    return canvas.finished(bar_gsd, _caption_lines(analysis))
 
 
 class Canvas(NamedTuple):
@@ -80,29 +96,42 @@ class Canvas(NamedTuple):
 
     Attributes:
         picture: ``[h, w, 3]`` RGB, a copy of the image at display size.
-        place: of the image in the picture.
+        placement: position of the image in the picture.
     """
 
-    picture: NDArray[np.uint8]
-    place: Placement
+    picture: RgbImage
+    placement: Placement
 
-    def finished(self, gsd_m_per_px: float | None, lines: list[CaptionLine]) -> NDArray[np.uint8]:
-        """Add margins to a narrow picture, a scale bar for a scale, and the caption: ``[h', w', 3]`` RGB."""
+    def finished(self, gsd_m_per_px: float | None, lines: list[CaptionLine]) -> RgbImage:
+        """Add a scale bar and the caption, and margins to a narrow picture.
+
+        Args:
+            gsd_m_per_px: scale for a scale bar; None draws no bar.
+            lines: caption.
+
+        Returns:
+            ``[h', w', 3]`` RGB.
+        """
         height, width = self.picture.shape[:2]
         across = max(0, _MIN_CANVAS_PX - width)
         down = max(0, 5 * text_px(width + across) - height)
-        sides = down // 2, down - down // 2, across // 2, across - across // 2
-        picture = np.asarray(
-            cv2.copyMakeBorder(self.picture, *sides, cv2.BORDER_CONSTANT, value=_PANEL_RGB),
-            dtype=np.uint8,
+        bordered = cv2.copyMakeBorder(
+            self.picture,
+            top=down // 2,
+            bottom=down - down // 2,
+            left=across // 2,
+            right=across - across // 2,
+            borderType=cv2.BORDER_CONSTANT,
+            value=_PANEL_RGB,
         )
+        picture = np.asarray(bordered, dtype=np.uint8)
         if gsd_m_per_px is not None:
-            draw_scale_bar(picture, gsd_m_per_px / float(self.place.scale[0]))
+            draw_scale_bar(picture, gsd_m_per_px / float(self.placement.scale[0]))
         return np.concatenate([picture, caption_panel(picture.shape[1], lines)])
 
 
 def open_canvas(
-    image: NDArray[np.uint8],
+    image: RgbImage,
     record: GsdEstimate | AreaMeasurement | DistanceMeasurement,
     scale: ScaleEvidence | None,
     cut: Cut | None,
@@ -112,27 +141,32 @@ def open_canvas(
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of
             either.
-        record: of that image.
+        record: record of that image.
         scale: analysis of the scale; None without one.
         cut: the part to show; None for all of the image.
     """
-    picture = fit_for_eyes(image) if cut is None else cut.sized(image)
-    whole = Window(0, 0, width_px=record.image_width_px, height_px=record.image_height_px)
-    place = Placement.of(picture, whole if cut is None else cut.part)
+    if cut is None:
+        picture = fit_for_eyes(image)
+        part = Window(0, 0, width_px=record.image_width_px, height_px=record.image_height_px)
+    else:
+        picture = cut.sized(image)
+        part = cut.part
+    placement = Placement.of(picture, part)
     if scale is not None:
-        draw_vehicles(picture, scale, place)
-        draw_marks(picture, scale.marks, place)
-    return Canvas(picture, place)
+        draw_vehicles(picture, scale, placement)
+        draw_marks(picture, scale.marks, placement)
+    return Canvas(picture, placement)
 
 
-def fit_for_eyes(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def fit_for_eyes(image: RgbImage) -> RgbImage:
     """Copy an image at display size: small ones are enlarged, large ones reduced."""
     height, width = image.shape[:2]
     whole = Cut(Window(0, 0, width_px=width, height_px=height), MAX_SIDE_PX)
-    return whole.sized(image, max(1.0, MIN_WIDTH_PX / width), cv2.INTER_CUBIC)
+    max_enlargement = max(1.0, MIN_WIDTH_PX / width)
+    return whole.sized(image, max_enlargement, cv2.INTER_CUBIC)
 
 
-def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8]:
+def read_reduced(raster: Raster, part: Window | None = None) -> RgbImage:
     """Read an image or a part of it in strips, reduced so that no side exceeds 4096 px.
 
     Args:
@@ -142,20 +176,29 @@ def read_reduced(raster: Raster, part: Window | None = None) -> NDArray[np.uint8
     Returns:
         ``[h, w, 3]`` RGB, all of the part.
     """
-    part = part or Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
-    step = max(1, math.ceil(max(part.width_px, part.height_px) / (2 * MAX_SIDE_PX)))
-    if step == 1:
+    if part is None:
+        part = Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
+    longer_side = max(part.width_px, part.height_px)
+    reduction = max(1, math.ceil(longer_side / (2 * MAX_SIDE_PX)))
+    if reduction == 1:
         return raster.read(part)
-    width = max(1, round(part.width_px / step))
-    height = max(1, round(part.height_px / step))
+    width = max(1, round(part.width_px / reduction))
+    height = max(1, round(part.height_px / reduction))
     reduced = np.empty((height, width, 3), np.uint8)
-    for top in range(0, height, _ROWS_PER_READ // step + 1):
-        bottom = min(height, top + _ROWS_PER_READ // step + 1)
-        first, last = (round(row * part.height_px / height) for row in (top, bottom))
-        strip = raster.read(
-            Window(part.x_px, part.y_px + first, width_px=part.width_px, height_px=last - first)
+    # In strips: the full image may not fit in memory.
+    rows_per_strip = _ROWS_PER_STRIP // reduction + 1
+    for top in range(0, height, rows_per_strip):
+        bottom = min(height, top + rows_per_strip)
+        first_row = round(top * part.height_px / height)
+        last_row = round(bottom * part.height_px / height)
+        strip = Window(
+            part.x_px,
+            part.y_px + first_row,
+            width_px=part.width_px,
+            height_px=last_row - first_row,
         )
-        reduced[top:bottom] = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
+        size = (width, bottom - top)
+        reduced[top:bottom] = cv2.resize(raster.read(strip), size, interpolation=cv2.INTER_AREA)
     return reduced
 
 
@@ -171,7 +214,7 @@ def check_picture_path(path: str | Path) -> Path:
     return check_output_path(path, PICTURE_SUFFIXES, kind="a picture")
 
 
-def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
+def write_picture(path: str | Path, picture: RgbImage) -> Path:
     """Write a picture as PNG or JPEG, by the suffix.
 
     Args:
@@ -186,187 +229,217 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> Path:
     """
     target = check_picture_path(path)
     suffix = target.suffix.lower()
-    quality = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-    _, encoded = cv2.imencode(suffix, np.ascontiguousarray(picture[:, :, ::-1]), quality)
+    parameters = []
+    if suffix != ".png":
+        parameters = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    bgr = np.ascontiguousarray(picture[:, :, ::-1])
+    # Encoded in memory: OpenCV's own writer fails silently and cannot open all paths.
+    _, encoded = cv2.imencode(suffix, bgr, parameters)
     with whole_file(target) as partial:
-        # Encoded in memory: OpenCV's own writer fails silently and cannot open all paths.
         partial.write_bytes(encoded.tobytes())
     return target
 
 
-def draw_vehicles(picture: NDArray[np.uint8], analysis: ScaleEvidence, place: Placement) -> None:
+def draw_vehicles(picture: RgbImage, analysis: ScaleEvidence, placement: Placement) -> None:
     """Draw kept vehicles in blue, outliers crossed in orange, and their numbers.
 
     Args:
         picture: drawn into.
-        analysis: of the image.
-        place: of the image in the picture.
+        analysis: analysis of the image.
+        placement: position of the image in the picture.
     """
     boxes = analysis.detections.boxes
     if not len(boxes):
         return
-    corners = place.pixels(box_corners(boxes))
-    drawn_length = float(np.median(boxes[:, 2]) * place.scale.mean())
-    line = line_px(picture, drawn_length / 16)
+    corners = placement.to_opencv(box_corners(boxes))
+    drawn_length = float(np.median(boxes[:, 2]) * placement.scale.mean())
+    line = line_px(picture, drawn_length / _LENGTH_PER_LINE)
+    if drawn_length >= _MIN_HALO_PX:
+        _draw_shapes(picture, corners, colour=_PANEL_RGB, line=line + 2)
     kept = corners[analysis.kept]
     dropped = corners[~analysis.kept]
-    crosses = np.ascontiguousarray(np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]]))
-    layers = [
-        (kept, True, KEPT_RGB, line),
-        (dropped, True, DROPPED_RGB, line),
-        (crosses, False, DROPPED_RGB, 1),
-    ]
-    if drawn_length >= _HALO_MIN_PX:
-        layers = [(corners, True, _PANEL_RGB, line + 2), *layers]
-    for shapes, closed, colour, thickness in layers:
-        if len(shapes):
-            cv2.polylines(picture, list(shapes), closed, colour, thickness, cv2.LINE_AA)
-    _write_numbers(picture, analysis.detections, place)
+    # The diagonals of the dropped boxes.
+    crosses = np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]])
+    _draw_shapes(picture, kept, colour=KEPT_RGB, line=line)
+    _draw_shapes(picture, dropped, colour=DROPPED_RGB, line=line)
+    _draw_shapes(picture, crosses, closed=False, colour=DROPPED_RGB, line=1)
+    _write_numbers(picture, analysis.detections, placement)
 
 
-def _write_numbers(picture: NDArray[np.uint8], detections: Detections, place: Placement) -> None:
-    """Write each vehicle's number on it, best first, unless it covers another number; none on many small vehicles."""
-    if (
-        len(detections.boxes) > _MANY_VEHICLES
-        and np.median(detections.boxes[:, 2]) * place.scale.mean() < _NUMBERED_PX
-    ):
+def _draw_shapes(
+    picture: RgbImage,
+    shapes: NDArray[np.int32],
+    *,
+    colour: Colour,
+    line: int,
+    closed: bool = True,
+) -> None:
+    """Draw polygons ``[n, corners, 2]``, or open lines."""
+    if len(shapes):
+        cv2.polylines(
+            picture,
+            list(np.ascontiguousarray(shapes)),
+            isClosed=closed,
+            color=colour,
+            thickness=line,
+            lineType=cv2.LINE_AA,
+        )
+
+
+def _write_numbers(picture: RgbImage, detections: Detections, placement: Placement) -> None:
+    """Write each vehicle's number on it, best first, unless it covers another number.
+
+    Many small vehicles have no numbers.
+    """
+    enlargement = placement.scale.mean()
+    is_many = len(detections.boxes) > _MANY_VEHICLES
+    if is_many and np.median(detections.boxes[:, 2]) * enlargement < _NUMBERED_PX:
         return
-    written = np.zeros(picture.shape[:2], bool)
+    is_written = np.zeros(picture.shape[:2], bool)
     for box, number in zip(detections.boxes, detections.numbers, strict=True):
         text = str(number)
-        (x, y) = place.at(box[:2])
-        capital = int(np.clip(_NUMBER_SHARE * box[3] * place.scale.mean(), *_NUMBER_RANGE_PX))
+        x, y = placement.to_picture(box[:2])
+        capital = int(np.clip(_NUMBER_SHARE * box[3] * enlargement, *_NUMBER_RANGE_PX))
         width = text_width(text, capital)
         left = round(x - width / 2)
         baseline = round(y + capital / 2)
-        covered = written[
-            max(0, baseline - capital) : max(0, baseline), max(0, left) : max(0, left + width)
-        ]
+        rows = slice(max(0, baseline - capital), max(0, baseline))
+        columns = slice(max(0, left), max(0, left + width))
+        covered = is_written[rows, columns]
         if covered.size and not covered.any():
             covered[:] = True
-            write_on(picture, text, at=(left, baseline), capital_px=capital)
+            write_on(picture, text, (left, baseline), capital_px=capital)
 
 
 def _round_length(metres: float) -> float:
     """Round to 1, 2 or 5 times a power of ten, nearest by ratio."""
     power = 10.0 ** math.floor(math.log10(metres))
-    return min(
-        (m * power for m in (1.0, 2.0, 5.0, 10.0)),
-        key=lambda length: abs(math.log(length / metres)),
-    )
+    lengths = [multiple * power for multiple in (1.0, 2.0, 5.0, 10.0)]
+    return min(lengths, key=lambda length: abs(math.log(length / metres)))
 
 
-def draw_scale_bar(picture: NDArray[np.uint8], m_per_px: float) -> None:
+def draw_scale_bar(picture: RgbImage, m_per_px: float) -> None:
     """Draw a labelled bar of round length at the lower left, white with a black rim."""
     height, width = picture.shape[:2]
     metres = _round_length(_BAR_SHARE * width * m_per_px)
     capital = text_px(width)
     margin = capital
-    thick = max(4, capital // 2)
+    thickness = max(4, capital // 2)
     rim = max(2, capital // 7)
     left = margin
-    bottom = height - margin
     right = left + round(metres / m_per_px)
-    for grow, colour in ((rim, (0, 0, 0)), (0, (255, 255, 255))):
-        cv2.rectangle(
-            picture,
-            (left - grow, bottom - thick - grow),
-            (right + grow, bottom + grow),
-            colour,
-            cv2.FILLED,
-        )
-    write_on(
-        picture, f"{metres:g} m", at=(left, bottom - thick - rim - capital // 2), capital_px=capital
-    )
+    bottom = height - margin
+    top = bottom - thickness
+    black = (0, 0, 0)
+    white = (255, 255, 255)
+    _fill_rectangle(picture, (left - rim, top - rim), (right + rim, bottom + rim), colour=black)
+    _fill_rectangle(picture, (left, top), (right, bottom), colour=white)
+    start = (left, top - rim - capital // 2)
+    write_on(picture, f"{metres:g} m", start, capital_px=capital)
+
+
+def _fill_rectangle(
+    picture: RgbImage, first: tuple[int, int], last: tuple[int, int], *, colour: Colour
+) -> None:
+    """Fill a rectangle between two corner pixels, both included."""
+    cv2.rectangle(picture, first, last, color=colour, thickness=cv2.FILLED)
 
 
 def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
-    """Compose the caption: the reason against an unusable scale, scale, interval, confidence, and the legend."""
+    """Compose the caption: an objection to an unusable scale, scale, confidence and legend."""
     estimate = analysis.estimate
-    n_found = estimate.details.n_detections or 0
-    n_kept = estimate.n_vehicles or 0
-    n_dropped = n_found - n_kept
-    by_hand = by_hand_text(estimate)
-    legend = [(KEPT_RGB, f"{count(n_kept, 'vehicle')}{by_hand and f' ({by_hand})'}")]
-    if n_dropped:
-        legend.append((DROPPED_RGB, f"{count(n_dropped, 'outlier')}, dropped"))
     scale = scale_text(estimate)
+    confidence = f"confidence {estimate.confidence:.2f}"
     lines: list[CaptionLine]
     advice = advice_for(estimate)
     if advice is None:
-        lines = [[(None, scale)], [(None, f"confidence {estimate.confidence:.2f}")]]
+        lines = [[(None, scale)], [(None, confidence)]]
     else:
         lines = [[(None, f"no usable scale: {advice.why}")], [(None, advice.helps)]]
         if estimate.gsd_m_per_px is not None:
-            lines.append([(None, f"{scale}, confidence {estimate.confidence:.2f}")])
+            lines.append([(None, f"{scale}, {confidence}")])
     if estimate.tilt is not None:
-        lines.append(
-            [
-                (
-                    None,
-                    f"at the centre: the camera was tilted by {estimate.tilt.tilt_deg:.0f} degrees",
-                )
-            ]
-        )
-    if n_found:
-        lines.append([*legend])
-    if rulers := _rulers_line(analysis):
+        tilt_deg = estimate.tilt.tilt_deg
+        lines.append([(None, f"at the centre: the camera was tilted by {tilt_deg:.0f} degrees")])
+    if estimate.details.n_detections:
+        lines.append(_vehicles_line(estimate))
+    rulers = _rulers_line(analysis)
+    if rulers:
         lines.append(rulers)
     return lines
 
 
+def _vehicles_line(estimate: GsdEstimate) -> CaptionLine:
+    """Count the kept and dropped vehicles, with swatches as a legend."""
+    n_detected = estimate.details.n_detections or 0
+    n_kept = estimate.n_vehicles or 0
+    n_dropped = n_detected - n_kept
+    kept = count(n_kept, "vehicle")
+    by_hand = by_hand_text(estimate)
+    if by_hand:
+        kept = f"{kept} ({by_hand})"
+    line: CaptionLine = [(KEPT_RGB, kept)]
+    if n_dropped:
+        line.append((DROPPED_RGB, f"{count(n_dropped, 'outlier')}, dropped"))
+    return line
+
+
 def _rulers_line(analysis: ScaleEvidence) -> CaptionLine:
-    """List the rulers' scales, with a swatch for those with marks; empty if vehicles are the only ruler."""
+    """List the rulers' scales, with a swatch for those with marks.
+
+    The list is empty if vehicles are the only ruler.
+    """
     rulers = [ruler for ruler in analysis.estimate.rulers if ruler.sets_scale]
-    if [ruler.kind for ruler in rulers] in ([], ["vehicles"]):
+    if all(ruler.kind == "vehicles" for ruler in rulers):
         return []
-    marked = {each.kind for each in analysis.witnesses if each.marks}
-    return [
-        (
-            MARK_RGB if ruler.kind in marked else None,
-            f"{ruler.label} {significant(ruler.gsd_m_per_px)} "
-            f"m/px{'' if ruler.probably_right else ', probably wrong'}",
-        )
-        for ruler in rulers
-    ]
+    marked = {witness.kind for witness in analysis.witnesses if witness.marks}
+    line: CaptionLine = []
+    for ruler in rulers:
+        swatch = MARK_RGB if ruler.kind in marked else None
+        doubt = "" if ruler.probably_right else ", probably wrong"
+        scale = significant(ruler.gsd_m_per_px)
+        line.append((swatch, f"{ruler.label} {scale} m/px{doubt}"))
+    return line
 
 
-def caption_panel(width_px: int, lines: list[CaptionLine]) -> NDArray[np.uint8]:
-    """Draw the panel below a picture: lines of text with colour swatches; the first line is bold."""
-    capital = float(text_px(width_px))
-    while (
-        capital > 8 and max(_line_width(line, capital) for line in lines) > width_px - 2 * capital
-    ):
-        capital -= 1
-    pitch = round(2.1 * capital)
-    panel = np.full((pitch * len(lines) + round(capital), width_px, 3), _PANEL_RGB, np.uint8)
+def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
+    """Draw the panel below a picture: lines of text with swatches; the first line is bold."""
+    capital = _fitting_capital(width_px, lines)
+    margin = round(capital)
+    pitch = round(_LINE_PITCH * capital)
+    first_baseline = round(_FIRST_BASELINE * capital)
+    panel = np.full((pitch * len(lines) + margin, width_px, 3), _PANEL_RGB, np.uint8)
     for row, line in enumerate(lines):
-        x = round(capital)
-        baseline = round(1.7 * capital) + row * pitch
+        x = margin
+        baseline = first_baseline + row * pitch
+        stroke = stroke_px(capital)
+        if row == 0:
+            stroke += 1
         for colour, text in line:
             if colour is not None:
                 side = round(capital)
-                cv2.rectangle(panel, (x, baseline - side), (x + side, baseline), colour, cv2.FILLED)
-                x += round(1.7 * capital)
-            stroke = stroke_px(capital) + (row == 0)
-            cv2.putText(
-                panel,
-                text,
-                (x, baseline),
-                FONT,
-                font_scale(capital),
-                _TEXT_RGB,
-                stroke,
-                cv2.LINE_AA,
+                _fill_rectangle(panel, (x, baseline - side), (x + side, baseline), colour=colour)
+                x += round(_SWATCH_WIDTH * capital)
+            put_text(
+                panel, text, (x, baseline), capital_px=capital, colour=_TEXT_RGB, stroke=stroke
             )
-            x += text_width(text, capital) + round(2 * capital)
+            x += text_width(text, capital) + round(_TEXT_GAP * capital)
     return panel
 
 
+def _fitting_capital(width_px: int, lines: list[CaptionLine]) -> float:
+    """Find the height of capitals, pixels, at which the lines fit the width between two margins."""
+    capital = float(text_px(width_px))
+    while capital > _MIN_CAPTION_CAPITAL_PX:
+        widest = max(_line_width(line, capital) for line in lines)
+        if widest <= width_px - 2 * capital:
+            break
+        capital -= 1
+    return capital
+
+
 def _line_width(line: CaptionLine, capital_px: float) -> float:
-    swatches = sum(1.7 * capital_px for colour, _ in line if colour is not None)
-    return (
-        sum(text_width(text, capital_px) for _, text in line)
-        + swatches
-        + 2 * capital_px * (len(line) - 1)
-    )
+    swatches = sum(_SWATCH_WIDTH * capital_px for colour, _ in line if colour is not None)
+    texts = sum(text_width(text, capital_px) for _, text in line)
+    gaps = _TEXT_GAP * capital_px * (len(line) - 1)
+    return texts + swatches + gaps

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import cv2
@@ -18,54 +19,56 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.evidence import ScaleEvidence
+    from vehanchor.pictures.placement import Colour, RgbImage
 
-MOST_SHOWN = 24
+MAX_SHOWN = 24
 _CHIP_PX = 128
-_REACH = 1.0  # half of a chip's side over the vehicle's length
-_LEAST_REACH_PX = 8
+# Half of a chip's side over the vehicle's length.
+_REACH_SHARE = 1.0
+_MIN_REACH_PX = 8
 _CAPITAL_PX = 14
 
 
-def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -> NDArray[np.uint8]:
+def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -> RgbImage:
     """Draw the first vehicles by their numbers, each enlarged with its box, in rows.
 
     Args:
         raster: the analysed image.
-        analysis: of that image.
+        analysis: analysis of that image.
         width_px: width of the strip.
 
     Returns:
         ``[h, width_px, 3]`` RGB; no rows without vehicles.
     """
-    boxes = analysis.detections.boxes[:MOST_SHOWN]
-    columns = max(1, width_px // _CHIP_PX)
-    strip = np.zeros((-(-len(boxes) // columns) * _CHIP_PX, max(width_px, _CHIP_PX), 3), np.uint8)
-    for i, (box, number, kept) in enumerate(
-        zip(boxes, analysis.detections.numbers, analysis.kept, strict=False)
-    ):
-        top = i // columns * _CHIP_PX
-        left = i % columns * _CHIP_PX
-        chip = _draw_vehicle(raster, box, KEPT_RGB if kept else DROPPED_RGB)
-        write_on(chip, str(number), at=(4, _CAPITAL_PX + 4), capital_px=_CAPITAL_PX)
-        strip[top : top + chip.shape[0], left : left + chip.shape[1]] = chip
+    boxes = analysis.detections.boxes[:MAX_SHOWN]
+    n_columns = max(1, width_px // _CHIP_PX)
+    n_rows = math.ceil(len(boxes) / n_columns)
+    strip = np.zeros((n_rows * _CHIP_PX, max(width_px, _CHIP_PX), 3), np.uint8)
+    vehicles = zip(boxes, analysis.detections.numbers, analysis.kept, strict=False)
+    for i, (box, number, is_kept) in enumerate(vehicles):
+        row, column = divmod(i, n_columns)
+        top = row * _CHIP_PX
+        left = column * _CHIP_PX
+        chip = _draw_vehicle(raster, box, KEPT_RGB if is_kept else DROPPED_RGB)
+        write_on(chip, str(number), (4, _CAPITAL_PX + 4), capital_px=_CAPITAL_PX)
+        # At the image's edge, a chip is smaller than its cell.
+        height, width = chip.shape[:2]
+        strip[top : top + height, left : left + width] = chip
     return strip[:, :width_px]
 
 
-def _draw_vehicle(
-    raster: Raster, box: NDArray[np.float64], colour: tuple[int, int, int]
-) -> NDArray[np.uint8]:
-    reach = max(_LEAST_REACH_PX, round(_REACH * float(box[2])))
+def _draw_vehicle(raster: Raster, box: NDArray[np.float64], colour: Colour) -> RgbImage:
     x = round(float(box[0]))
     y = round(float(box[1]))
+    reach = max(_MIN_REACH_PX, round(_REACH_SHARE * float(box[2])))
     left = max(0, x - reach)
     top = max(0, y - reach)
-    part = Window(
-        left,
-        top,
-        width_px=min(raster.width_px, x + reach) - left,
-        height_px=min(raster.height_px, y + reach) - top,
-    )
+    right = min(raster.width_px, x + reach)
+    bottom = min(raster.height_px, y + reach)
+    part = Window(left, top, width_px=right - left, height_px=bottom - top)
     chip = Cut(part, _CHIP_PX).sized(raster.read(part))
-    corners = Placement.of(chip, part).pixels(box_corners(box[None]))
-    cv2.polylines(chip, list(corners), True, colour, 1, cv2.LINE_AA)
+    corners = Placement.of(chip, part).to_opencv(box_corners(box[None]))
+    cv2.polylines(
+        chip, list(corners), isClosed=True, color=colour, thickness=1, lineType=cv2.LINE_AA
+    )
     return chip

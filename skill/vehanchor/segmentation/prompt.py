@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -47,10 +48,14 @@ class Prompt:
         ys = [y for _, y, _ in self.points]
         return min(xs), min(ys), max(xs), max(ys)
 
-    def mapped(self, place: Callable[[float, float], Place]) -> Prompt:
-        """Convert all coordinates."""
-        box = self.box and (*place(*self.box[:2]), *place(*self.box[2:]))
-        return Prompt(box, tuple((*place(x, y), include) for x, y, include in self.points))
+    def mapped(self, convert: Callable[[float, float], Place]) -> Prompt:
+        """Convert all coordinates with a function of x and y."""
+        box = None
+        if self.box is not None:
+            x1, y1, x2, y2 = self.box
+            box = (*convert(x1, y1), *convert(x2, y2))
+        points = tuple((*convert(x, y), include) for x, y, include in self.points)
+        return Prompt(box, points)
 
 
 def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
@@ -66,36 +71,47 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
     """
     if isinstance(points, str) or not isinstance(points, Iterable | None):
         raise PromptError(f"points is {points!r}: use one or more of x, y")
-    given = tuple(points or ())
-    if (box is None) == (not given):
-        found = "neither is given" if box is None else "both are given"
-        raise PromptError(f"give a box or points, one of the two: {found}")
+    point_list = tuple(points or ())
+    if box is None and not point_list:
+        raise PromptError("give either a box or points: neither is given")
+    if box is not None and point_list:
+        raise PromptError("give either a box or points: both are given")
     if box is not None:
-        x1, y1, x2, y2 = read_numbers(_as_box(box), (4,), name="box", wanted="x1, y1, x2, y2")
-        if x2 <= x1 or y2 <= y1:
-            raise PromptError(
-                f"box is {_numbers((x1, y1, x2, y2))}: x1 < x2 and y1 < y2 are needed, it is "
-                "reversed or empty"
-            )
-        return Prompt(box=(x1, y1, x2, y2))
-    read = []
-    for each in given:
-        x, y, *include = read_numbers(
-            each, (2, 3), name="a point", wanted="x, y and whether it is on the object"
+        return Prompt(box=_read_box(box))
+    return Prompt(points=_read_points(point_list))
+
+
+def _read_box(box: Any) -> Box:
+    numbers = read_numbers(_plain_box(box), (4,), name="box", expected="x1, y1, x2, y2")
+    x1, y1, x2, y2 = numbers
+    if x2 <= x1 or y2 <= y1:
+        raise PromptError(
+            f"box is {_numbers_text(numbers)}: it is reversed or empty; x1 < x2 and y1 < y2 are "
+            "needed"
         )
+    return x1, y1, x2, y2
+
+
+def _read_points(points: Sequence[Point]) -> tuple[tuple[float, float, bool], ...]:
+    read = []
+    for point in points:
+        x, y, *include = read_numbers(
+            point, (2, 3), name="a point", expected="x, y and whether it is on the object"
+        )
+        # A point without the third value is on the object.
         read.append((x, y, all(include)))
     if not any(include for _, _, include in read):
         raise PromptError("no point is on the object: give at least one that is")
-    return Prompt(points=tuple(read))
+    return tuple(read)
 
 
-def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) -> Prompt:
+def prompt_in_image(prompt: Prompt, frame: Frame, width_px: int, height_px: int) -> Prompt:
     """Convert a prompt to pixels of the full image and check it against the image.
 
     Coordinates that lie outside by less than a pixel of the frame, due to rounding, are clipped.
 
     Args:
-        given: prompt in the caller's coordinates.
+        prompt: prompt in the caller's coordinates.
         frame: size of the caller's copy and unit of its coordinates.
         width_px: width of the full image.
         height_px: height of the full image.
@@ -104,60 +120,86 @@ def prompt_in_image(given: Prompt, frame: Frame, width_px: int, height_px: int) 
         PromptError: the prompt is outside the image, or the box is too small.
     """
     coordinates = CoordinateFrame(frame, width_px, height_px)
-    if given.box is not None:
-        x1, y1, x2, y2 = given.box
-        ends = ((x1, y1), (x2, y2))
-        if not coordinates.inside(ends):
-            meant = coordinates.other_reading(ends) or ": clip it to what is visible"
-            raise PromptError(
-                f"box {_numbers(given.box)} is not inside the {coordinates.name}{meant}"
-            )
-        prompt = given.mapped(coordinates.in_image)
-        left, top, right, bottom = prompt.extent
-        if min(right - left, bottom - top) < MIN_BOX_PX:
-            raise PromptError(
-                f"box {_numbers(given.box)} is {right - left:.3g} x {bottom - top:.3g} px of "
-                "the full image: at "
-                f"least {MIN_BOX_PX:g} px a side are needed{coordinates.other_reading(ends)}"
-            )
-        return prompt
-    places = [(x, y) for x, y, _ in given.points]
-    for x, y in places:
-        if not (0 <= x < coordinates.extent[0] and 0 <= y < coordinates.extent[1]):
-            raise PromptError(
-                f"point {x:g}, {y:g} is not inside the "
-                f"{coordinates.name}{coordinates.other_reading(places)}"
-            )
-    return given.mapped(coordinates.in_image)
+    if prompt.box is not None:
+        _check_box_inside(prompt.box, coordinates)
+    else:
+        _check_points_inside(prompt, coordinates)
+    converted = prompt.mapped(coordinates.in_image)
+    if prompt.box is not None:
+        _check_box_size(prompt.box, converted, coordinates)
+    return converted
 
 
-def read_numbers(values: Any, counts: tuple[int, ...], name: str, wanted: str) -> tuple[float, ...]:
+def _check_box_inside(box: Box, coordinates: CoordinateFrame) -> None:
+    corners = _corners(box)
+    if not coordinates.inside(corners):
+        suggestion = coordinates.other_reading(corners) or ": clip it to what is visible"
+        raise PromptError(
+            f"box {_numbers_text(box)} is not inside the {coordinates.name}{suggestion}"
+        )
+
+
+def _check_box_size(box: Box, converted: Prompt, coordinates: CoordinateFrame) -> None:
+    left, top, right, bottom = converted.extent
+    width = right - left
+    height = bottom - top
+    if min(width, height) < MIN_BOX_PX:
+        suggestion = coordinates.other_reading(_corners(box))
+        raise PromptError(
+            f"box {_numbers_text(box)} is {width:.3g} x {height:.3g} px of the full image: at "
+            f"least {MIN_BOX_PX:g} px a side are needed{suggestion}"
+        )
+
+
+def _check_points_inside(prompt: Prompt, coordinates: CoordinateFrame) -> None:
+    points = [(x, y) for x, y, _ in prompt.points]
+    width, height = coordinates.extent
+    for x, y in points:
+        # A point on the far edge would name a pixel beyond the image.
+        if not (0 <= x < width and 0 <= y < height):
+            suggestion = coordinates.other_reading(points)
+            raise PromptError(
+                f"point {x:g}, {y:g} is not inside the {coordinates.name}{suggestion}"
+            )
+
+
+def _corners(box: Box) -> tuple[Place, Place]:
+    x1, y1, x2, y2 = box
+    return (x1, y1), (x2, y2)
+
+
+def read_numbers(
+    values: Any, counts: tuple[int, ...], *, name: str, expected: str
+) -> tuple[float, ...]:
     """Read finite numbers of the caller.
 
     Args:
         values: the numbers.
-        counts: how many they may be.
-        name: what they are, for the message.
-        wanted: what they should be, for the message.
+        counts: accepted numbers of values.
+        name: name of the values, for the message.
+        expected: description of valid values, for the message.
 
     Raises:
-        PromptError: they are something else.
+        PromptError: the values are not finite numbers, or too few or too many.
     """
-    try:
-        numbers = () if isinstance(values, str) else tuple(map(float, values))
-    except (TypeError, ValueError):
-        numbers = ()
-    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
-        raise PromptError(f"{name} is {values!r}: use {wanted}, finite numbers")
+    numbers: tuple[float, ...] = ()
+    # A string is iterable, but its letters are not coordinates.
+    if not isinstance(values, str):
+        with contextlib.suppress(TypeError, ValueError):
+            numbers = tuple(float(value) for value in values)
+    if len(numbers) not in counts or not all(math.isfinite(number) for number in numbers):
+        raise PromptError(f"{name} is {values!r}: use {expected}, finite numbers")
     return numbers
 
 
-def _numbers(values: Sequence[float]) -> str:
+def _numbers_text(values: Sequence[float]) -> str:
     return ", ".join(f"{value:g}" for value in values)
 
 
-def _as_box(box: Any) -> Any:
-    """Take the box of a shapely or supervision object, without importing either; return other values unchanged.
+def _plain_box(box: Any) -> Any:
+    """Return the coordinates of a shapely or supervision object; return other values unchanged.
+
+    Neither library is imported.
 
     Args:
         box: a geometry of shapely (its ``bounds``), or supervision's ``Detections`` of one object.
@@ -165,11 +207,12 @@ def _as_box(box: Any) -> Any:
     Raises:
         PromptError: the detections are not of exactly one object.
     """
-    found = getattr(box, "xyxy", None)
-    if found is not None:
-        if len(found) != 1:
-            raise PromptError(
-                f"the detections are of {len(found)} objects: give one, as detections[i : i + 1]"
-            )
-        return tuple(float(value) for value in found[0])
-    return getattr(box, "bounds", box)
+    detected_boxes = getattr(box, "xyxy", None)
+    if detected_boxes is None:
+        return getattr(box, "bounds", box)
+    if len(detected_boxes) != 1:
+        raise PromptError(
+            f"the detections are of {len(detected_boxes)} objects: give one, such as "
+            "detections[i : i + 1]"
+        )
+    return tuple(float(value) for value in detected_boxes[0])

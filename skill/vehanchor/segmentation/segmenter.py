@@ -1,10 +1,12 @@
-"""Promptable segmentation: the mask of the object that a box or points name, in pixels of the image.
+"""Promptable segmentation: the mask of the object that a box or points name, in image pixels.
 
-The model runs on a crop around the prompt: memory does not grow with the image, and small objects
-get the model's full resolution. The crop of a box has twice its longer side, at least 256 px.
-Points do not show the object's size: they are tried in crops of 128 to 1024 px, or from twice their
-extent on. The mask with the best score is refined by its bounding box; masks of other objects are
-its alternatives. Points name one object if three masks or more agree.
+The model runs on a crop around the prompt, so memory does not grow with the image, and small
+objects get the model's full resolution. The crop of a box has twice its longer side, at least
+256 px. Points do not show the object's size, so several crops are tried: 128 to 1024 px a side, or
+from twice the points' extent on.
+
+The mask with the best score is refined by its bounding box. Masks of other objects are its
+alternatives. Points name one object if three masks or more agree.
 """
 
 from __future__ import annotations
@@ -34,20 +36,22 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Self
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from vehanchor.imagery.raster import Raster
+    from vehanchor.segmentation.shape import Mask
 
-MIN_MASK_SCORE = 0.7  # default: lower predicted IoUs need a check of the outline
-MASK_AREA_LOG_SD = 0.1  # default: standard deviation of log(mask area / true area)
-# The same for points whose masks agree, and for all others: research/results/notes.md has the
-# trial.
+# Default: masks with a lower predicted IoU need a check of the outline.
+MIN_MASK_SCORE = 0.7
+# Default: standard deviation of log(mask area / true area).
+MASK_AREA_LOG_SD = 0.1
+# research/results/notes.md has the trial behind the numbers for points.
+# Standard deviation of log(mask area / true area) where all masks of the points agree.
 _POINT_AREA_LOG_SD = 0.25
+# The same for all other points.
 _DOUBTED_POINT_AREA_LOG_SD = 1.3
-_LEAST_AGREEING = 3  # masks that show the same object; research/results/notes.md has the trial
-# masks that overlap more show the same object; research/results/notes.md has the trial
-_SAME_IOU = 0.7
+# Points name one object if at least so many masks show it.
+_MIN_AGREEING_MASKS = 3
+# Masks that overlap at least as much show the same object.
+_SAME_OBJECT_IOU = 0.7
 _MAX_OBJECTS = 3
 _DEFAULT_LIMITS = ImageLimits()
 
@@ -76,20 +80,26 @@ class SegmenterCard:
     mask_area_log_sd: float
     licence: str | None
 
-    def is_doubtful(self, found: Segmentation) -> bool:
-        """Tell whether a mask needs a check of its outline: a low score, no pixels, or several objects."""
-        return found.score < self.min_score or not found.mask.any() or not found.is_agreed
+    def is_doubtful(self, segmentation: Segmentation) -> bool:
+        """Test whether a mask needs a check: its score is low, it is empty, or points disagree."""
+        if segmentation.score < self.min_score:
+            return True
+        return not segmentation.mask.any() or not segmentation.is_agreed
 
-    def area_log_sd(self, prompt: Prompt, found: Segmentation) -> float:
-        """Return the standard deviation of the log of mask area over true area; points can miss the object's extent.
+    def area_log_sd(self, prompt: Prompt, segmentation: Segmentation) -> float:
+        """Return the standard deviation of the log of mask area over true area.
+
+        It is larger for points, because they do not show the object's extent.
 
         Args:
-            prompt: of the mask.
-            found: the mask.
+            prompt: prompt of the mask.
+            segmentation: the mask.
         """
         if prompt.box is not None:
             return self.mask_area_log_sd
-        return _DOUBTED_POINT_AREA_LOG_SD if self.is_doubtful(found) else _POINT_AREA_LOG_SD
+        if self.is_doubtful(segmentation):
+            return _DOUBTED_POINT_AREA_LOG_SD
+        return _POINT_AREA_LOG_SD
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +114,7 @@ class Segmentation:
         is_agreed: whether the masks of the points show the same object; true for a box.
     """
 
-    mask: NDArray[np.bool_]
+    mask: Mask
     window: Window
     score: float
     alternatives: tuple[Segmentation, ...] = ()
@@ -112,15 +122,18 @@ class Segmentation:
 
     @property
     def bounding_box(self) -> Box | None:
-        """Smallest box of whole pixels around the mask, in pixels of the image; None for an empty mask."""
+        """Smallest box around the mask, in whole pixels of the image; None for an empty mask."""
         bounds = mask_bounds(self.mask)
+        if bounds is None:
+            return None
+        x1, y1, x2, y2 = bounds
         left = self.window.x_px
         top = self.window.y_px
-        return bounds and (bounds[0] + left, bounds[1] + top, bounds[2] + left, bounds[3] + top)
+        return x1 + left, y1 + top, x2 + left, y2 + top
 
 
 class Segmenter(LoadedModel):
-    """Promptable segmenter: encoder and decoder, of any contract in ``vehanchor.segmentation.contracts``.
+    """Promptable segmenter of any contract in ``vehanchor.segmentation.contracts``.
 
     Args:
         encoder_path: the image encoder's ONNX file.
@@ -144,24 +157,29 @@ class Segmenter(LoadedModel):
         self.runtime = runtime or Runtime()
         self.encoder_path = Path(encoder_path)
         self.decoder_path = Path(decoder_path)
-        files = read_model(self.encoder_path), read_model(self.decoder_path)
-        encoder, decoder = (
-            open_session(file.path, content=file.content, runtime=self.runtime) for file in files
+        encoder_file = read_model(self.encoder_path)
+        decoder_file = read_model(self.decoder_path)
+        encoder = open_session(
+            encoder_file.path, content=encoder_file.content, runtime=self.runtime
+        )
+        decoder = open_session(
+            decoder_file.path, content=decoder_file.content, runtime=self.runtime
         )
         metadata = {
             **encoder.get_modelmeta().custom_metadata_map,
             **decoder.get_modelmeta().custom_metadata_map,
         }
-        named_px = metadata_number(metadata, "input_size_px", 0.0)
+        # 0 stands for metadata without a size.
+        input_px = int(metadata_number(metadata, "input_size_px", 0.0))
         try:
-            self._contract = recognise_contract(encoder, decoder, int(named_px) or None)
+            self._contract = recognise_contract(encoder, decoder, input_px or None)
         except ModelContractError as error:
             raise ModelContractError(
                 f"{self.encoder_path} and {self.decoder_path}: {error}"
             ) from None
         self.card = SegmenterCard(
             name=metadata.get("vehanchor.name", self.encoder_path.stem),
-            sha256=models_sha256(*files),
+            sha256=models_sha256(encoder_file, decoder_file),
             contract=self._contract.name,
             input_px=self._contract.input_px,
             min_score=metadata_number(metadata, "min_score", MIN_MASK_SCORE),
@@ -198,39 +216,52 @@ class Segmenter(LoadedModel):
         return self._segment_crop(raster, prompt, side_px=crop_side(prompt), limits=limits)
 
     def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> Segmentation:
-        """Choose among the masks of several crops, and refine the chosen one by its bounding box and the points."""
-        masks = self._masks_at(raster, prompt, limits)
-        chosen, *others = _distinct(masks)
-        chosen = replace(
-            chosen,
+        """Choose among the masks of several crops, and refine the best one.
+
+        The points and the mask's bounding box are the prompt of the refinement.
+        """
+        masks = self._segment_growing_crops(raster, prompt, limits)
+        best, *others = _choose_objects(masks)
+        best = replace(
+            best,
             alternatives=tuple(others),
-            is_agreed=len(masks) >= _LEAST_AGREEING and not others,
+            is_agreed=len(masks) >= _MIN_AGREEING_MASKS and not others,
         )
-        box = chosen.bounding_box
-        if box is None or min(box[2] - box[0], box[3] - box[1]) < MIN_BOX_PX:
-            return chosen
+        box = best.bounding_box
+        if box is None:
+            return best
+        x1, y1, x2, y2 = box
+        if min(x2 - x1, y2 - y1) < MIN_BOX_PX:
+            return best
         boxed = Prompt(box, prompt.points)
         refined = self._segment_crop(raster, boxed, side_px=crop_side(boxed), limits=limits)
-        best = refined if refined.mask.any() else chosen
-        return replace(
-            chosen, mask=best.mask, window=best.window, score=min(chosen.score, best.score)
-        )
+        if not refined.mask.any():
+            return best
+        score = min(best.score, refined.score)
+        return replace(best, mask=refined.mask, window=refined.window, score=score)
 
-    def _masks_at(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> list[Segmentation]:
-        """Segment points in growing crops; keep masks that end inside, of one crop at least."""
-        found: list[Segmentation] = []
+    def _segment_growing_crops(
+        self, raster: Raster, prompt: Prompt, limits: ImageLimits
+    ) -> list[Segmentation]:
+        """Segment points in growing crops; keep masks that end inside their crop.
+
+        Growth ends with the whole image. Once a mask is kept, it also ends at the largest side of
+        crops and at the limits.
+        """
+        masks: list[Segmentation] = []
         side = crop_side(prompt)
         while True:
             window = crop_window(
                 prompt, raster.width_px, image_height_px=raster.height_px, side_px=side
             )
-            if found and (side > MAX_POINT_CROP_PX or not _allowed(window, limits)):
-                return found
+            is_enough = side > MAX_POINT_CROP_PX or not _is_within_limits(window, limits)
+            if masks and is_enough:
+                return masks
             mask = self._segment_crop(raster, prompt, side_px=side, limits=limits)
-            if not _runs_into_inner_side(mask, raster):
-                found.append(mask)
-            if (window.width_px, window.height_px) == (raster.width_px, raster.height_px):
-                return found
+            if not _is_cut_by_window(mask, raster):
+                masks.append(mask)
+            if window.width_px == raster.width_px and window.height_px == raster.height_px:
+                return masks
             side *= 2
 
     def _segment_crop(
@@ -239,16 +270,16 @@ class Segmenter(LoadedModel):
         window = crop_window(
             prompt, raster.width_px, image_height_px=raster.height_px, side_px=side_px
         )
-        if not _allowed(window, limits):
+        if not _is_within_limits(window, limits):
             raise ImageTooLargeError(
-                f"the object's surroundings are {window.width_px} x {window.height_px} px, the "
-                "limit is "
-                f"{limits.max_pixels} pixels; give a smaller box, or measure in a reduced copy "
-                "of the image"
+                f"the crop around the object is {window.width_px} x {window.height_px} px, the "
+                f"limit is {limits.max_pixels} pixels: give a smaller box, or measure in a reduced "
+                "copy of the image"
             )
         size = self._contract.input_size(window.width_px, window.height_px)
-        found = self._contract.predict(read_resized(raster, window, size), window, prompt)
-        return Segmentation(place_mask(found), window, found.score)
+        picture = read_resized(raster, window, size)
+        logits = self._contract.predict(picture, window, prompt)
+        return Segmentation(place_mask(logits), window, logits.score)
 
 
 _opened = file_cached(max_models=2)(Segmenter)
@@ -258,41 +289,50 @@ def load_segmenter(
     encoder_path: Path, decoder_path: Path, runtime: Runtime | None = None
 ) -> Segmenter:
     """Open a segmenter, or return the open one while its files are unchanged; see ``Segmenter``."""
-    chosen = runtime or Runtime()
-    return _opened(encoder_path, decoder_path, runtime=chosen.idle).under(chosen)
+    call = runtime or Runtime()
+    segmenter = _opened(encoder_path, decoder_path, runtime=call.idle)
+    return segmenter.under(call)
 
 
-def _allowed(window: Window, limits: ImageLimits) -> bool:
+def _is_within_limits(window: Window, limits: ImageLimits) -> bool:
     return window.width_px * window.height_px <= limits.max_pixels
 
 
-def _runs_into_inner_side(found: Segmentation, raster: Raster) -> bool:
+def _is_cut_by_window(segmentation: Segmentation, raster: Raster) -> bool:
     """Test whether the mask touches a side of its window that is not an edge of the image."""
-    outer = outer_sides(found.window, raster.width_px, raster.height_px)
-    return touches_edge(found.mask, (not outer[0], not outer[1], not outer[2], not outer[3]))
+    left, top, right, bottom = outer_sides(segmentation.window, raster.width_px, raster.height_px)
+    inner_sides = (not left, not top, not right, not bottom)
+    return touches_edge(segmentation.mask, inner_sides)
 
 
-def _distinct(found: Sequence[Segmentation]) -> list[Segmentation]:
+def _choose_objects(masks: Sequence[Segmentation]) -> list[Segmentation]:
     """Choose the masks of different objects, at most three.
 
     Args:
-        found: masks in windows of one image, one at least.
+        masks: masks in windows of one image, one at least.
 
     Returns:
         The mask with the best score, the first of equal ones, then those of other objects by
-        falling score; empty masks only if there is nothing else.
+        falling score. An empty mask comes back only if all are empty.
     """
-    kept: list[Segmentation] = []
-    for each in sorted(found, key=lambda each: (bool(each.mask.any()), each.score), reverse=True):
-        if not kept or (
-            each.mask.any() and all(_overlap(each, other) < _SAME_IOU for other in kept)
-        ):
-            kept.append(each)
-    return kept[:_MAX_OBJECTS]
+    best_first = sorted(masks, key=_rank, reverse=True)
+    objects = best_first[:1]
+    for mask in best_first[1:]:
+        if not mask.mask.any():
+            continue
+        if all(_mask_iou(mask, other) < _SAME_OBJECT_IOU for other in objects):
+            objects.append(mask)
+    return objects[:_MAX_OBJECTS]
 
 
-def _overlap(one: Segmentation, other: Segmentation) -> float:
+def _rank(segmentation: Segmentation) -> tuple[bool, float]:
+    """Return the sort key of a mask: empty masks come last, then the score counts."""
+    return bool(segmentation.mask.any()), segmentation.score
+
+
+def _mask_iou(one: Segmentation, other: Segmentation) -> float:
     """Compute the intersection over union of two masks that are not empty."""
+    # The part of the image that both windows cover; nothing outside it is common.
     first = one.window
     second = other.window
     left = max(first.x_px, second.x_px)
@@ -301,9 +341,15 @@ def _overlap(one: Segmentation, other: Segmentation) -> float:
     bottom = min(first.y_px + first.height_px, second.y_px + second.height_px)
     if left >= right or top >= bottom:
         return 0.0
-    parts = [
-        mask[top - at.y_px : bottom - at.y_px, left - at.x_px : right - at.x_px]
-        for mask, at in ((one.mask, first), (other.mask, second))
-    ]
-    common = int((parts[0] & parts[1]).sum())
-    return common / (int(one.mask.sum()) + int(other.mask.sum()) - common)
+    common_part = Window(left, top, width_px=right - left, height_px=bottom - top)
+    in_both = _cut_out(one, common_part) & _cut_out(other, common_part)
+    intersection = int(in_both.sum())
+    union = int(one.mask.sum()) + int(other.mask.sum()) - intersection
+    return intersection / union
+
+
+def _cut_out(segmentation: Segmentation, part: Window) -> Mask:
+    """Return the mask in a part of its window."""
+    left = part.x_px - segmentation.window.x_px
+    top = part.y_px - segmentation.window.y_px
+    return segmentation.mask[top : top + part.height_px, left : left + part.width_px]

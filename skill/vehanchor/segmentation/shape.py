@@ -1,15 +1,17 @@
-"""Shape of a mask: area, perimeter, extents, largest inscribed circle, outline. Pure functions, in pixels.
+"""Shape of a mask: area, perimeter, extents, largest inscribed circle, outline.
 
-A pixel is a unit square: the first one of an array spans 0 to 1 in both directions, and a mask is
-the union of its squares. The area is the number of pixels, never a polygon's area. Outlines and
-distances are computed on a lattice of half pixels. Corners, side midpoints and centres of the
-squares are points of this lattice, so the results are exact.
+All functions are pure and work in pixels. A pixel is a unit square: the first one of an array
+spans 0 to 1 in both directions, and a mask is the union of its squares. The area is the number of
+pixels, never a polygon's area.
+
+Outlines and distances are computed on a lattice of half pixels. Corners, side midpoints and
+centres of the squares are points of this lattice, so the results are exact.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -17,22 +19,36 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Mask: TypeAlias = NDArray[np.bool_]
+    """Pixels of an object, ``[h, w]``."""
+
+    Cells: TypeAlias = NDArray[np.uint8]
+    """Pixels, or points of a lattice, ``[h, w]``: 1 inside, 0 outside."""
+
+    Ring: TypeAlias = NDArray[np.int32]
+    """Corners of a contour, ``[n, 2]`` or ``[n, 1, 2]``, in half cells."""
+
     Bounds: TypeAlias = tuple[int, int, int, int]
     """Smallest box of whole pixels around a mask: x1, y1, x2, y2 from the array's corner."""
 
     Rings: TypeAlias = list[NDArray[np.float64]]
-    """Outline of one piece: ``[n, 2]`` of x, y in pixels around the piece, then around each hole."""
+    """Outline of one piece: x, y ``[n, 2]`` in pixels around the piece, then around each hole."""
 
 MAX_OUTLINE_POINTS = 200
-# smaller steps are taken as the pixel grid, not as the object's outline
+# Smaller steps belong to the pixel grid, not to the object's outline.
 PERIMETER_TOLERANCE_PX = 1.2
-# masks with a larger bounding box are reduced before the half-pixel lattice is built
-_LATTICE_PX = 2_000_000
-_EQUAL = 1e-6  # relative rounding difference of equal distances
+# Masks with a larger bounding box are reduced before the half-pixel lattice is built.
+_MAX_LATTICE_PX = 2_000_000
+# Distances that differ by a smaller share are equal; the rest is rounding.
+_EQUAL_SHARE = 1e-6
+# Tolerance of the outline: the first one, and the factor until few enough points are left.
+_OUTLINE_TOLERANCE_PX = 0.5
 _TOLERANCE_GROWTH = 1.6
-# empty lattice points around a mask, which OpenCV needs for contours; even, so that corners stay
-# even
+# Simplification leaves at least this many points of a ring at any tolerance.
+_MIN_RING_POINTS = 4
+# OpenCV needs empty lattice points around a mask. The number is even, so corners stay even.
 _RIM = 2
+_ALL_SIDES = (True, True, True, True)
 
 
 class Circle(NamedTuple):
@@ -43,18 +59,20 @@ class Circle(NamedTuple):
     diameter: float
 
 
-def mask_bounds(mask: NDArray[np.bool_]) -> Bounds | None:
+def mask_bounds(mask: Mask) -> Bounds | None:
     """Find the bounding box of a mask ``[h, w]``; None for an empty one."""
     rows = np.flatnonzero(mask.any(axis=1))
     columns = np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None
-    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+    x1 = int(columns[0])
+    y1 = int(rows[0])
+    x2 = int(columns[-1]) + 1
+    y2 = int(rows[-1]) + 1
+    return x1, y1, x2, y2
 
 
-def touches_edge(
-    mask: NDArray[np.bool_], sides: tuple[bool, bool, bool, bool] = (True, True, True, True)
-) -> bool:
+def touches_edge(mask: Mask, sides: tuple[bool, bool, bool, bool] = _ALL_SIDES) -> bool:
     """Test whether a mask touches a side of its array.
 
     Args:
@@ -62,20 +80,27 @@ def touches_edge(
         sides: which of left, top, right and bottom count; ``imagery.raster.outer_sides`` gives the
             image's edges.
     """
-    lines = mask[:, 0], mask[0], mask[:, -1], mask[-1]
-    return any(counts and bool(line.any()) for counts, line in zip(sides, lines, strict=True))
+    left = mask[:, 0]
+    top = mask[0]
+    right = mask[:, -1]
+    bottom = mask[-1]
+    lines = (left, top, right, bottom)
+    return any(line.any() for counts, line in zip(sides, lines, strict=True) if counts)
 
 
-def mask_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+def piece_areas_px(mask: Mask) -> NDArray[np.int64]:
     """Compute the areas in pixels of a mask's 8-connected pieces, the largest first."""
     bounds = mask_bounds(mask)
     if bounds is None:
         return np.zeros(0, dtype=np.int64)
-    _, _, stats, _ = cv2.connectedComponentsWithStats(_cut(mask, bounds), connectivity=8)
-    return np.sort(stats[1:, cv2.CC_STAT_AREA].astype(np.int64))[::-1]
+    cells = _crop_to_bounds(mask, bounds)
+    _, _, statistics, _ = cv2.connectedComponentsWithStats(cells, connectivity=8)
+    # The first component is the background.
+    areas = statistics[1:, cv2.CC_STAT_AREA].astype(np.int64)
+    return np.sort(areas)[::-1]
 
 
-def perimeter(mask: NDArray[np.bool_]) -> float:
+def perimeter(mask: Mask) -> float:
     """Compute the length of the outline of a mask ``[h, w]`` with its holes, pixels.
 
     The sum of the pixels' sides would be 4 / pi too long for a circle. The outline is therefore
@@ -83,33 +108,39 @@ def perimeter(mask: NDArray[np.bool_]) -> float:
     is within 1 % for straight sides in any direction and for circles of 50 px radius, 2 % at 15 px,
     5 % at 5 px.
     """
-    traced = _traced(mask)
-    # a reduced mask has larger steps
-    parts = _simplified(traced, PERIMETER_TOLERANCE_PX * traced.cell_px)
-    rings = [ring for part in parts for ring in part]
-    return float(
-        sum(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() for ring in rings)
-    )
+    contours = _trace_contours(mask)
+    # A reduced mask has larger steps.
+    tolerance_px = PERIMETER_TOLERANCE_PX * contours.cell_px
+    length = 0.0
+    for rings in _simplify(contours, tolerance_px):
+        for ring in rings:
+            sides = ring - np.roll(ring, 1, axis=0)
+            length += float(np.linalg.norm(sides, axis=1).sum())
+    return length
 
 
-def rotated_extents(mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """Compute length and width of the smallest rotated rectangle (by area) around a mask ``[h, w]``, pixels.
+def rotated_extents(mask: Mask) -> tuple[float, float]:
+    """Compute length and width of the smallest rotated rectangle around a mask ``[h, w]``, pixels.
 
-    The rectangle encloses the midpoints of the outer pixels' sides. It is exact for upright masks;
-    for slanted ones it leaves out the corners of the pixel staircase. The result is (0, 0) for an
-    empty mask.
+    The rectangle has the smallest area of all that enclose the midpoints of the outer pixels'
+    sides. It is exact for upright masks. For slanted ones it leaves out the corners of the pixel
+    staircase. The result is (0, 0) for an empty mask.
     """
     bounds = mask_bounds(mask)
     if bounds is None:
         return 0.0, 0.0
-    upright = bounds[2] - bounds[0], bounds[3] - bounds[1]
-    if min(upright) == 1:  # a single row or column of pixels is upright
-        return float(max(upright)), 1.0
-    _, sides, _ = cv2.minAreaRect(_side_middles(_cut(mask, bounds)))
+    width = bounds[2] - bounds[0]
+    height = bounds[3] - bounds[1]
+    # A single row or column of pixels is upright.
+    if min(width, height) == 1:
+        return float(max(width, height)), 1.0
+    cells = _crop_to_bounds(mask, bounds)
+    _, sides, _ = cv2.minAreaRect(_side_midpoints(cells))
+    # The midpoints are in half pixels.
     return max(sides) / 2, min(sides) / 2
 
 
-def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
+def inscribed_circle(mask: Mask) -> Circle | None:
     """Find the largest circle inside a mask ``[h, w]`` and its array; None for an empty mask.
 
     The radius is the exact Euclidean distance to the nearest background square; the centre is on
@@ -119,120 +150,202 @@ def inscribed_circle(mask: NDArray[np.bool_]) -> Circle | None:
     bounds = mask_bounds(mask)
     if bounds is None:
         return None
-    inside = np.pad(_cut(mask, bounds), 1)
-    fine = inside.size <= _LATTICE_PX
-    free = 1 - _closed_lattice(1 - inside) if fine else inside
-    distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    largest = float(distance.max())
-    # The last bit of OpenCV's result depends on the array's memory address: take the first of equal
-    # circles.
-    row, column = np.unravel_index(
-        int(np.argmax(distance >= largest * (1 - _EQUAL))), distance.shape
-    )
-    step, origin, diameter = (0.5, 0.0, largest) if fine else (1.0, 0.5, 2 * largest - 1)
-    # without the padding of one pixel
-    x, y = (float(at) * step + origin - 1 for at in (column, row))
-    return Circle(bounds[0] + x, bounds[1] + y, diameter)
+    cells = np.pad(_crop_to_bounds(mask, bounds), 1)
+    if cells.size <= _MAX_LATTICE_PX:
+        # A point is free if no background square contains it, borders included.
+        free = 1 - _closed_lattice(1 - cells)
+        distance = _distance_to_background(free)
+        largest = float(distance.max())
+        step_px = 0.5
+        first_px = 0.0
+        # A radius in half pixels is a diameter in pixels.
+        diameter_px = largest
+    else:
+        distance = _distance_to_background(cells)
+        largest = float(distance.max())
+        step_px = 1.0
+        first_px = 0.5
+        # Between centres of pixels: the background begins half a pixel before its centre.
+        diameter_px = 2 * largest - 1
+    # The last bit of OpenCV's result depends on the array's address in memory: take the first of
+    # equal circles.
+    index = int(np.argmax(distance >= largest * (1 - _EQUAL_SHARE)))
+    row, column = np.unravel_index(index, distance.shape)
+    # The padding adds one pixel before the mask.
+    x = float(column) * step_px + first_px - 1
+    y = float(row) * step_px + first_px - 1
+    return Circle(bounds[0] + x, bounds[1] + y, diameter_px)
 
 
-def outline_parts(mask: NDArray[np.bool_]) -> list[Rings]:
-    """Trace the outline of a mask ``[h, w]`` along its pixels' sides, simplified to at most 200 points.
+def trace_outline(mask: Mask) -> list[Rings]:
+    """Trace the outline of a mask ``[h, w]`` along its pixels' sides, with at most 200 points.
 
-    The tolerance starts at half a pixel and grows until the outline has few enough points. Of more
-    than 50 pieces and holes the smallest are left out. The largest piece comes first.
+    The outline is simplified (Douglas and Peucker). The tolerance starts at half a pixel and grows
+    until the outline has few enough points. Of more than 50 pieces and holes the smallest are left
+    out.
+
+    Returns:
+        The rings of each piece, the largest piece first.
     """
-    traced = _traced(mask)
-    left = MAX_OUTLINE_POINTS // 4  # a ring keeps four points at any tolerance
-    kept: list[list[NDArray[np.int32]]] = []
-    for rings in traced.parts:
-        kept.append(rings[:left])
-        left -= len(kept[-1])
-    traced = traced._replace(parts=list(filter(None, kept)))
-    tolerance = 0.5
-    parts = _simplified(traced, tolerance)
-    while sum(len(ring) for part in parts for ring in part) > MAX_OUTLINE_POINTS:
-        tolerance *= _TOLERANCE_GROWTH
-        parts = _simplified(traced, tolerance)
-    return parts
+    contours = _trace_contours(mask)
+    n_rings_left = MAX_OUTLINE_POINTS // _MIN_RING_POINTS
+    pieces = []
+    for rings in contours.pieces:
+        largest_rings = rings[:n_rings_left]
+        n_rings_left -= len(largest_rings)
+        if largest_rings:
+            pieces.append(largest_rings)
+    contours = contours._replace(pieces=pieces)
+    tolerance_px = _OUTLINE_TOLERANCE_PX
+    outline = _simplify(contours, tolerance_px)
+    while _count_points(outline) > MAX_OUTLINE_POINTS:
+        tolerance_px *= _TOLERANCE_GROWTH
+        outline = _simplify(contours, tolerance_px)
+    return outline
 
 
-def _cut(mask: NDArray[np.bool_], bounds: Bounds) -> NDArray[np.uint8]:
+def _count_points(outline: list[Rings]) -> int:
+    return sum(len(ring) for rings in outline for ring in rings)
+
+
+def _crop_to_bounds(mask: Mask, bounds: Bounds) -> Cells:
     x1, y1, x2, y2 = bounds
     return np.ascontiguousarray(mask[y1:y2, x1:x2]).view(np.uint8)
 
 
-def _closed_lattice(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Build the half-pixel lattice ``[2h + 1, 2w + 1]``: 1 on all points of a set square, its border included."""
+def _distance_to_background(free: Cells) -> NDArray[np.float32]:
+    distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(distance, dtype=np.float32)
+
+
+def _closed_lattice(cells: Cells) -> Cells:
+    """Build the half-pixel lattice ``[2h + 1, 2w + 1]`` of cells ``[h, w]``.
+
+    It is 1 on all points of a set square, its border included.
+    """
     height, width = cells.shape
     lattice = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
     lattice[1::2, 1::2] = cells
-    return np.asarray(cv2.dilate(lattice, np.ones((3, 3), np.uint8)), dtype=np.uint8)
+    square = np.ones((3, 3), np.uint8)
+    return np.asarray(cv2.dilate(lattice, square), dtype=np.uint8)
 
 
-def _side_middles(cells: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """List the midpoints ``[n, 2]``, in half pixels, of the outer sides of each line's first and last set pixel."""
-    points = []
-    for table, swap in ((cells, False), (cells.T, True)):
-        lines = np.flatnonzero(table.any(axis=1))
-        first = np.argmax(table[lines], axis=1)
-        last = table.shape[1] - 1 - np.argmax(table[lines, ::-1], axis=1)
-        for ends in (2 * first, 2 * last + 2):
-            pair = np.stack([ends, 2 * lines + 1], axis=1)
-            points.append(pair[:, ::-1] if swap else pair)
+def _side_midpoints(cells: Cells) -> Ring:
+    """List the midpoints ``[n, 2]`` of the cells' outer sides, x and y in half pixels.
+
+    Each row and each column contributes the outer side of its first and of its last set pixel.
+    """
+    in_rows = _midpoints_along_rows(cells)
+    in_columns = _midpoints_along_rows(cells.T)
+    # In the transposed array, the first coordinate is y.
+    points = [*in_rows, *(ends[:, ::-1] for ends in in_columns)]
     return np.concatenate(points).astype(np.int32)
 
 
-class _Traced(NamedTuple):
-    """Rings of each piece, the exterior first: corners ``[n, 1, 2]`` in steps of half a cell from ``origin``."""
+def _midpoints_along_rows(cells: Cells) -> list[NDArray[np.int64]]:
+    """List the midpoints ``[n, 2]`` of the first sides of all rows, then of the last ones."""
+    rows = np.flatnonzero(cells.any(axis=1))
+    set_rows = cells[rows]
+    backwards = set_rows[:, ::-1]
+    first = np.argmax(set_rows, axis=1)
+    last = cells.shape[1] - 1 - np.argmax(backwards, axis=1)
+    middle_of_row = 2 * rows + 1
+    first_sides = np.stack([2 * first, middle_of_row], axis=1)
+    last_sides = np.stack([2 * last + 2, middle_of_row], axis=1)
+    return [first_sides, last_sides]
 
-    parts: list[list[NDArray[np.int32]]]
+
+class _Contours(NamedTuple):
+    """Contours of a mask, before simplification.
+
+    Attributes:
+        pieces: rings of each piece, the exterior first: corners ``[n, 1, 2]`` in steps of half a
+            cell from ``origin``.
+        origin: ``[2]`` x and y of the lattice's first point, pixels from the array's corner.
+        cell_px: side of a cell, pixels; more than one for a reduced mask.
+    """
+
+    pieces: list[list[Ring]]
     origin: NDArray[np.float64]
     cell_px: int
 
 
-def _traced(mask: NDArray[np.bool_]) -> _Traced:
-    """Trace outlines along the pixels' sides; pieces and their holes by falling size."""
+def _trace_contours(mask: Mask) -> _Contours:
+    """Trace contours along the pixels' sides; pieces and their holes by falling size."""
     bounds = mask_bounds(mask)
     if bounds is None:
-        return _Traced([], np.zeros(2), 1)
-    cells = _cut(mask, bounds)
-    cell_px = max(1, math.ceil(math.sqrt(cells.size / _LATTICE_PX)))
+        return _Contours([], np.zeros(2), 1)
+    cells = _crop_to_bounds(mask, bounds)
+    # A huge mask is sampled at the middle of larger cells, to bound memory.
+    cell_px = max(1, math.ceil(math.sqrt(cells.size / _MAX_LATTICE_PX)))
     if cell_px > 1:
-        cells = np.ascontiguousarray(cells[cell_px // 2 :: cell_px, cell_px // 2 :: cell_px])
+        middle = cell_px // 2
+        cells = np.ascontiguousarray(cells[middle::cell_px, middle::cell_px])
     lattice = np.pad(_closed_lattice(cells), _RIM)
-    found, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    rings = [_with_corners(np.asarray(ring, dtype=np.int32).reshape(-1, 2)) for ring in found]
-    # The last link of a ring is its parent, or negative for an exterior. Without rings there is no
-    # hierarchy.
-    parents = [] if hierarchy is None else hierarchy.reshape(-1, 4)[:, 3].tolist()
-    by_size = sorted(range(len(rings)), key=lambda k: cv2.contourArea(rings[k]), reverse=True)
-    parts = {k: [rings[k]] for k in by_size if parents[k] < 0}
+    contours, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    rings = []
+    for contour in contours:
+        points = np.asarray(contour, dtype=np.int32).reshape(-1, 2)
+        rings.append(_restore_corners(points))
+    parents = _parents_of(hierarchy)
+    areas = [cv2.contourArea(ring) for ring in rings]
+    by_size = sorted(range(len(rings)), key=areas.__getitem__, reverse=True)
+    pieces = {k: [rings[k]] for k in by_size if parents[k] < 0}
     for k in by_size:
         if parents[k] >= 0:
-            parts[parents[k]].append(rings[k])
-    return _Traced(list(parts.values()), np.array(bounds[:2]) - _RIM / 2 * cell_px, cell_px)
+            pieces[parents[k]].append(rings[k])
+    origin = np.array(bounds[:2]) - _RIM / 2 * cell_px
+    return _Contours(list(pieces.values()), origin, cell_px)
 
 
-def _with_corners(ring: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Restore the pixel corners that a contour skips: in a slanted step, the one whose coordinates are both even."""
-    ahead = np.roll(ring, -1, axis=0)
-    slanted = (ring != ahead).all(axis=1)
-    even = ring % 2 == 0
-    corner = np.where(even, ring, ahead)
-    doubled = np.stack([ring, corner], axis=1).reshape(-1, 2)
-    kept = np.stack([np.ones(len(ring), dtype=bool), slanted], axis=1).reshape(-1)
-    return np.ascontiguousarray(doubled[kept]).reshape(-1, 1, 2)
+def _parents_of(hierarchy: Any) -> list[int]:
+    """Return the parent of each ring, negative for an exterior, from OpenCV's hierarchy."""
+    # Without rings there is no hierarchy.
+    if hierarchy is None:
+        return []
+    parents: list[int] = hierarchy.reshape(-1, 4)[:, 3].tolist()
+    return parents
 
 
-def _simplified(traced: _Traced, tolerance_px: float) -> list[Rings]:
-    """Simplify rings (Douglas and Peucker); a ring with fewer than three points left becomes its upright box."""
+def _restore_corners(ring: Ring) -> Ring:
+    """Restore the pixel corners that a contour ``[n, 2]`` skips.
 
-    def simplified(ring: NDArray[np.int32]) -> NDArray[np.float64]:
-        simple = cv2.approxPolyDP(ring, 2 * tolerance_px / traced.cell_px, True).reshape(-1, 2)
-        if len(simple) < 3:
-            (x1, y1) = ring.min(axis=(0, 1))
-            (x2, y2) = ring.max(axis=(0, 1))
-            simple = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
-        return traced.origin + simple * (traced.cell_px / 2)
+    OpenCV steps diagonally past a corner. The skipped corner is the one of the two whose
+    coordinates are both even.
 
-    return [[simplified(ring) for ring in part] for part in traced.parts]
+    Returns:
+        All points, ``[m, 1, 2]``.
+    """
+    following = np.roll(ring, -1, axis=0)
+    is_slanted = (ring != following).all(axis=1)
+    is_even = ring % 2 == 0
+    corner = np.where(is_even, ring, following)
+    # A corner behind every point, then only those of slanted steps.
+    with_corners = np.stack([ring, corner], axis=1).reshape(-1, 2)
+    is_point = np.ones(len(ring), dtype=bool)
+    is_kept = np.stack([is_point, is_slanted], axis=1).reshape(-1)
+    kept = np.ascontiguousarray(with_corners[is_kept])
+    return kept.reshape(-1, 1, 2)
+
+
+def _simplify(contours: _Contours, tolerance_px: float) -> list[Rings]:
+    """Simplify contours (Douglas and Peucker), and convert them to pixels from the array's corner.
+
+    A ring that is left with fewer than three points becomes its upright box.
+    """
+    half_cell_px = contours.cell_px / 2
+    tolerance = 2 * tolerance_px / contours.cell_px
+    outline = []
+    for rings in contours.pieces:
+        simple_rings = [_simplify_ring(ring, tolerance) for ring in rings]
+        outline.append([contours.origin + ring * half_cell_px for ring in simple_rings])
+    return outline
+
+
+def _simplify_ring(ring: Ring, tolerance: float) -> Ring:
+    simple = cv2.approxPolyDP(ring, tolerance, True).reshape(-1, 2)
+    if len(simple) < 3:
+        x1, y1 = ring.min(axis=(0, 1))
+        x2, y2 = ring.max(axis=(0, 1))
+        simple = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
+    return np.asarray(simple, dtype=np.int32)

@@ -177,7 +177,7 @@ def test_a_map_of_georeferenced_with_plain_images_is_refused(georeferenced: Path
         ("photos/cars.png,circle,1,1,2,2,\n", "line 2: kind is 'circle': use box, point, line"),
         ("photos/cars.png,line,1,1,,,\n", "line 2: a line has 2 numbers"),
         (",box,1,1,2,2,\n", "line 2: the file is not named"),
-        ("photos/cars.png,box,one,1,2,2,\n", "line 2: could not convert"),
+        ("photos/cars.png,box,one,1,2,2,\n", "line 2: x1 is 'one': use a number"),
         ("photos/other.png,box,1,1,2,2,\n", "which is not one of the images"),
         ("", "has no target"),
     ],

@@ -7,20 +7,24 @@ import numpy as np
 import pytest
 
 from tests.models import POOL, POOL_RGB, blank_image, pool_among_cars, write_detector
-from tests.sam_models import EMPTY, write_sam
+from tests.sam_models import EMPTY, FULL, write_sam
 from vehanchor import analyse_area, estimate_gsd, measure_area
+from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError, PromptError
 from vehanchor.pictures.measurement import MEASURED_RGB, cut_to_objects, draw_area
-from vehanchor.records import AreaMeasurement
+from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.segmentation.segmenter import Segmenter
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from vehanchor.records import BoundingBox
 
-BOX = (410.7, 273.9, 477.3, 382.1)  # its crop of 256 px has the pool in its middle
+# Its crop of 256 px has the pool in its middle.
+BOX = (410.7, 273.9, 477.3, 382.1)
 GSD = 0.15
 
 
@@ -33,255 +37,373 @@ def _corners(box: BoundingBox | None) -> tuple[float, float, float, float]:
     return box.x1_px, box.y1_px, box.x2_px, box.y2_px
 
 
-def test_the_area_is_the_masks_pixels_times_the_scale_squared(
-    detector: Detector, segmenter: Segmenter
-) -> None:
-    image = pool_among_cars()
-    analysis = analyse_area(
-        image, box=BOX, detector=detector, segmenter=segmenter, rulers=("vehicles",)
+def _measure(image: Any, segmenter: Any, **options: Any) -> AreaMeasurement:
+    """Measure the pool at a given scale."""
+    prompt = {} if "points" in options else {"box": BOX}
+    return measure_area(image, segmenter=segmenter, **{**prompt, "gsd_m_per_px": GSD, **options})
+
+
+@pytest.fixture(scope="module")
+def of_pool(detector: Detector, segmenter: Segmenter) -> AreaAnalysis:
+    """Analysis of the pool, 48 x 96 px, at the scale of the vehicles around it."""
+    return analyse_area(
+        pool_among_cars(), box=BOX, detector=detector, segmenter=segmenter, rulers=("vehicles",)
     )
-    record = analysis.measurement
-    scale = estimate_gsd(image, detector=detector, rulers=("vehicles",))
-    assert (record.estimate, record.scale) == (scale, scale.scale)
-    assert scale.gsd_m_per_px is not None
-    assert record.mask_area_px == analysis.segmentation.mask.sum()
-    assert record.mask_area_px == pytest.approx(48 * 96, rel=0.01)
-    assert record.area_m2 == pytest.approx(record.mask_area_px * scale.gsd_m_per_px**2)
-    assert (record.gsd_m_per_px, record.scale_confidence) == (scale.gsd_m_per_px, scale.confidence)
-    assert (record.n_vehicles, record.mode_length_px) == (30, scale.mode_length_px)
+
+
+@pytest.fixture(scope="module")
+def record(of_pool: AreaAnalysis) -> AreaMeasurement:
+    return of_pool.measurement
+
+
+@pytest.fixture(scope="module")
+def estimate(detector: Detector) -> GsdEstimate:
+    """Estimate of the same image on its own."""
+    return estimate_gsd(pool_among_cars(), detector=detector, rulers=("vehicles",))
+
+
+@pytest.fixture(scope="module")
+def gsd(estimate: GsdEstimate) -> float:
+    assert estimate.gsd_m_per_px is not None
+    return estimate.gsd_m_per_px
+
+
+def test_the_record_has_the_estimate_of_its_image(
+    record: AreaMeasurement, estimate: GsdEstimate
+) -> None:
+    assert record.estimate == estimate
+    assert record.scale == estimate.scale
+    assert record.gsd_m_per_px == estimate.gsd_m_per_px
+    assert record.scale_confidence == estimate.confidence
+    assert record.mode_length_px == estimate.mode_length_px
+    assert record.n_vehicles == 30
+
+
+def test_a_usable_scale_makes_a_usable_area(record: AreaMeasurement) -> None:
     assert (record.status, record.scale_source, record.warnings) == ("ok", "estimated", ())
+
+
+def test_the_mask_covers_the_object(of_pool: AreaAnalysis, record: AreaMeasurement) -> None:
+    assert record.mask_area_px == of_pool.segmentation.mask.sum()
+    assert record.mask_area_px == pytest.approx(48 * 96, rel=0.01)
     assert record.mask_score == pytest.approx(0.9)
     assert _corners(record.bounding_box) == POOL
-    assert record.length_m == pytest.approx(96 * scale.gsd_m_per_px)
-    assert record.width_m == pytest.approx(48 * scale.gsd_m_per_px)
-    assert record.inscribed_diameter_m == pytest.approx(48 * scale.gsd_m_per_px)
-    # its corners are round
-    assert record.perimeter_m == pytest.approx(288 * scale.gsd_m_per_px, rel=0.03)
+
+
+def test_the_area_is_the_masks_pixels_times_the_scale_squared(
+    record: AreaMeasurement, gsd: float
+) -> None:
+    assert record.area_m2 == pytest.approx(record.mask_area_px * gsd**2)
+
+
+def test_the_lengths_are_those_of_the_mask_times_the_scale(
+    record: AreaMeasurement, gsd: float
+) -> None:
+    assert record.length_m == pytest.approx(96 * gsd)
+    assert record.width_m == pytest.approx(48 * gsd)
+    assert record.inscribed_diameter_m == pytest.approx(48 * gsd)
+    # The corners of the mask are round.
+    assert record.perimeter_m == pytest.approx(288 * gsd, rel=0.03)
+
+
+def test_the_centre_of_the_inscribed_circle_is_on_the_middle_line(
+    record: AreaMeasurement,
+) -> None:
     assert record.inscribed_center is not None
     assert record.inscribed_center.x_px == 444
     assert 280 + 24 <= record.inscribed_center.y_px <= 376 - 24
+
+
+def test_the_record_names_its_segmenter(record: AreaMeasurement, segmenter: Segmenter) -> None:
     assert (record.segmenter, record.segmenter_sha256) == ("encoder", segmenter.card.sha256)
-    assert analysis.scale is not None
-    assert len(analysis.scale.detections.boxes) == 30
 
 
-def test_the_outline_is_in_the_images_pixels(detector: Detector, segmenter: Segmenter) -> None:
-    (polygon,) = measure_area(
-        pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=segmenter
-    ).outline
-    xs = [p.x_px for p in polygon.exterior.points]
-    ys = [p.y_px for p in polygon.exterior.points]
+def test_the_analysis_keeps_the_detections(of_pool: AreaAnalysis) -> None:
+    assert of_pool.scale is not None
+    assert len(of_pool.scale.detections.boxes) == 30
+
+
+def test_the_outline_is_in_the_images_pixels(segmenter: Segmenter) -> None:
+    (polygon,) = _measure(pool_among_cars(), segmenter).outline
+    xs = [point.x_px for point in polygon.exterior.points]
+    ys = [point.y_px for point in polygon.exterior.points]
     assert (min(xs), min(ys), max(xs), max(ys)) == POOL
     assert polygon.holes == ()
 
 
-def test_a_given_scale_needs_no_detector(segmenter: Segmenter, tmp_path: Path) -> None:
-    record = measure_area(
-        pool_among_cars(0),
-        box=BOX,
-        gsd_m_per_px=GSD,
-        segmenter=segmenter,
-        detector=tmp_path / "there is none.onnx",
-    )
-    assert record.area_m2 == pytest.approx(record.mask_area_px * GSD**2)
-    assert (record.status, record.scale_source, record.gsd_m_per_px) == ("ok", "given", GSD)
-    assert (record.scale_confidence, record.n_vehicles, record.mode_length_px, record.scale) == (
-        None,
-        None,
-        None,
-        None,
-    )
+@pytest.fixture(scope="module")
+def at_given_scale(segmenter: Segmenter) -> AreaMeasurement:
+    """Record of a call whose detector does not exist."""
+    return _measure(pool_among_cars(0), segmenter, detector="there is none.onnx")
 
 
-def test_no_vehicles_mean_no_area_but_the_mask_all_the_same(
-    detector: Detector, segmenter: Segmenter
-) -> None:
-    record = measure_area(pool_among_cars(0), box=BOX, detector=detector, segmenter=segmenter)
-    assert (record.status, record.scale_confidence, record.n_vehicles) == ("no_scale", 0.0, 0)
+def test_a_given_scale_needs_no_detector(at_given_scale: AreaMeasurement) -> None:
+    area_m2 = at_given_scale.mask_area_px * GSD**2
+    assert at_given_scale.area_m2 == pytest.approx(area_m2)
+    assert (at_given_scale.status, at_given_scale.scale_source) == ("ok", "given")
+    assert at_given_scale.gsd_m_per_px == GSD
+
+
+def test_a_given_scale_has_no_evidence(at_given_scale: AreaMeasurement) -> None:
+    assert at_given_scale.scale_confidence is None
+    assert at_given_scale.n_vehicles is None
+    assert at_given_scale.mode_length_px is None
+    assert at_given_scale.scale is None
+
+
+@pytest.fixture(scope="module")
+def without_scale(detector: Detector, segmenter: Segmenter) -> AreaMeasurement:
+    """Record of an image without vehicles."""
+    return _measure(pool_among_cars(0), segmenter, detector=detector, gsd_m_per_px=None)
+
+
+def test_without_vehicles_there_are_no_metres(without_scale: AreaMeasurement) -> None:
+    assert (without_scale.status, without_scale.scale_confidence) == ("no_scale", 0.0)
+    assert without_scale.n_vehicles == 0
     metric = {
         name: value
-        for name, value in record.model_dump().items()
+        for name, value in without_scale.model_dump().items()
         if name.endswith(("_m2", "_m", "_per_px"))
     }
     assert len(metric) == 10
     assert set(metric.values()) == {None}
-    assert record.mask_area_px > 4500
-    assert _corners(record.bounding_box) == POOL
-    assert record.outline
-    assert "NaN" not in record.model_dump_json()
+    assert "NaN" not in without_scale.model_dump_json()
 
 
-def test_a_mask_that_the_segmenter_doubts_is_low_confidence(tmp_path: Path) -> None:
-    doubting = Segmenter(*write_sam(tmp_path, scores=[0.4]))
-    record = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=doubting)
+def test_without_a_scale_there_is_still_a_mask(without_scale: AreaMeasurement) -> None:
+    assert without_scale.mask_area_px > 4500
+    assert _corners(without_scale.bounding_box) == POOL
+    assert without_scale.outline
+
+
+def test_a_mask_with_a_low_score_has_low_confidence(tmp_path: Path) -> None:
+    doubting = write_sam(tmp_path, scores=[0.4])
+    record = _measure(pool_among_cars(), doubting)
     assert (record.status, _codes(record)) == ("low_confidence", ["mask_score_low"])
     assert record.area_m2 is not None
-    (tmp_path / "trusting").mkdir()
-    trusting = Segmenter(
-        *write_sam(tmp_path / "trusting", scores=[0.4], metadata={"vehanchor.min_score": "0.3"})
-    )
-    assert (
-        measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=trusting).status
-        == "ok"
-    )
 
 
-def test_an_empty_mask_is_no_measurement(tmp_path: Path) -> None:
-    blind = Segmenter(*write_sam(tmp_path, masks=[EMPTY]))
-    record = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=blind)
+def test_the_model_sets_the_lowest_score(tmp_path: Path) -> None:
+    trusting = write_sam(tmp_path, scores=[0.4], metadata={"vehanchor.min_score": "0.3"})
+    assert _measure(pool_among_cars(), trusting).status == "ok"
+
+
+def test_an_empty_mask_has_no_size(tmp_path: Path) -> None:
+    record = _measure(pool_among_cars(), write_sam(tmp_path, masks=[EMPTY]))
     assert (record.status, record.area_m2, record.mask_area_px) == ("low_confidence", None, 0)
     assert (record.bounding_box, record.outline, record.inscribed_center) == (None, (), None)
     assert _codes(record) == ["mask_empty"]
 
 
-def test_the_interval_joins_scale_and_mask(detector: Detector, tmp_path: Path) -> None:
-    def ratio(log_sd: float, name: str, **options: Any) -> tuple[float, AreaMeasurement]:
-        (tmp_path / name).mkdir()
-        files = write_sam(tmp_path / name, metadata={"vehanchor.mask_area_log_sd": str(log_sd)})
-        record = measure_area(pool_among_cars(), box=BOX, segmenter=files, **options)
-        assert record.area_m2 is not None
-        assert record.area_ci95_high_m2 is not None
-        return math.log(record.area_ci95_high_m2 / record.area_m2), record
+def _measure_with_error(folder: Path, mask_log_sd: float, **options: Any) -> AreaMeasurement:
+    """Measure with a segmenter whose areas have a known error."""
+    files = write_sam(folder, metadata={"vehanchor.mask_area_log_sd": str(mask_log_sd)})
+    return measure_area(pool_among_cars(), box=BOX, segmenter=files, **options)
 
-    mask_only, record = ratio(0.08, "a", gsd_m_per_px=GSD)
-    assert mask_only == pytest.approx(1.96 * 0.08, rel=1e-3)
-    # the circle in a 48 x 96 px rectangle: 2 * 0.08 * 4608 / (288 * 48)
-    assert record.inscribed_diameter_m is not None
-    assert record.inscribed_diameter_ci95_high_m is not None
-    reach = math.log(record.inscribed_diameter_ci95_high_m / record.inscribed_diameter_m)
+
+def _log_reach(value: float | None, high: float | None) -> float:
+    assert value is not None
+    assert high is not None
+    return math.log(high / value)
+
+
+def _area_reach(record: AreaMeasurement) -> float:
+    return _log_reach(record.area_m2, record.area_ci95_high_m2)
+
+
+def test_at_a_given_scale_the_interval_is_that_of_the_mask(tmp_path: Path) -> None:
+    record = _measure_with_error(tmp_path, 0.08, gsd_m_per_px=GSD)
+    assert _area_reach(record) == pytest.approx(1.96 * 0.08, rel=1e-3)
+
+
+def test_the_circle_has_the_interval_of_the_masks_outline(tmp_path: Path) -> None:
+    record = _measure_with_error(tmp_path, 0.08, gsd_m_per_px=GSD)
+    reach = _log_reach(record.inscribed_diameter_m, record.inscribed_diameter_ci95_high_m)
+    # The circle in a rectangle of 48 x 96 px: 2 * 0.08 * 4608 / (288 * 48).
     assert reach == pytest.approx(1.96 * 0.0533, rel=0.03)
-    scale_only, record = ratio(0.0, "b", detector=detector)
+
+
+def test_with_an_exact_mask_the_interval_is_twice_the_scales(
+    detector: Detector, tmp_path: Path
+) -> None:
+    record = _measure_with_error(tmp_path, 0.0, detector=detector)
     assert record.scale is not None
-    assert scale_only == pytest.approx(
-        2 * math.log(record.scale.gsd_ci95_high_m_per_px / record.scale.gsd_m_per_px)
-    )
-    both, _ = ratio(0.08, "c", detector=detector)
-    assert both == pytest.approx(math.hypot(mask_only, scale_only))
+    scale_reach = _log_reach(record.scale.gsd_m_per_px, record.scale.gsd_ci95_high_m_per_px)
+    assert _area_reach(record) == pytest.approx(2 * scale_reach)
 
 
-def test_points_measure_what_they_are_on(segmenter: Segmenter) -> None:
+def test_the_interval_joins_scale_and_mask(detector: Detector, tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("mask", "scale", "both")]
+    for folder in folders:
+        folder.mkdir()
+    mask_only = _measure_with_error(folders[0], 0.08, gsd_m_per_px=GSD)
+    scale_only = _measure_with_error(folders[1], 0.0, detector=detector)
+    both = _measure_with_error(folders[2], 0.08, detector=detector)
+    expected = math.hypot(_area_reach(mask_only), _area_reach(scale_only))
+    assert _area_reach(both) == pytest.approx(expected)
+
+
+_ON_OBJECT = (248, 100)
+_BOX_AROUND = (220, 76, 292, 124)
+
+
+def _object(*, with_neighbour: bool = False) -> NDArray[np.uint8]:
+    """Paint an object; the test's segmenter joins it with its neighbour in a large crop."""
     image = blank_image(512, 512)
     image[80:120, 224:288] = POOL_RGB
-    record = measure_area(image, points=[(248, 100)], gsd_m_per_px=GSD, segmenter=segmenter)
+    if with_neighbour:
+        image[80:120, 310:420] = POOL_RGB
+    return image
+
+
+def test_a_point_measures_the_object_on_which_it_is(segmenter: Segmenter) -> None:
+    record = _measure(_object(), segmenter, points=[_ON_OBJECT])
     assert _corners(record.bounding_box) == (224, 80, 288, 120)
-    again = measure_area(
-        image, points=[(248, 100, True), (20, 500, False)], gsd_m_per_px=GSD, segmenter=segmenter
-    )
+    # The masks of all crops agree.
+    assert record.status == "ok"
+
+
+def test_a_single_crop_of_points_has_low_confidence(segmenter: Segmenter) -> None:
+    record = _measure(_object(), segmenter, points=[_ON_OBJECT])
+    # Only one crop contains both points.
+    far_apart = [(*_ON_OBJECT, True), (20, 500, False)]
+    again = _measure(_object(), segmenter, points=far_apart)
     assert again.mask_area_px == pytest.approx(record.mask_area_px, rel=0.05)
-    assert record.status == "ok", "the masks of all crops agree"
-    assert again.status == "low_confidence", "one crop alone has room for both points"
-    image[80:120, 310:420] = POOL_RGB  # the toy network takes both in a large crop
-    doubted = measure_area(image, points=[(248, 100)], gsd_m_per_px=GSD, segmenter=segmenter)
-    assert doubted.status == "low_confidence"
-    assert doubted.alternatives
-    assert "extent_unknown" in [each.code for each in doubted.warnings]
-    boxed = measure_area(image, box=(220, 76, 292, 124), gsd_m_per_px=GSD, segmenter=segmenter)
-    assert boxed.status == "ok"
+    assert again.status == "low_confidence"
 
 
-def test_the_interval_at_a_point_is_wide_and_wider_at_a_low_score(tmp_path: Path) -> None:
-    image = blank_image(512, 512)
-    image[80:120, 224:288] = POOL_RGB
-    widths = []
-    for name, score, prompt in (
-        ("box", 0.9, {"box": (220, 76, 292, 124)}),
-        ("point", 0.9, {"points": [(248, 100)]}),
-        ("doubted", 0.6, {"points": [(248, 100)]}),
-    ):
-        (tmp_path / name).mkdir()
-        sam = Segmenter(*write_sam(tmp_path / name, scores=[score]))
-        record = measure_area(image, gsd_m_per_px=GSD, segmenter=sam, **prompt)
-        assert record.area_ci95_low_m2 is not None
-        assert record.area_ci95_high_m2 is not None
-        widths.append(math.log(record.area_ci95_high_m2 / record.area_ci95_low_m2) / (2 * 1.96))
-    assert widths == pytest.approx([0.1, 0.25, 1.3], rel=0.01)
+def test_a_point_whose_masks_differ_has_low_confidence(segmenter: Segmenter) -> None:
+    record = _measure(_object(with_neighbour=True), segmenter, points=[_ON_OBJECT])
+    assert record.status == "low_confidence"
+    assert record.alternatives
+    assert "extent_unknown" in _codes(record)
 
 
-# --- warnings
+def test_a_box_separates_an_object_from_its_neighbour(segmenter: Segmenter) -> None:
+    record = _measure(_object(with_neighbour=True), segmenter, box=_BOX_AROUND)
+    assert record.status == "ok"
 
 
-def test_what_is_cut_by_the_image_is_a_lower_bound(segmenter: Segmenter) -> None:
+@pytest.mark.parametrize(
+    ("score", "prompt", "log_sd"),
+    [
+        (0.9, {"box": _BOX_AROUND}, 0.1),
+        (0.9, {"points": [_ON_OBJECT]}, 0.25),
+        (0.6, {"points": [_ON_OBJECT]}, 1.3),
+    ],
+)
+def test_the_interval_depends_on_the_prompt(
+    score: float, prompt: dict[str, Any], log_sd: float, tmp_path: Path
+) -> None:
+    record = _measure(_object(), write_sam(tmp_path, scores=[score]), **prompt)
+    width = _log_reach(record.area_ci95_low_m2, record.area_ci95_high_m2)
+    assert width / (2 * 1.96) == pytest.approx(log_sd, rel=0.01)
+
+
+def test_an_object_at_the_images_edge_is_a_lower_bound(segmenter: Segmenter) -> None:
     image = pool_among_cars(0, (752, 280, 800, 376))
-    record = measure_area(
-        image, box=(742.0, 270.0, 800.0, 386.0), gsd_m_per_px=GSD, segmenter=segmenter
-    )
+    record = _measure(image, segmenter, box=(742.0, 270.0, 800.0, 386.0))
     assert _codes(record) == ["mask_touches_edge"]
     assert _corners(record.bounding_box)[2] == 800
 
 
-def test_a_mask_that_leaves_its_box_is_told(tmp_path: Path) -> None:
-    spilling = Segmenter(*write_sam(tmp_path, masks=["full"]))
-    record = measure_area(pool_among_cars(), box=BOX, gsd_m_per_px=GSD, segmenter=spilling)
+def test_a_mask_that_leaves_its_box_has_a_warning(tmp_path: Path) -> None:
+    record = _measure(pool_among_cars(), write_sam(tmp_path, masks=[FULL]))
     assert _codes(record) == ["mask_leaves_box"]
     assert "89 %" in record.warnings[0].message
 
 
-def test_separate_pieces_are_told(segmenter: Segmenter) -> None:
+def test_separate_pieces_have_a_warning(segmenter: Segmenter) -> None:
     image = pool_among_cars()
     image[344:360, 412:476] = 70
-    record = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
+    record = _measure(image, segmenter)
     assert "mask_in_pieces" in _codes(record)
     assert len(record.outline) == 2
 
 
-def test_a_narrow_object_is_told(segmenter: Segmenter) -> None:
+def test_a_narrow_object_has_a_warning(segmenter: Segmenter) -> None:
     image = pool_among_cars(0, (444, 280, 452, 376))
-    box = (431.4, 273.9, 457.4, 382.1)
-    assert _codes(measure_area(image, box=box, gsd_m_per_px=GSD, segmenter=segmenter)) == [
-        "target_small"
-    ]
+    record = _measure(image, segmenter, box=(431.4, 273.9, 457.4, 382.1))
+    assert _codes(record) == ["target_small"]
 
 
-def test_the_scales_warnings_and_the_rasters_are_among_them(
-    segmenter: Segmenter, tmp_path: Path
-) -> None:
-    image = pool_among_cars()
+def test_the_warnings_of_the_scale_are_among_them(segmenter: Segmenter, tmp_path: Path) -> None:
     capped = Detector(write_detector(tmp_path / "m.onnx", layout="end2end", cap=10))
-    assert _codes(measure_area(image, box=BOX, detector=capped, segmenter=segmenter)) == [
-        "detections_capped"
-    ]
-    bands = np.concatenate([image, image], axis=2)
-    assert _codes(measure_area(bands, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)) == [
-        "bands_selected"
-    ]
+    record = _measure(pool_among_cars(), segmenter, detector=capped, gsd_m_per_px=None)
+    assert _codes(record) == ["detections_capped"]
 
 
-def test_a_given_scale_that_contradicts_the_file_is_told(
-    segmenter: Segmenter, tmp_path: Path
-) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    path = tmp_path / "a.tif"
-    with rasterio.open(
-        path, "w", driver="GTiff", width=800, height=600, count=3, dtype="uint8", crs="EPSG:32631",
-        transform=rasterio.Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000),
-    ) as dataset:  # fmt: skip
-        dataset.write(pool_among_cars().transpose(2, 0, 1))
-    for gsd, codes in ((0.15, []), (0.2, ["georeference_differs"])):
-        assert _codes(measure_area(path, box=BOX, gsd_m_per_px=gsd, segmenter=segmenter)) == codes
-
-
-# --- frames
-
-
-def test_prompts_are_read_in_the_frame_and_answered_in_the_image(segmenter: Segmenter) -> None:
+def test_the_warnings_of_the_image_are_among_them(segmenter: Segmenter) -> None:
     image = pool_among_cars()
-    full = measure_area(image, box=BOX, gsd_m_per_px=GSD, segmenter=segmenter)
-    options: dict[str, Any] = {"frame": (400, 300), "segmenter": segmenter}
-    half = tuple(side / 2 for side in BOX)
-    record = measure_area(image, box=half, gsd_m_per_px=GSD, **options)
-    assert record.area_m2 == full.area_m2
-    assert record.bounding_box == full.bounding_box
-    assert record.frame is not None
-    assert (record.frame.width_px, record.frame.height_px) == (400, 300)
-    assert record.frame.gsd_m_per_px == pytest.approx(2 * GSD)
-    assert _corners(record.frame.bounding_box) == tuple(side / 2 for side in POOL)
+    six_bands = np.concatenate([image, image], axis=2)
+    assert _codes(_measure(six_bands, segmenter)) == ["bands_selected"]
+
+
+@pytest.fixture(scope="module")
+def georeferenced(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a GeoTIFF of 0.15 metres per pixel."""
+    rasterio = pytest.importorskip("rasterio")
+    path: Path = tmp_path_factory.mktemp("geo") / "a.tif"
+    profile = {
+        "driver": "GTiff",
+        "width": 800,
+        "height": 600,
+        "count": 3,
+        "dtype": "uint8",
+        "crs": "EPSG:32631",
+        "transform": rasterio.Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000),
+    }
+    with rasterio.open(path, "w", **profile) as dataset:
+        dataset.write(pool_among_cars().transpose(2, 0, 1))
+    return path
+
+
+@pytest.mark.parametrize(("gsd", "codes"), [(0.15, []), (0.2, ["georeference_differs"])])
+def test_a_given_scale_that_contradicts_the_file_has_a_warning(
+    georeferenced: Path, segmenter: Segmenter, gsd: float, codes: list[str]
+) -> None:
+    assert _codes(_measure(georeferenced, segmenter, gsd_m_per_px=gsd)) == codes
+
+
+_HALF_BOX = tuple(side / 2 for side in BOX)
+
+
+@pytest.fixture(scope="module")
+def in_frame(segmenter: Segmenter) -> AreaMeasurement:
+    """Record of a call whose box is in a copy of half the size."""
+    return _measure(pool_among_cars(), segmenter, box=_HALF_BOX, frame=(400, 300))
+
+
+def test_a_prompt_in_a_frame_measures_the_image(
+    in_frame: AreaMeasurement, segmenter: Segmenter
+) -> None:
+    in_image = _measure(pool_among_cars(), segmenter)
+    assert in_frame.area_m2 == in_image.area_m2
+    assert in_frame.bounding_box == in_image.bounding_box
+
+
+def test_the_record_has_the_scale_of_the_frame(in_frame: AreaMeasurement) -> None:
+    assert in_frame.frame is not None
+    assert (in_frame.frame.width_px, in_frame.frame.height_px) == (400, 300)
+    assert in_frame.frame.gsd_m_per_px == pytest.approx(2 * GSD)
+    assert _corners(in_frame.frame.bounding_box) == tuple(side / 2 for side in POOL)
+
+
+def test_a_frame_of_another_aspect_ratio_is_refused(segmenter: Segmenter) -> None:
     with pytest.raises(FrameError, match="300"):
-        measure_area(image, box=half, gsd_m_per_px=GSD, **(options | {"frame": (400, 400)}))
+        _measure(pool_among_cars(), segmenter, box=_HALF_BOX, frame=(400, 400))
+
+
+def test_a_point_outside_the_frame_is_refused(segmenter: Segmenter) -> None:
     with pytest.raises(PromptError, match="400 x 300 px frame"):
-        measure_area(image, points=[(420, 100)], gsd_m_per_px=GSD, **options)
+        _measure(pool_among_cars(), segmenter, points=[(420, 100)], frame=(400, 300))
 
 
-# --- the record and its picture
+def test_a_cut_has_a_margin_around_the_prompt(segmenter: Segmenter) -> None:
+    analysis = analyse_area(pool_among_cars(0), segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
+    part = cut_to_objects([analysis], 4000).part
+    # Half of 109 px around the prompt.
+    assert (part.x_px, part.y_px) == (round(BOX[0] - 54.6), round(BOX[1] - 54.6))
 
 
 def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
@@ -289,19 +411,20 @@ def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
     analysis = analyse_area(image, segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
     cut = cut_to_objects([analysis], 4000)
     part = cut.part
-    # half of 109 px around the prompt
-    assert (part.x_px, part.y_px) == (round(BOX[0] - 54.6), round(BOX[1] - 54.6))
-    seen = image[part.y_px : part.y_px + part.height_px, part.x_px : part.x_px + part.width_px]
-    picture = draw_area(seen, analysis, cut=cut)[: 4 * part.height_px]
-    tinted = (picture == np.rint(0.65 * np.array(POOL_RGB) + 0.35 * np.array(MEASURED_RGB))).all(
-        axis=2
-    )
-    rows, columns = np.nonzero(tinted | (picture == MEASURED_RGB).all(axis=2))
-    box = np.array(_corners(analysis.measurement.bounding_box)).reshape(2, 2) - [
-        part.x_px,
-        part.y_px,
-    ]
-    found = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-    # four picture pixels for each, and the outline's width
-    assert found == pytest.approx((4 * box).ravel(), abs=4)
-    assert tinted.sum() == pytest.approx(16 * analysis.measurement.mask_area_px, rel=0.1)
+    rows = slice(part.y_px, part.y_px + part.height_px)
+    columns = slice(part.x_px, part.x_px + part.width_px)
+    # Without the caption below it.
+    picture = draw_area(image[rows, columns], analysis, cut=cut)[: 4 * part.height_px]
+    tint = np.rint(0.65 * np.array(POOL_RGB) + 0.35 * np.array(MEASURED_RGB))
+    is_tinted = (picture == tint).all(axis=2)
+    is_outline = (picture == MEASURED_RGB).all(axis=2)
+    ys, xs = np.nonzero(is_tinted | is_outline)
+    x1, y1, x2, y2 = _corners(analysis.measurement.bounding_box)
+    # Four pixels of the picture for each of the image, and the outline's width.
+    left = 4 * (x1 - part.x_px)
+    top = 4 * (y1 - part.y_px)
+    right = 4 * (x2 - part.x_px)
+    bottom = 4 * (y2 - part.y_px)
+    drawn = (xs.min(), ys.min(), xs.max() + 1, ys.max() + 1)
+    assert drawn == pytest.approx((left, top, right, bottom), abs=4)
+    assert is_tinted.sum() == pytest.approx(16 * analysis.measurement.mask_area_px, rel=0.1)

@@ -22,55 +22,79 @@ from vehanchor.errors import (
     TooObliqueError,
 )
 from vehanchor.pictures.scale import write_picture
-from vehanchor.records import KnownScale
+from vehanchor.records import DistanceMeasurement, KnownScale
 from vehanchor.segmentation.segmenter import Segmenter
 
 BOX = (410.7, 273.9, 477.3, 382.1)
-ALONE: dict[str, Any] = {"rulers": ("vehicles",)}  # quicker: no other network looks at the image
+# Quicker: no network except the detector looks at the image.
+ALONE: dict[str, Any] = {"rulers": ("vehicles",)}
+# A distance between two points at a given scale: one step of error for each point.
+_POINTING_LOG_SD = math.sqrt(2)
 
 
-def test_a_distance_is_the_paths_pixels_times_the_scale_of_the_vehicles(detector: Detector) -> None:
-    image = pool_among_cars()
-    alone: dict[str, Any] = {"detector": detector, **ALONE}
-    estimate = vehanchor.estimate_gsd(image, **alone)
-    record = vehanchor.measure_distance(image, [(100, 500), (400, 500), (400, 100)], **alone)
+def _measure(path: Any, **options: Any) -> DistanceMeasurement:
+    """Measure a path in an image of 800 x 600 px at 0.1 metres per pixel."""
+    return vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **options)
+
+
+@pytest.fixture(scope="module")
+def estimate(detector: Detector) -> vehanchor.GsdEstimate:
+    return vehanchor.estimate_gsd(pool_among_cars(), detector=detector, **ALONE)
+
+
+@pytest.fixture(scope="module")
+def around_corner(detector: Detector) -> DistanceMeasurement:
+    """Record of a path of 700 px, at the scale of the vehicles."""
+    path = [(100, 500), (400, 500), (400, 100)]
+    return vehanchor.measure_distance(pool_among_cars(), path, detector=detector, **ALONE)
+
+
+def test_a_distance_is_the_paths_pixels_times_the_scale(
+    around_corner: DistanceMeasurement, estimate: vehanchor.GsdEstimate
+) -> None:
     assert estimate.gsd_m_per_px is not None
+    assert around_corner.length_px == 700
+    assert around_corner.distance_m == pytest.approx(700 * estimate.gsd_m_per_px)
+
+
+def test_the_interval_of_a_distance_contains_that_of_its_scale(
+    around_corner: DistanceMeasurement, estimate: vehanchor.GsdEstimate
+) -> None:
     assert estimate.gsd_ci95_low_m_per_px is not None
-    assert record.length_px == 700
-    assert record.distance_m == pytest.approx(700 * estimate.gsd_m_per_px)
-    assert record.distance_ci95_low_m is not None
-    assert record.distance_ci95_low_m < 700 * estimate.gsd_ci95_low_m_per_px * 1.02
-    assert (record.status, record.scale_confidence, record.n_vehicles) == (
-        "ok",
-        estimate.confidence,
-        30,
-    )
-    assert (record.estimate, record.scale, record.scale_source) == (
-        estimate,
-        estimate.scale,
-        "estimated",
-    )
+    assert around_corner.distance_ci95_low_m is not None
+    assert around_corner.distance_ci95_low_m < 700 * estimate.gsd_ci95_low_m_per_px * 1.02
 
 
-def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
-    across = vehanchor.measure_distance(
-        pool_among_cars(0), [(100, 100), (200, 100)], gsd_m_per_px=0.1
-    )
+def test_a_distance_has_the_estimate_of_its_image(
+    around_corner: DistanceMeasurement, estimate: vehanchor.GsdEstimate
+) -> None:
+    assert (around_corner.estimate, around_corner.scale) == (estimate, estimate.scale)
+    assert (around_corner.status, around_corner.scale_source) == ("ok", "estimated")
+    assert around_corner.scale_confidence == estimate.confidence
+    assert around_corner.n_vehicles == 30
+
+
+@pytest.fixture(scope="module")
+def across() -> DistanceMeasurement:
+    """Record of a straight line of 100 px."""
+    return _measure([(100, 100), (200, 100)])
+
+
+def test_at_a_given_scale_only_the_pointing_is_uncertain(across: DistanceMeasurement) -> None:
+    reach = 1.96 * _POINTING_LOG_SD / 100
     assert across.distance_m == pytest.approx(10)
-    assert across.distance_ci95_low_m == pytest.approx(
-        10 * math.exp(-1.96 * math.sqrt(2) / 100), rel=1e-4
-    )
-    assert (across.status, across.scale_source, across.scale_confidence, across.n_vehicles) == (
-        "ok",
-        "given",
-        None,
-        None,
-    )
-    stop = vehanchor.measure_distance(
-        pool_among_cars(0), [(100, 100), (150, 100), (200, 100)], gsd_m_per_px=0.1
-    )
-    # a stop on the way is no doubt
-    assert stop.distance_ci95_high_m == pytest.approx(across.distance_ci95_high_m)
+    assert across.distance_ci95_low_m == pytest.approx(10 * math.exp(-reach), rel=1e-4)
+
+
+def test_a_given_scale_has_no_evidence(across: DistanceMeasurement) -> None:
+    assert (across.status, across.scale_source) == ("ok", "given")
+    assert across.scale_confidence is None
+    assert across.n_vehicles is None
+
+
+def test_a_stop_on_a_straight_line_adds_no_doubt(across: DistanceMeasurement) -> None:
+    with_stop = _measure([(100, 100), (150, 100), (200, 100)])
+    assert with_stop.distance_ci95_high_m == pytest.approx(across.distance_ci95_high_m)
 
 
 @pytest.mark.parametrize(
@@ -82,36 +106,30 @@ def test_a_known_scale_leaves_the_pointing_as_the_only_doubt() -> None:
         ([(125, 250), (625, 750)], {"coordinates": "per_mille"}),
     ],
 )
-def test_a_path_means_the_same_in_every_kind_of_coordinates(path: Any, options: Any) -> None:
-    record = vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **options)
+def test_a_path_means_the_same_in_all_coordinates(path: Any, options: Any) -> None:
+    record = _measure(path, **options)
     assert record.distance_m == pytest.approx(50)
     assert [(point.x_px, point.y_px) for point in record.path] == [(100, 150), (500, 450)]
 
 
-def test_a_coarser_copy_is_pointed_at_less_exactly() -> None:
-    fine = vehanchor.measure_distance(
-        pool_among_cars(0), [(100, 150), (500, 450)], gsd_m_per_px=0.1
-    )
-    path = [(25.0, 37.5), (125.0, 112.5)]
-    frame = {"frame": (200, 150)}
-    coarse = vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **frame)  # type: ignore[arg-type]
+def test_a_coarser_copy_has_a_larger_error_of_pointing() -> None:
+    fine = _measure([(100, 150), (500, 450)])
+    coarse = _measure([(25.0, 37.5), (125.0, 112.5)], frame=(200, 150))
     assert fine.distance_ci95_high_m is not None
     assert coarse.distance_ci95_high_m is not None
-    assert math.log(coarse.distance_ci95_high_m / 50) == pytest.approx(
-        4 * math.log(fine.distance_ci95_high_m / 50)
-    )
+    # A pixel of the copy is four pixels of the image.
+    fine_reach = math.log(fine.distance_ci95_high_m / 50)
+    coarse_reach = math.log(coarse.distance_ci95_high_m / 50)
+    assert coarse_reach == pytest.approx(4 * fine_reach)
 
 
-def test_no_vehicles_mean_pixels_and_no_metres(detector: Detector) -> None:
+def test_without_vehicles_there_are_pixels_but_no_metres(detector: Detector) -> None:
     record = vehanchor.measure_distance(
         pool_among_cars(0), [(100, 100), (200, 100)], detector=detector
     )
-    assert (record.status, record.scale_confidence, record.distance_m, record.length_px) == (
-        "no_scale",
-        0,
-        None,
-        100,
-    )
+    assert (record.status, record.scale_confidence) == ("no_scale", 0)
+    assert record.length_px == 100
+    assert record.distance_m is None
     assert record.distance_ci95_low_m is None
 
 
@@ -147,47 +165,49 @@ def test_no_vehicles_mean_pixels_and_no_metres(detector: Detector) -> None:
         ([(1, 2), (1200, 3)], {"coordinates": "per_mille"}, "coordinates go from 0 to 1000$"),
     ],
 )
-def test_a_path_that_makes_no_sense_is_refused_with_what_may_have_been_meant(
-    path: Any, options: Any, words: str
-) -> None:
+def test_an_invalid_path_is_refused_with_a_suggestion(path: Any, options: Any, words: str) -> None:
     with pytest.raises(PromptError, match=words):
-        vehanchor.measure_distance(pool_among_cars(0), path, gsd_m_per_px=0.1, **options)
+        _measure(path, **options)
 
 
-def test_a_box_is_refused_with_what_may_have_been_meant(segmenter: Segmenter) -> None:
-    for box, words in (
+@pytest.mark.parametrize(
+    ("box", "words"),
+    [
         ((700, 500, 950, 700), "copy of 1024 x 768"),
         ((0.1, 0.1, 0.4, 0.6), "as fractions"),
-    ):
-        with pytest.raises(PromptError, match=words):
-            vehanchor.measure_area(
-                pool_among_cars(0), box=box, gsd_m_per_px=0.1, segmenter=segmenter
-            )
-
-
-def test_a_box_in_shares_of_the_sides_is_the_box_in_pixels(segmenter: Segmenter) -> None:
-    in_pixels = vehanchor.measure_area(
-        pool_among_cars(0), box=BOX, gsd_m_per_px=0.1, segmenter=segmenter
-    )
-    x1, y1, x2, y2 = BOX
-    share = (x1 / 800, y1 / 600, x2 / 800, y2 / 600)
-    assert in_pixels == vehanchor.measure_area(
-        pool_among_cars(0), box=share, gsd_m_per_px=0.1, segmenter=segmenter, coordinates="fraction"
-    )
-
-
-def test_a_line_of_known_length_in_shares_of_the_sides_is_the_line_in_pixels(
-    detector: Detector,
+    ],
+)
+def test_an_invalid_box_is_refused_with_a_suggestion(
+    segmenter: Segmenter, box: Any, words: str
 ) -> None:
+    with pytest.raises(PromptError, match=words):
+        vehanchor.measure_area(pool_among_cars(0), box=box, gsd_m_per_px=0.1, segmenter=segmenter)
+
+
+def test_a_box_in_fractions_is_the_box_in_pixels(segmenter: Segmenter) -> None:
+    options: dict[str, Any] = {"gsd_m_per_px": 0.1, "segmenter": segmenter}
+    in_pixels = vehanchor.measure_area(pool_among_cars(0), box=BOX, **options)
+    x1, y1, x2, y2 = BOX
+    fractions = (x1 / 800, y1 / 600, x2 / 800, y2 / 600)
+    in_fractions = vehanchor.measure_area(
+        pool_among_cars(0), box=fractions, coordinates="fraction", **options
+    )
+    assert in_fractions == in_pixels
+
+
+def test_a_known_length_in_fractions_is_the_one_in_pixels(detector: Detector) -> None:
     in_pixels = vehanchor.estimate_gsd(
         pool_among_cars(), detector=detector, known_lengths=[(80, 60, 480, 360, 80)]
     )
-    shares = [(0.1, 0.1, 0.6, 0.6, 80)]
-    told = vehanchor.estimate_gsd(
-        pool_among_cars(), detector=detector, known_lengths=shares, coordinates="fraction"
+    fractions = [(0.1, 0.1, 0.6, 0.6, 80)]
+    in_fractions = vehanchor.estimate_gsd(
+        pool_among_cars(), detector=detector, known_lengths=fractions, coordinates="fraction"
     )
-    assert told == in_pixels
-    assert "known_length" in [ruler.kind for ruler in told.rulers]
+    assert in_fractions == in_pixels
+    assert "known_length" in [ruler.kind for ruler in in_fractions.rulers]
+
+
+def test_a_known_length_that_is_short_in_pixels_is_refused(detector: Detector) -> None:
     short = [(0.1, 0.1, 0.101, 0.1, 8)]
     with pytest.raises(KnownLengthError, match="px long"):
         vehanchor.estimate_gsd(
@@ -195,55 +215,54 @@ def test_a_line_of_known_length_in_shares_of_the_sides_is_the_line_in_pixels(
         )
 
 
-# --- A scale that is given back
-# --------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
-def estimate(detector: Detector) -> vehanchor.GsdEstimate:
-    return vehanchor.estimate_gsd(pool_among_cars(), detector=detector, **ALONE)
-
-
-def test_a_distance_and_an_area_have_the_skewed_interval_of_their_scale(
-    estimate: vehanchor.GsdEstimate, tmp_path: Path
-) -> None:
+def skewed(estimate: vehanchor.GsdEstimate) -> KnownScale:
+    """A scale of 0.136 metres per pixel, whose interval is longer above than below."""
     assert estimate.scale is not None
-    scale = estimate.scale.model_copy(
-        update={
-            "gsd_m_per_px": 0.136,
-            "gsd_ci95_low_m_per_px": 0.121,
-            "gsd_ci95_high_m_per_px": 0.185,
-        }
-    )
-    line = vehanchor.measure_distance(pool_among_cars(), [(20, 580), (780, 580)], scale=scale)
-    pointing = math.sqrt(2) / 760 * 1.96
-    low = math.hypot(math.log(136 / 121), pointing)
-    high = math.hypot(math.log(185 / 136), pointing)
-    assert line.distance_ci95_low_m == pytest.approx(760 * 0.136 * math.exp(-low), rel=1e-4)
-    assert line.distance_ci95_high_m == pytest.approx(760 * 0.136 * math.exp(high), rel=1e-4)
+    interval = {
+        "gsd_m_per_px": 0.136,
+        "gsd_ci95_low_m_per_px": 0.121,
+        "gsd_ci95_high_m_per_px": 0.185,
+    }
+    return estimate.scale.model_copy(update=interval)
+
+
+def test_a_distance_has_the_skewed_interval_of_its_scale(skewed: KnownScale) -> None:
+    line = vehanchor.measure_distance(pool_among_cars(), [(20, 580), (780, 580)], scale=skewed)
+    pointing = _POINTING_LOG_SD / 760 * 1.96
+    below = math.hypot(math.log(136 / 121), pointing)
+    above = math.hypot(math.log(185 / 136), pointing)
+    distance_m = 760 * 0.136
+    assert line.distance_ci95_low_m == pytest.approx(distance_m * math.exp(-below), rel=1e-4)
+    assert line.distance_ci95_high_m == pytest.approx(distance_m * math.exp(above), rel=1e-4)
+
+
+def test_an_area_has_the_skewed_interval_of_its_scale(skewed: KnownScale, tmp_path: Path) -> None:
     exact = write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "0"})
-    roof = vehanchor.measure_area(pool_among_cars(), box=BOX, segmenter=exact, scale=scale)
+    roof = vehanchor.measure_area(pool_among_cars(), box=BOX, segmenter=exact, scale=skewed)
     assert roof.area_m2 is not None
     assert roof.area_ci95_low_m2 == pytest.approx(roof.area_m2 * (121 / 136) ** 2)
     assert roof.area_ci95_high_m2 == pytest.approx(roof.area_m2 * (185 / 136) ** 2)
     assert roof.inscribed_diameter_m is not None
-    assert roof.inscribed_diameter_ci95_high_m == pytest.approx(
-        roof.inscribed_diameter_m * 185 / 136
-    )
+    largest_m = roof.inscribed_diameter_m * 185 / 136
+    assert roof.inscribed_diameter_ci95_high_m == pytest.approx(largest_m)
 
 
-def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
-    estimate: vehanchor.GsdEstimate, detector: Detector, segmenter: Segmenter
+NOWHERE = "there is none.onnx"
+
+
+def _values(record: Any, *names: str) -> list[Any]:
+    return [getattr(record, name) for name in names]
+
+
+def test_a_distance_at_a_scale_given_back_is_the_same(
+    estimate: vehanchor.GsdEstimate, detector: Detector
 ) -> None:
-    assert isinstance(estimate.scale, KnownScale)
-    nowhere = "there is none.onnx"
     path = [(100.0, 500.0), (400.0, 500.0)]
     searched = vehanchor.measure_distance(pool_among_cars(), path, detector=detector, **ALONE)
     reused = vehanchor.measure_distance(
-        pool_among_cars(), path, scale=estimate.scale, detector=nowhere
+        pool_among_cars(), path, scale=estimate.scale, detector=NOWHERE
     )
-    assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
-    assert reused.scale == estimate.scale
     same = (
         "distance_m",
         "distance_ci95_low_m",
@@ -252,12 +271,27 @@ def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
         "status",
         "gsd_m_per_px",
     )
-    assert [getattr(reused, name) for name in same] == [getattr(searched, name) for name in same]
-    area = vehanchor.measure_area(
+    assert _values(reused, *same) == _values(searched, *same)
+
+
+def test_a_measurement_names_the_scale_given_back(estimate: vehanchor.GsdEstimate) -> None:
+    assert isinstance(estimate.scale, KnownScale)
+    path = [(100.0, 500.0), (400.0, 500.0)]
+    reused = vehanchor.measure_distance(
+        pool_among_cars(), path, scale=estimate.scale, detector=NOWHERE
+    )
+    assert (reused.scale_source, reused.estimate, reused.n_vehicles) == ("reused", None, None)
+    assert reused.scale == estimate.scale
+
+
+def test_an_area_at_a_scale_given_back_is_the_same(
+    estimate: vehanchor.GsdEstimate, detector: Detector, segmenter: Segmenter
+) -> None:
+    searched = vehanchor.measure_area(
         pool_among_cars(), box=BOX, segmenter=segmenter, detector=detector, **ALONE
     )
-    again = vehanchor.measure_area(
-        pool_among_cars(), box=BOX, segmenter=segmenter, scale=estimate, detector=nowhere
+    reused = vehanchor.measure_area(
+        pool_among_cars(), box=BOX, segmenter=segmenter, scale=estimate, detector=NOWHERE
     )
     same = (
         "area_m2",
@@ -267,72 +301,73 @@ def test_a_scale_given_back_needs_no_detector_and_keeps_interval_and_confidence(
         "status",
         "warnings",
     )
-    assert [getattr(again, name) for name in same] == [getattr(area, name) for name in same]
-    assert again.scale_source == "reused"
+    assert _values(reused, *same) == _values(searched, *same)
+    assert reused.scale_source == "reused"
 
 
 def test_a_scale_is_refused_for_another_image(estimate: vehanchor.GsdEstimate) -> None:
     other = pool_among_cars()
-    other[599, 799] += 1  # a single pixel
+    # A single pixel.
+    other[599, 799] += 1
     with pytest.raises(ScaleMismatchError, match="measured on another image") as refused:
         vehanchor.measure_distance(other, [(1, 1), (99, 99)], scale=estimate)
     assert refused.value.code == "scale_mismatch"
 
 
 SIZES = ("gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
+_NOT_AN_ESTIMATE = "scale is not what an estimate gave"
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        *(
-            (change, "scale is not what an estimate gave")
-            for change in ({"gsd_m_per_px": -1}, {"confidence": 2})
-        ),
-        *(
-            (change, "scale is not what an estimate gave")
-            for change in ({"image_id": None}, {"more": 1})
-        ),
-        ({"gsd_ci95_high_m_per_px": 0.001}, "scale is not what an estimate gave"),
-        (dict.fromkeys(SIZES, 1e308), "no image has"),  # too large to be squared
+        ({"gsd_m_per_px": -1}, _NOT_AN_ESTIMATE),
+        ({"confidence": 2}, _NOT_AN_ESTIMATE),
+        ({"image_id": None}, _NOT_AN_ESTIMATE),
+        ({"more": 1}, _NOT_AN_ESTIMATE),
+        ({"gsd_ci95_high_m_per_px": 0.001}, _NOT_AN_ESTIMATE),
+        # Too large for its square.
+        (dict.fromkeys(SIZES, 1e308), "no image has"),
     ],
 )
-def test_six_fields_without_meaning_are_refused(
+def test_a_changed_scale_without_meaning_is_refused(
     estimate: vehanchor.GsdEstimate, change: dict[str, Any], words: str
 ) -> None:
     assert estimate.scale is not None
+    changed = {**estimate.scale.model_dump(), **change}
     with pytest.raises(InvalidParameterError, match=words):
-        vehanchor.measure_distance(
-            pool_among_cars(), [(1, 1), (9, 9)], scale={**estimate.scale.model_dump(), **change}
-        )
+        vehanchor.measure_distance(pool_among_cars(), [(1, 1), (9, 9)], scale=changed)
 
 
-def test_a_dumped_estimate_is_the_estimate(
-    estimate: vehanchor.GsdEstimate, detector: Detector
-) -> None:
-    image = pool_among_cars()
-    path = [(100.0, 150.0), (500.0, 450.0)]
-    given = vehanchor.measure_distance
-    expected = given(image, path, scale=estimate)
-    assert given(image, path, scale=estimate.model_dump()) == expected
-    assert given(image, path, scale=estimate.model_dump(mode="json")) == expected
-    measured: Any = expected  # a measurement has the scale to give back, too
-    assert (
-        given(image, path, scale=measured)
-        == given(image, path, scale=expected.model_dump())
-        == expected
-    )
+_PATH = [(100.0, 150.0), (500.0, 450.0)]
+
+
+def _at_scale(scale: Any) -> DistanceMeasurement:
+    return vehanchor.measure_distance(pool_among_cars(), _PATH, scale=scale)
+
+
+def test_a_dumped_estimate_is_the_estimate(estimate: vehanchor.GsdEstimate) -> None:
+    expected = _at_scale(estimate)
+    assert _at_scale(estimate.model_dump()) == expected
+    assert _at_scale(estimate.model_dump(mode="json")) == expected
+
+
+def test_a_measurement_can_be_given_back_as_a_scale(estimate: vehanchor.GsdEstimate) -> None:
+    measurement = _at_scale(estimate)
+    assert _at_scale(measurement) == measurement
+    assert _at_scale(measurement.model_dump()) == measurement
+
+
+def test_an_estimate_without_a_scale_is_refused(detector: Detector) -> None:
     nothing = vehanchor.estimate_gsd(pool_among_cars(0), detector=detector)
-    for known in (nothing, nothing.model_dump()):
+    for scale in (nothing, nothing.model_dump()):
         with pytest.raises(InvalidParameterError, match="without a scale"):
-            given(pool_among_cars(0), path, scale=known)
+            _at_scale(scale)
 
 
-def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
+def test_two_scales_are_refused(estimate: vehanchor.GsdEstimate) -> None:
     with pytest.raises(InvalidParameterError, match="not both"):
-        vehanchor.measure_distance(
-            pool_among_cars(), [(1, 1), (9, 9)], scale=estimate, gsd_m_per_px=0.1
-        )
+        _measure([(1, 1), (9, 9)], scale=estimate)
 
 
 @pytest.mark.parametrize(
@@ -344,47 +379,54 @@ def test_two_scales_are_one_too_many(estimate: vehanchor.GsdEstimate) -> None:
         ({"scale": 0.15}, "scale is a float: .* a number is gsd_m_per_px"),
     ],
 )
-def test_what_is_no_scale_is_told(known: dict[str, Any], words: str) -> None:
+def test_a_value_that_is_not_a_scale_is_refused(known: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidParameterError, match=words):
         vehanchor.measure_distance(pool_among_cars(), [(1, 1), (9, 9)], **known)
 
 
-def test_a_known_scale_leaves_no_line_unheard(estimate: vehanchor.GsdEstimate) -> None:
-    for known in ({"scale": estimate}, {"gsd_m_per_px": 0.1}):
-        with pytest.raises(
-            InvalidParameterError,
-            match=f"give {next(iter(known))} or lines of known length, not both",
-        ):
-            vehanchor.measure_distance(
-                pool_among_cars(), [(1, 1), (9, 9)], known_lengths=[(0, 0, 100, 0, 12.0)], **known
-            )
+@pytest.mark.parametrize("name", ["scale", "gsd_m_per_px"])
+def test_a_scale_excludes_known_lengths(estimate: vehanchor.GsdEstimate, name: str) -> None:
+    scale: dict[str, Any] = {"scale": estimate} if name == "scale" else {"gsd_m_per_px": 0.1}
+    known_lengths = [(0, 0, 100, 0, 12.0)]
+    words = f"give {name} or lines of known length, not both"
+    with pytest.raises(InvalidParameterError, match=words):
+        vehanchor.measure_distance(
+            pool_among_cars(), [(1, 1), (9, 9)], known_lengths=known_lengths, **scale
+        )
 
 
 FOCAL_35MM = 24.0
 FOCAL_PX = FOCAL_35MM * np.hypot(1000, 750) / np.hypot(36, 24)
-GROUND = 0.05  # metres per pixel: the camera is 50 m up by the given height
-LINE = [(100.0, 100.0), (500.0, 400.0)]  # 500 px
+# Metres per pixel; by the given height, the camera is 50 m above the ground.
+GROUND = 0.05
+# 500 px long.
+LINE = [(100.0, 100.0), (500.0, 400.0)]
 
 
 def _distance(**options: Any) -> Any:
     return vehanchor.measure_distance(blank_image(1000, 750), LINE, gsd_m_per_px=GROUND, **options)
 
 
-def test_a_roof_is_shorter_than_the_same_pixels_on_the_ground_by_its_share_of_the_cameras_height() -> (
-    None
-):
+def test_a_roof_is_nearer_to_the_camera_than_the_ground() -> None:
     ground = _distance(height_m=50.0)
     roof = _distance(height_m=50.0, object_height_m=10.0)
     assert ground.distance_m == pytest.approx(25)
-    assert (roof.distance_m, roof.gsd_m_per_px) == (pytest.approx(20), pytest.approx(0.8 * GROUND))
-    assert _distance(height_m=50.0, object_height_m=0.0) == ground
-    assert (
-        roof.distance_ci95_high_m / roof.distance_m
-        > ground.distance_ci95_high_m / ground.distance_m
-    )
+    assert roof.distance_m == pytest.approx(20)
+    assert roof.gsd_m_per_px == pytest.approx(0.8 * GROUND)
 
 
-def test_with_a_lens_the_cameras_height_is_that_of_the_scale() -> None:
+def test_an_object_of_no_height_is_on_the_ground() -> None:
+    assert _distance(height_m=50.0, object_height_m=0.0) == _distance(height_m=50.0)
+
+
+def test_the_cameras_height_adds_to_the_interval_of_a_roof() -> None:
+    ground = _distance(height_m=50.0)
+    roof = _distance(height_m=50.0, object_height_m=10.0)
+    ground_ratio = ground.distance_ci95_high_m / ground.distance_m
+    assert roof.distance_ci95_high_m / roof.distance_m > ground_ratio
+
+
+def test_with_a_lens_the_cameras_height_follows_from_the_scale() -> None:
     roof = _distance(height_m=70.0, focal_35mm=FOCAL_35MM, object_height_m=10.0)
     assert roof.gsd_m_per_px == pytest.approx(GROUND - 10 / FOCAL_PX)
 
@@ -392,9 +434,13 @@ def test_with_a_lens_the_cameras_height_is_that_of_the_scale() -> None:
 def test_an_area_on_a_roof_is_smaller_by_the_square() -> None:
     image = blank_image(400, 300)
     image[100:200, 120:260] = (200, 60, 40)
-    common: dict[str, Any] = {"box": (110, 90, 270, 210), "gsd_m_per_px": GROUND, "height_m": 50.0}
-    more_options: tuple[dict[str, Any], ...] = ({}, {"object_height_m": 10.0})
-    ground, roof = (vehanchor.measure_area(image, **common, **more) for more in more_options)
+    options: dict[str, Any] = {
+        "box": (110, 90, 270, 210),
+        "gsd_m_per_px": GROUND,
+        "height_m": 50.0,
+    }
+    ground = vehanchor.measure_area(image, **options)
+    roof = vehanchor.measure_area(image, object_height_m=10.0, **options)
     assert ground.area_m2 is not None
     assert roof.area_m2 == pytest.approx(0.64 * ground.area_m2)
 
@@ -408,28 +454,18 @@ def test_an_area_on_a_roof_is_smaller_by_the_square() -> None:
         ({"object_height_m": float("nan"), "height_m": 50.0}, InvalidParameterError, "finite"),
     ],
 )
-def test_a_height_that_means_nothing_is_refused(
+def test_an_invalid_height_is_refused(
     options: dict[str, Any], error: type[Exception], words: str
 ) -> None:
     with pytest.raises(error, match=words):
         _distance(**options)
 
 
-def test_the_commands_take_it(tmp_path: Path) -> None:
+def test_the_command_reads_the_height_of_an_object(tmp_path: Path) -> None:
     write_picture(tmp_path / "a.png", blank_image(1000, 750))
-    ends = ["--point", 100, 100, "--point", 500, 400]
-    asked = [
-        "distance",
-        tmp_path / "a.png",
-        *ends,
-        "--gsd",
-        GROUND,
-        "--json",
-        "--height",
-        50,
-        "--object-height",
-        10,
-    ]
-    result = CliRunner().invoke(cli.app, [str(each) for each in asked])
+    ends = ("--point", 100, 100, "--point", 500, 400)
+    heights = ("--height", 50, "--object-height", 10)
+    words = ["distance", tmp_path / "a.png", *ends, "--gsd", GROUND, "--json", *heights]
+    result = CliRunner().invoke(cli.app, [str(word) for word in words])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["distance_m"] == pytest.approx(20)

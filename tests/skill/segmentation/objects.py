@@ -21,30 +21,35 @@ OBJECT_RGB = (60, 130, 200)
 OTHER_RGB = (200, 60, 60)
 
 
-def segmented(
+def segment(
     segmenter: Segmenter, image: NDArray[np.uint8], prompt: Prompt, **options: Any
 ) -> Segmentation:
     with open_raster(image) as raster:
         return segmenter.segment(raster, prompt, **options)
 
 
-def full_mask(found: Segmentation, image: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def full_mask(segmentation: Segmentation, image: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Place a mask in an array of the image's size."""
+    window = segmentation.window
+    rows = slice(window.y_px, window.y_px + window.height_px)
+    columns = slice(window.x_px, window.x_px + window.width_px)
     full = np.zeros(image.shape[:2], dtype=bool)
-    window = found.window
-    full[
-        window.y_px : window.y_px + window.height_px, window.x_px : window.x_px + window.width_px
-    ] = found.mask
+    full[rows, columns] = segmentation.mask
     return full
 
 
 def is_rectangle(mask: NDArray[np.bool_], rectangle: tuple[int, int, int, int]) -> bool:
-    """Whether a mask is a rectangle to the pixel, but for the corners that interpolation between cells rounds off."""
-    area = (rectangle[2] - rectangle[0]) * (rectangle[3] - rectangle[1])
+    """Test whether a mask is a rectangle to the pixel, except for its corners.
+
+    Interpolation between cells rounds the corners off.
+    """
+    x1, y1, x2, y2 = rectangle
+    area = (x2 - x1) * (y2 - y1)
     return mask_bounds(mask) == rectangle and int(mask.sum()) >= 0.98 * area
 
 
 def picture(width: int, height: int, rectangle: tuple[int, int, int, int]) -> NDArray[np.uint8]:
-    """A rectangle x1, y1, x2, y2 of the object's colour on a varied ground."""
+    """Paint a rectangle x1, y1, x2, y2 of the object's colour on a varied ground."""
     image = blank_image(width, height)
     image[: height // 2, :, 1] = 20
     image[:, : width // 3] = OTHER_RGB

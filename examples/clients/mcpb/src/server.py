@@ -1,4 +1,4 @@
-"""The bundle's entry point: the command line that the package brings."""
+"""Entry point of the bundle: the command line of the package."""
 
 from vehanchor.cli.app import main
 

@@ -13,16 +13,19 @@ from vehanchor.models.runtime import LoadedModel
 from vehanchor.models.session import Session, run_session
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Window
     from vehanchor.segmentation.prompt import Prompt
 
-MEAN_RGB = np.array([123.675, 116.28, 103.53], dtype=np.float32)  # SAM's and ImageNet's, in 0..255
+# Normalisation of SAM and ImageNet, for values 0..255.
+MEAN_RGB = np.array([123.675, 116.28, 103.53], dtype=np.float32)
 SD_RGB = np.array([58.395, 57.12, 57.375], dtype=np.float32)
-SAM_STRIDE_PX = 16  # of the embedding
+# Stride of SAM's embedding.
+SAM_STRIDE_PX = 16
+# Element types of ONNX inputs that the contracts can fill.
 DTYPES: dict[str, type[np.generic]] = {
     "tensor(float)": np.float32,
     "tensor(float16)": np.float16,
@@ -31,11 +34,12 @@ DTYPES: dict[str, type[np.generic]] = {
     "tensor(int32)": np.int32,
     "tensor(uint8)": np.uint8,
 }
-_MASK_PER_EMBEDDING = 4  # SAM's mask prompt is four times finer than its embedding
-# labels; 1 is a point on the object, 0 one outside it
+# SAM's mask prompt is four times finer than its embedding.
+_MASK_PER_EMBEDDING = 4
+# Labels of a box's corners. 1 is the label of a point on the object, 0 that of one outside it.
 _TOP_LEFT = 2
 _BOTTOM_RIGHT = 3
-# number of masks from a decoder with a single-mask output and three for ambiguous prompts
+# A decoder with so many masks has one for unambiguous prompts, then three for ambiguous ones.
 _SINGLE_AND_MULTI = 4
 
 
@@ -71,7 +75,7 @@ class SamContract(LoadedModel, ABC):
         decoder_inputs: required inputs of the decoder.
         decoder_outputs: required outputs of the decoder: the masks and their scores.
         embedding: name of the coarsest embedding.
-        mean_sd: of the encoder's input, in 0..255.
+        mean_sd: mean and standard deviation of the encoder's input, for values 0..255.
         input_px: side of the model's input, pixels.
 
     Args:
@@ -96,64 +100,72 @@ class SamContract(LoadedModel, ABC):
         self._encoder = encoder
         self._decoder = decoder
         self._image = encoder.get_inputs()[0]
-        self.input_px = input_px or self._found_input_px()
+        self.input_px = input_px or self._infer_input_px()
         self._check_image_shape()
 
-    def _found_input_px(self) -> int:
+    def _infer_input_px(self) -> int:
         """Derive the side of the model's square input from the shapes of its graphs."""
         shape = self._image.shape
-        sides = [side for side in shape[-2:] if isinstance(side, int)] if len(shape) == 4 else []
-        if len(shape) == 3:
-            sides = [side for side in shape[:2] if isinstance(side, int)]
+        sides: list[int] = []
+        if len(shape) == 4:
+            sides = _fixed(shape[-2:])
+        elif len(shape) == 3:
+            sides = _fixed(shape[:2])
         if sides:
-            return int(max(sides))
+            return max(sides)
+        # The encoder takes any size. The side of the embedding or of the mask prompt gives the
+        # input by their strides, unless the two contradict each other.
         embedding = self._side(self.embedding)
-        prior = self._side("mask_input")
-        if embedding is not None and prior in (None, embedding * _MASK_PER_EMBEDDING):
+        mask_prompt = self._side("mask_input")
+        if embedding is not None and mask_prompt in (None, embedding * _MASK_PER_EMBEDDING):
             return embedding * SAM_STRIDE_PX
-        if embedding is None and prior is not None:
-            return prior * SAM_STRIDE_PX // _MASK_PER_EMBEDDING
+        if embedding is None and mask_prompt is not None:
+            return mask_prompt * SAM_STRIDE_PX // _MASK_PER_EMBEDDING
         raise ModelContractError(
             f"the encoder's input {self._image.name!r} has shape {shape}, its embedding side "
-            f"{embedding} and the mask "
-            f"prompt side {prior}: the input size is unknown. Export with fixed shapes, or "
-            "write the metadata "
-            "vehanchor.input_size_px"
+            f"{embedding} and the mask prompt side {mask_prompt}: the input size is unknown. "
+            "Export with fixed shapes, or write the metadata vehanchor.input_size_px"
         )
 
     def _side(self, name: str) -> int | None:
-        """Read the last side of an output of the encoder, or an input of the decoder; None if it is not fixed."""
+        """Return the last side of the named tensor of the graphs; None if it is not fixed."""
         for item in (*self._encoder.get_outputs(), *self._decoder.get_inputs()):
-            if item.name == name and len(item.shape) == 4 and isinstance(item.shape[-1], int):
-                return int(item.shape[-1])
+            if item.name != name or len(item.shape) != 4:
+                continue
+            side = item.shape[-1]
+            if isinstance(side, int):
+                return side
         return None
 
     def _check_image_shape(self) -> None:
+        """Check the encoder's input.
+
+        Raises:
+            ModelContractError: it is not a square picture with three planes.
+        """
         shape = self._image.shape
-        fixed = [side for side in shape[-2:] if isinstance(side, int)]
+        described = f"the encoder's input {self._image.name!r} has shape {shape}"
         if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
+            raise ModelContractError(f"{described}: not [b, 3, h, w]")
+        if any(side != self.input_px for side in _fixed(shape[-2:])):
             raise ModelContractError(
-                f"the encoder's input {self._image.name!r} has shape {shape}: not [b, 3, h, w]"
-            )
-        if any(side != self.input_px for side in fixed):
-            raise ModelContractError(
-                f"the encoder's input {self._image.name!r} has shape {shape}, but the input "
-                f"size is {self.input_px} "
-                "px: only square inputs can be used"
+                f"{described}, but the input size is {self.input_px} px: only square inputs can "
+                "be used"
             )
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Compute the width and height to which a crop is resized before ``predict``: it is stretched to a square."""
+        """Compute the width and height to which a crop is resized before ``predict``.
+
+        The default is a square, to which the crop is stretched.
+        """
         del width_px, height_px
         return self.input_px, self.input_px
 
-    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _encoder_input(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Convert the resized crop to the encoder's input."""
         mean, sd = self.mean_sd
-        normal: NDArray[np.float32] = ((image.astype(np.float32) - mean) / sd).transpose(2, 0, 1)[
-            None
-        ]
-        return normal
+        normal: NDArray[np.float32] = (image.astype(np.float32) - mean) / sd
+        return normal.transpose(2, 0, 1)[None]
 
     def predict(self, image: NDArray[np.uint8], window: Window, prompt: Prompt) -> MaskLogits:
         """Run encoder and decoder for one prompt.
@@ -161,50 +173,62 @@ class SamContract(LoadedModel, ABC):
         Args:
             image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
             window: the crop, pixels of the image.
-            prompt: in pixels of the image.
+            prompt: prompt in pixels of the image.
 
         Raises:
             PromptError: this model cannot read the prompt.
             ModelContractError: the outputs are not masks with scores.
         """
-        features = self._run(self._encoder, {self._image.name: self._prepared(image)})
-        size = image.shape[1], image.shape[0]
-        across = size[0] / window.width_px
-        down = size[1] / window.height_px
-        seen = prompt.mapped(
-            lambda x, y: ((x - window.x_px) * across - 0.5, (y - window.y_px) * down - 0.5)
+        pixels = self._encoder_input(image)
+        features = self._run(self._encoder, {self._image.name: pixels})
+        height, width = image.shape[:2]
+        across = width / window.width_px
+        down = height / window.height_px
+
+        def in_input(x: float, y: float) -> tuple[float, float]:
+            # The graphs take indices of pixels and add half a pixel.
+            return (x - window.x_px) * across - 0.5, (y - window.y_px) * down - 0.5
+
+        outputs = self._run(
+            self._decoder,
+            {
+                **features,
+                **self._no_mask_prompt(),
+                "orig_im_size": np.array([height, width], np.float32),
+                **self._prompt_inputs(prompt.mapped(in_input)),
+            },
         )
-        feeds = {
-            **features,
-            **self._no_mask_prompt(),
-            "orig_im_size": np.array(size[::-1], np.float32),
-        }
-        outputs = self._run(self._decoder, {**feeds, **self._feeds(seen)})
-        masks, (width, height) = self._masks(outputs, size)
-        grid, score = self._chosen(masks, outputs[self.decoder_outputs[1]], prompt)
+        masks, (covered_width, covered_height) = self._mask_output(outputs, (width, height))
+        scores = outputs[self.decoder_outputs[1]]
+        grid, score = self._choose_mask(masks, scores, prompt)
         rows, columns = grid.shape
-        return MaskLogits(
-            grid,
-            score,
-            cells_per_px=(columns / width * across, rows / height * down),
-            window=window,
-        )
+        # The grid covers the input, or the input with its padding.
+        cells_per_px = (columns / covered_width * across, rows / covered_height * down)
+        return MaskLogits(grid, score, cells_per_px=cells_per_px, window=window)
 
     @abstractmethod
-    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
         """Build the decoder's inputs for a prompt in pixel indices of the encoder's picture."""
 
-    def _masks(
+    def _mask_output(
         self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
     ) -> tuple[NDArray[Any], tuple[int, int]]:
-        """Choose the output with the masks; return it with the width and height of the input that it covers."""
+        """Choose the output with the masks.
+
+        Args:
+            outputs: outputs of the decoder by name.
+            size: width and height of the resized crop.
+
+        Returns:
+            The masks, and the width and height of the input that they cover.
+        """
         return outputs[self.decoder_outputs[0]], size
 
     def _run(self, session: Session, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Run a session on its inputs, converted to its types; return the outputs by name."""
-        inputs = {
-            item.name: feeds[item.name].astype(DTYPES[item.type]) for item in session.get_inputs()
-        }
+        inputs = {}
+        for item in session.get_inputs():
+            inputs[item.name] = feeds[item.name].astype(DTYPES[item.type])
         names = [output.name for output in session.get_outputs()]
         shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in inputs.items())
         results = run_session(
@@ -214,43 +238,63 @@ class SamContract(LoadedModel, ABC):
             runtime=self.runtime,
             described=f"the {self.name} segmenter fails on {shapes}",
         )
-        return dict(zip(names, (np.asarray(result) for result in results), strict=True))
+        arrays = [np.asarray(result) for result in results]
+        return dict(zip(names, arrays, strict=True))
 
     def _no_mask_prompt(self) -> dict[str, NDArray[Any]]:
         """Build the inputs that mean "no mask prompt"."""
-        shapes = {item.name: item.shape for item in self._decoder.get_inputs()}
         fallback = self.input_px * _MASK_PER_EMBEDDING // SAM_STRIDE_PX
-        sides = [
-            side if isinstance(side, int) else fallback for side in shapes.get("mask_input", [])[2:]
-        ]
+        sides = [fallback, fallback]
+        for item in self._decoder.get_inputs():
+            if item.name == "mask_input":
+                declared = item.shape[2:]
+                sides = [side if isinstance(side, int) else fallback for side in declared] or sides
         return {
-            "mask_input": np.zeros((1, 1, *(sides or [fallback] * 2)), np.float32),
+            "mask_input": np.zeros((1, 1, *sides), np.float32),
             "has_mask_input": np.zeros(1, np.float32),
         }
 
-    def _chosen(
+    def _choose_mask(
         self, masks: NDArray[Any], scores: NDArray[Any], prompt: Prompt
     ) -> tuple[NDArray[np.float32], float]:
-        """Choose one of the masks ``[m, gh, gw]`` by the package's rule; return it with its score."""
+        """Choose one of the masks ``[..., m, gh, gw]`` by the package's rule.
+
+        Returns:
+            The logits ``[gh, gw]`` and the score, 0..1.
+        """
         grids = masks.reshape(-1, *masks.shape[-2:])
-        flat = np.nan_to_num(scores.reshape(-1).astype(np.float64), nan=0.0)
-        if len(grids) != len(flat) or len(grids) == 0 or min(grids.shape[1:]) < 1:
+        flat_scores = np.nan_to_num(scores.reshape(-1).astype(np.float64), nan=0.0)
+        n_masks = len(grids)
+        if n_masks != len(flat_scores) or grids.size == 0:
             raise ModelContractError(
-                f"the decoder put out masks of shape {list(masks.shape)} and scores of shape "
-                f"{list(scores.shape)}: "
-                "expected one score a mask"
+                f"the decoder returned masks of shape {list(masks.shape)} and scores of shape "
+                f"{list(scores.shape)}: expected one score per mask"
             )
-        index = int(np.argmax(flat))
-        if len(flat) == _SINGLE_AND_MULTI:
-            unambiguous = prompt.box is not None or len(prompt.points) > 1
-            index = 0 if unambiguous else 1 + int(np.argmax(flat[1:]))
-        return grids[index].astype(np.float32), float(np.clip(flat[index], 0.0, 1.0))
+        is_unambiguous = prompt.box is not None or len(prompt.points) > 1
+        if n_masks != _SINGLE_AND_MULTI:
+            index = int(np.argmax(flat_scores))
+        elif is_unambiguous:
+            index = 0
+        else:
+            index = 1 + int(np.argmax(flat_scores[1:]))
+        score = float(np.clip(flat_scores[index], 0.0, 1.0))
+        return grids[index].astype(np.float32), score
+
+
+def _fixed(sides: Sequence[int | str | None]) -> list[int]:
+    """Return the sides of an ONNX shape that are numbers; a name or None means any size."""
+    return [side for side in sides if isinstance(side, int)]
 
 
 def corner_prompt(prompt: Prompt) -> tuple[list[tuple[float, float]], list[int]]:
-    """Convert a prompt to SAM's points and their labels; the corners of a box have labels 2 and 3."""
-    coords: list[tuple[float, float]] = [(x, y) for x, y, _ in prompt.points]
-    labels = [int(include) for _, _, include in prompt.points]
+    """Convert a prompt to SAM's points and their labels; the corners of a box come first."""
+    coords: list[tuple[float, float]] = []
+    labels: list[int] = []
     if prompt.box is not None:
-        return [prompt.box[:2], prompt.box[2:], *coords], [_TOP_LEFT, _BOTTOM_RIGHT, *labels]
+        x1, y1, x2, y2 = prompt.box
+        coords = [(x1, y1), (x2, y2)]
+        labels = [_TOP_LEFT, _BOTTOM_RIGHT]
+    for x, y, include in prompt.points:
+        coords.append((x, y))
+        labels.append(int(include))
     return coords, labels

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-_MAX_POINTS = 6  # the graph silently drops further points
+# The graph silently drops further points.
+_MAX_POINTS = 6
+# Input side of the published models, for graphs without fixed shapes.
 _INPUT_PX = 1024
 
 
@@ -36,11 +38,13 @@ class EfficientSam(SamContract):
     decoder_outputs = "output_masks", "iou_predictions"
     mean_sd = np.zeros(3, np.float32), np.full(3, 255, np.float32)
 
-    def _found_input_px(self) -> int:
+    def _infer_input_px(self) -> int:
         side = self._side(self.embedding)
-        return _INPUT_PX if side is None else side * SAM_STRIDE_PX
+        if side is None:
+            return _INPUT_PX
+        return side * SAM_STRIDE_PX
 
-    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
         """Build inputs for up to six points on the object, or a box."""
         if not all(include for _, _, include in prompt.points):
             raise PromptError(
@@ -52,7 +56,9 @@ class EfficientSam(SamContract):
                 f"EfficientSAM reads at most {_MAX_POINTS} points, got {len(prompt.points)}"
             )
         coords, labels = corner_prompt(prompt)
+        points = np.array(coords, np.float32)
+        point_labels = np.array(labels, np.float32)
         return {
-            "batched_point_coords": np.array(coords, np.float32).reshape(1, 1, -1, 2),
-            "batched_point_labels": np.array(labels, np.float32).reshape(1, 1, -1),
+            "batched_point_coords": points.reshape(1, 1, -1, 2),
+            "batched_point_labels": point_labels.reshape(1, 1, -1),
         }

@@ -1,4 +1,6 @@
-"""Contract of SAM, MobileSAM and the bundled model: Meta's export of the decoder, samexporter's of the encoder.
+"""Contract of SAM, MobileSAM and the bundled model.
+
+The decoder is Meta's export, the encoder samexporter's.
 
 * Encoder: ``input_image`` ``[h, w, 3]`` RGB 0..255, or ``[1, 3, s, s]`` normalised; long side s,
   padded right and below.
@@ -21,7 +23,8 @@ if TYPE_CHECKING:
 
     from vehanchor.segmentation.prompt import Prompt
 
-_PADDING = -1  # label of a padding point
+# Label of a padding point.
+_PADDING = -1
 
 
 class Sam(SamContract):
@@ -36,48 +39,56 @@ class Sam(SamContract):
 
     def _check_image_shape(self) -> None:
         shape = self._image.shape
-        if len(shape) == 3 and (shape[2] == 3 or not isinstance(shape[2], int)):
-            return
+        # Pictures with the channels last, or with an unknown number of channels.
+        if len(shape) == 3:
+            channels = shape[2]
+            if channels == 3 or not isinstance(channels, int):
+                return
         super()._check_image_shape()
 
     def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
-        """Scale the crop so that its long side fills the model's input; sides are rounded half up, as SAM does."""
-        scale = self.input_px / max(width_px, height_px)
-        return max(1, int(width_px * scale + 0.5)), max(1, int(height_px * scale + 0.5))
+        """Compute the size at which the crop's long side fills the model's input.
 
-    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+        Sides are rounded half up, as in SAM.
+        """
+        factor = self.input_px / max(width_px, height_px)
+        width = max(1, int(width_px * factor + 0.5))
+        height = max(1, int(height_px * factor + 0.5))
+        return width, height
+
+    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
         coords, labels = corner_prompt(prompt)
         return {
             "point_coords": np.array([[*coords, (0.0, 0.0)]], np.float32),
             "point_labels": np.array([[*labels, _PADDING]], np.float32),
         }
 
-    def _masks(
+    def _mask_output(
         self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
     ) -> tuple[NDArray[Any], tuple[int, int]]:
         coarse = outputs.get("low_res_masks")
-        # exports with extra metrics use the name for other outputs
+        # Exports with extra metrics use the name for other outputs.
         if coarse is not None and coarse.ndim == 4:
-            # Exact and small; some traced exports freeze a landscape shape into "masks".
+            # These are exact and small. Some traced exports freeze a landscape shape into "masks".
             return coarse, (self.input_px, self.input_px)
-        return super()._masks(outputs, size)
+        return super()._mask_output(outputs, size)
 
-    def _prepared(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Convert the picture to the encoder's input: unpadded if the graph pads, else padded with its zero."""
+    def _encoder_input(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Convert the resized crop to the encoder's input, padded right and below if needed."""
         height, width = image.shape[:2]
         pixels = image.astype(np.float32)
-        below = self.input_px - height
-        right = self.input_px - width
-        if len(self._image.shape) == 3:
-            sides = self._image.shape[:2]
-            pads = [
-                extra if isinstance(side, int) else 0
-                for side, extra in zip(sides, (below, right), strict=True)
-            ]
-            padded = np.empty((height + pads[0], width + pads[1], 3), np.float32)
-            padded[:] = MEAN_RGB
-            padded[:height, :width] = pixels
+        if len(self._image.shape) == 4:
+            # Padding after normalisation is zero.
+            padded = np.zeros((1, 3, self.input_px, self.input_px), np.float32)
+            normal = (pixels - MEAN_RGB) / SD_RGB
+            padded[0, :, :height, :width] = normal.transpose(2, 0, 1)
             return padded
-        normal = np.zeros((1, 3, self.input_px, self.input_px), np.float32)
-        normal[0, :, :height, :width] = ((pixels - MEAN_RGB) / SD_RGB).transpose(2, 0, 1)
-        return normal
+        # This graph normalises itself, so its padding is the mean. It also pads an axis without a
+        # fixed size.
+        rows, columns = self._image.shape[:2]
+        padded_height = self.input_px if isinstance(rows, int) else height
+        padded_width = self.input_px if isinstance(columns, int) else width
+        padded = np.empty((padded_height, padded_width, 3), np.float32)
+        padded[:] = MEAN_RGB
+        padded[:height, :width] = pixels
+        return padded

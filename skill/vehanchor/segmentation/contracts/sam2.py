@@ -30,8 +30,9 @@ class Sam2(SamContract):
     decoder_outputs = "masks", "iou_predictions"
     embedding = "image_embed"
 
-    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
-        coords, labels = corner_prompt(prompt)  # this graph adds the padding point
+    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+        # This graph adds the padding point itself.
+        coords, labels = corner_prompt(prompt)
         return {
             "point_coords": np.array([coords], np.float32),
             "point_labels": np.array([labels], np.float32),

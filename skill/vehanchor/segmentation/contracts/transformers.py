@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 
     from vehanchor.models.session import Session
 
-_SAM3_LEVEL = np.full(3, 127.5, np.float32)  # SAM 3: mean and sd 0.5 of 0..1
-_SAM3_STRIDE_PX = 14  # of its embedding
+# SAM 3 normalises by a mean and a standard deviation of 0.5, for values 0..1.
+_SAM3_LEVEL = np.full(3, 127.5, np.float32)
+# Stride of SAM 3's embedding; that of SAM 2 is 16.
+_SAM3_STRIDE_PX = 14
 _SAM3_INPUT_PX = 1008
 
 
@@ -38,21 +40,26 @@ class Transformers(SamContract):
 
     def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
         super().__init__(encoder, decoder, input_px)
+        # The stride distinguishes SAM 3 from SAM 2; the names are the same.
         side = self._side(self.embedding)
-        if self.input_px == (_SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX):
+        sam3_input_px = _SAM3_INPUT_PX if side is None else side * _SAM3_STRIDE_PX
+        if self.input_px == sam3_input_px:
             self.mean_sd = _SAM3_LEVEL, _SAM3_LEVEL
 
-    def _found_input_px(self) -> int:
+    def _infer_input_px(self) -> int:
         if self._side(self.embedding) == _SAM3_INPUT_PX // _SAM3_STRIDE_PX:
             return _SAM3_INPUT_PX
-        return super()._found_input_px()
+        return super()._infer_input_px()
 
-    def _feeds(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
         """Build separate inputs for boxes and points."""
         coords, labels = corner_prompt(Prompt(points=prompt.points))
         corners, _ = corner_prompt(Prompt(box=prompt.box))
+        points = np.array(coords, np.float32)
+        point_labels = np.array(labels, np.int64)
+        boxes = np.array(corners, np.float32)
         return {
-            "input_points": np.array(coords, np.float32).reshape(1, 1, -1, 2),
-            "input_labels": np.array(labels, np.int64).reshape(1, 1, -1),
-            "input_boxes": np.array(corners, np.float32).reshape(1, -1, 4),
+            "input_points": points.reshape(1, 1, -1, 2),
+            "input_labels": point_labels.reshape(1, 1, -1),
+            "input_boxes": boxes.reshape(1, -1, 4),
         }
