@@ -16,15 +16,11 @@ from numpy.typing import NDArray
 from tests.models import assert_same_boxes, blank_image, paint_vehicles, write_detector
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, level_shares, search_levels
 from vehanchor.detection.scene_scale import SceneScalePrior
-from vehanchor.detection.scheduler import (
-    MIN_LEVEL_SIDE_PX,
-    TileScheduler,
-    level_shares,
-    search_levels,
-    tile_prior_map,
-)
+from vehanchor.detection.scheduler import TileScheduler
 from vehanchor.detection.search import ImageSearch
+from vehanchor.detection.tile_prior import tile_prior_map
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid
@@ -77,7 +73,7 @@ def test_every_length_counts_at_some_level_and_at_two_around_their_border(
 ) -> None:
     levels = search_levels(width, height, length_range, search_scales=True)
     assert levels[0].factor == 1
-    assert any(level.counts(np.array([length / level.factor])).all() for level in levels)
+    assert any(level.accepts(np.array([length / level.factor])).all() for level in levels)
     for fine, coarse in pairwise(levels):
         assert coarse.factor == 2 * fine.factor
         assert min(coarse.width_px, coarse.height_px) >= MIN_LEVEL_SIDE_PX

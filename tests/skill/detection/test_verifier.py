@@ -93,7 +93,7 @@ def test_a_search_verifies_fewer_candidates_a_tile_once_it_has_found_many_vehicl
 
     monkeypatch.setattr(Verifier, "scored", counted)
     monkeypatch.setattr("vehanchor.detection.scheduler.ANYTIME_PIXELS", 1)
-    for name, value in (("_MOST_VERIFIED", 60), ("_LEAST_VERIFIED", 10)):
+    for name, value in (("_MAX_VERIFIED", 60), ("_MAX_VERIFIED_OF_MANY", 10)):
         monkeypatch.setattr(f"vehanchor.detection.search.{name}", value)
     verified = {}
     found = {}
