@@ -467,7 +467,7 @@ def test_vehicles_are_dropped_and_added_by_hand(run: Any) -> None:
     assert record["details"]["n_detections"] == n + 1
     missing = _estimate(run, "cars.png", "--drop", n + 1)
     assert (
-        f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}"
+        f"drop has number {n + 1}, which is not a vehicle of this image: its vehicles are 1 to {n}"
         in missing.stderr
     )
     several = _estimate(run, "cars.png", "none.png", "--drop", 1)

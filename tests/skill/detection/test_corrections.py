@@ -133,10 +133,10 @@ def test_an_added_vehicle_of_a_coarse_copy_is_less_certain() -> None:
 
 def test_a_number_that_does_not_exist_says_how_many_there_are() -> None:
     with pytest.raises(
-        InvalidParameterError, match=r"drop has number 13, which is no vehicle .* they are 1 to 12"
+        InvalidParameterError, match=r"drop has number 13, which is not a vehicle .* are 1 to 12"
     ):
         _corrected(_found([(40.0, 12)]), drop=[2, 13])
-    with pytest.raises(InvalidParameterError, match="none was found"):
+    with pytest.raises(InvalidParameterError, match="no vehicle was found"):
         _corrected(_found([]), drop=[1])
 
 
