@@ -274,7 +274,7 @@ def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float
     log_excess = GRID - np.log(_SHARP_GSD_M_PER_PX)
     sharp = 1 / (1 + np.exp(log_excess / _SHARP_LOG_WIDTH))
     moving = chance * sharp * density
-    # The convolution spreads each cell over coarser scales, and the offset shifts these to finer ones.
+    # The convolution spreads each cell over coarser scales; the offset turns them to finer ones.
     reach = round(_FINER_LOG_REACH / (GRID[1] - GRID[0]))
     moved = np.convolve(moving, np.full(reach, 1 / reach))[reach - 1 :]
     mixed = density - moving + moved
