@@ -50,7 +50,7 @@ def test_the_card_takes_the_scores_of_the_verifier() -> None:
     card = read_detector_card(Path("vehicles.onnx"), "a" * 64, own, verifier=verifier)
     assert (card.min_score, card.verifier_sha256) == (0.5, "b" * 64)
     assert read_detector_card(Path("vehicles.onnx"), "a" * 64, own).min_score == 0.4
-    with pytest.raises(ModelContractError, match=r"verifier .* 'vehicles', and this is 'mine'"):
+    with pytest.raises(ModelContractError, match=r"verifier .* 'vehicles', but this is 'mine'"):
         read_detector_card(
             Path("mine.onnx"), "a" * 64, {"vehanchor.name": "mine"}, verifier=verifier
         )
