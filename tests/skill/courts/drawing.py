@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 
 from vehanchor.courts.fit import pose_matrix, project
-from vehanchor.courts.match import Pose
+from vehanchor.courts.templates import Pose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.courts.match import Template
+    from vehanchor.courts.templates import Template
 
 _FINER = 4
 

@@ -11,8 +11,9 @@ import vehanchor
 from research.scenes import render_scene
 from tests.analyses import told
 from tests.skill.courts.drawing import draw_court
-from vehanchor.courts.find import Court, Proposal, coarse_factors, courts_among, load_court_network
-from vehanchor.courts.match import BASKETBALL, TENNIS, Pose, Template
+from vehanchor.courts.find import Court, courts_among
+from vehanchor.courts.network import Proposal, coarse_factors, load_court_network
+from vehanchor.courts.templates import BASKETBALL, TENNIS, Pose, Template
 from vehanchor.imagery.raster import Raster, StoredPixels, Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
