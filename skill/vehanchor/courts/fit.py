@@ -289,9 +289,10 @@ def _jacobian(pieces: _Pieces, matrix: NDArray[np.float64], freedom: int) -> NDA
         ``[pieces, freedom]`` pixels.
     """
     normals = _normals(project(matrix, pieces.starts), project(matrix, pieces.ends))
+    middles = project(matrix, pieces.middles)
     nudged = project(matrix @ _NUDGES[:freedom], pieces.middles)
-    moved = nudged - project(matrix, pieces.middles)
-    return np.ascontiguousarray((moved * normals).sum(axis=2).T / _EPSILON)
+    along_normals = ((nudged - middles) * normals).sum(axis=2)
+    return np.ascontiguousarray(along_normals.T / _EPSILON)
 
 
 def _solve(

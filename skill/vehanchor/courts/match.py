@@ -46,10 +46,12 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
     contrast = np.maximum(texture * np.float32(_CONTRAST_PER_TEXTURE), np.float32(_MIN_CONTRAST))
     d = _HALF_LINE_PX
     wide = cv2.copyMakeBorder(grey, d, d, d, d, cv2.BORDER_REPLICATE)
-    above_or_below = np.maximum(wide[: -2 * d, d:-d], wide[2 * d :, d:-d])
-    left_or_right = np.maximum(wide[d:-d, : -2 * d], wide[d:-d, 2 * d :])
-    along = np.clip((grey - above_or_below) / contrast, 0, 1)
-    across = np.clip((grey - left_or_right) / contrast, 0, 1)
+    above = wide[: -2 * d, d:-d]
+    below = wide[2 * d :, d:-d]
+    left = wide[d:-d, : -2 * d]
+    right = wide[d:-d, 2 * d :]
+    along = np.clip((grey - np.maximum(above, below)) / contrast, 0, 1)
+    across = np.clip((grey - np.maximum(left, right)) / contrast, 0, 1)
     return along, across
 
 
@@ -205,10 +207,13 @@ class _Ends(NamedTuple):
 
     def best(self, sums: NDArray[np.float32]) -> tuple[float, int, int, int]:
         """Find the best score over all positions, and the indices of its size, row and column."""
+        # For each line: the paint below it at all sizes and places.
+        firsts = self.first.T[:, :, None, None]
+        lasts = self.last.T[:, :, None, None]
+        weights = self.weights.T[:, :, None, None]
         scores = np.zeros((len(self.first), *self.shift.shape), np.float32)
-        for weights, first, last in zip(self.weights.T, self.first.T, self.last.T, strict=True):
-            up_to_end = sums.take(last[:, None, None] + self.shift)
-            up_to_start = sums.take(first[:, None, None] + self.shift)
-            scores += weights[:, None, None] * (up_to_end - up_to_start)
+        for first, last, weight in zip(firsts, lasts, weights, strict=True):
+            paint = sums.take(last + self.shift) - sums.take(first + self.shift)
+            scores += weight * paint
         size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
         return float(scores[size, row, column]), int(size), int(row), int(column)

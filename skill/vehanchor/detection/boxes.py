@@ -42,14 +42,15 @@ def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
     Returns:
         ``[n, 5]`` float64, the same rectangles as ``(x, y, length, width, angle)``.
     """
-    out = np.array(boxes, dtype=np.float64).reshape(-1, 5)
-    swap = out[:, 3] > out[:, 2]
-    out[swap, 2:4] = out[swap, 3:1:-1]
-    out[swap, 4] += np.pi / 2
-    out[:, 4] = np.mod(out[:, 4], np.pi)
+    rows = np.array(boxes, dtype=np.float64).reshape(-1, 5)
+    is_upright = rows[:, 3] > rows[:, 2]
+    rows[is_upright, 2:4] = rows[is_upright, 3:1:-1]
+    rows[is_upright, 4] += np.pi / 2
+    angles = np.mod(rows[:, 4], np.pi)
     # The remainder of a tiny negative angle rounds up to pi itself.
-    out[out[:, 4] >= np.pi, 4] = 0.0
-    return out
+    angles[angles >= np.pi] = 0.0
+    rows[:, 4] = angles
+    return rows
 
 
 def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
@@ -88,11 +89,13 @@ def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
         ``[n, 5]`` float64 canonical boxes.
     """
     points = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
-    first = (points[:, 1] - points[:, 0] + points[:, 2] - points[:, 3]) / 2
-    second = (points[:, 2] - points[:, 1] + points[:, 3] - points[:, 0]) / 2
-    sides = np.stack([np.linalg.norm(first, axis=1), np.linalg.norm(second, axis=1)], axis=1)
-    angle = np.arctan2(first[:, 1], first[:, 0])
-    return canonical_boxes(np.column_stack([points.mean(axis=1), sides, angle]))
+    a, b, c, d = np.moveaxis(points, 1, 0)
+    along = (b - a + c - d) / 2
+    across = (c - b + d - a) / 2
+    lengths = np.linalg.norm(along, axis=1)
+    widths = np.linalg.norm(across, axis=1)
+    angles = np.arctan2(along[:, 1], along[:, 0])
+    return canonical_boxes(np.column_stack([points.mean(axis=1), lengths, widths, angles]))
 
 
 def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -129,8 +129,9 @@ class TileScheduler:
 
     def report(self, tile: int, n_vehicles: int) -> None:
         """Report the number of vehicles found in a tile."""
-        distances = np.abs(self._corners - self._corners[tile]).max(axis=1)
-        near = (self._factors == self._factors[tile]) & (distances <= self._reach[tile])
+        offsets = np.abs(self._corners - self._corners[tile])
+        near = offsets.max(axis=1) <= self._reach[tile]
+        near &= self._factors == self._factors[tile]
         self._hits[near] += min(1.0, n_vehicles / _FULL_TILE_VEHICLES)
         self._trials[near] += 1.0
 

@@ -245,9 +245,9 @@ class ImageSearch:
         reductions = None
         if self._search_scales:
             reductions = 1 / final.factors
-        stretched = None
+        stretch_share = None
         if check_stretch:
-            stretched = self._stretch(final.vehicles.boxes, are_few=are_few)
+            stretch_share = self._stretch(final.vehicles.boxes, are_few=are_few)
         return Detections(
             final.vehicles.boxes,
             final.vehicles.scores,
@@ -258,7 +258,7 @@ class ImageSearch:
             others=distinct_by_class(others, self._nms_iou),
             n_tiles_total=len(self._tiles),
             stopped_because=self._stopped_because,
-            stretch=stretched,
+            stretch=stretch_share,
             n_skipped=self._tile_search.n_skipped,
         )
 
@@ -276,8 +276,8 @@ class ImageSearch:
             # Unlikely levels are visited only if the likely ones show few vehicles.
             if self.n_visited and self.n_vehicles >= _ENOUGH_VEHICLES:
                 self.stop()
-            else:
-                yield from self._visit_levels(factors, deadline)
+                return
+            yield from self._visit_levels(factors, deadline)
             if self._stopped_because is not None:
                 return
 
@@ -285,9 +285,9 @@ class ImageSearch:
         """Visit the tiles of some levels, likely ones first, with pauses."""
         scheduler = self._scheduler(factors)
         # After other levels, the caller may already know enough.
-        pauses = self._next_pause is not None and self.n_visited > 0
+        is_pause_due = self._next_pause is not None and self.n_visited > 0
         while True:
-            if pauses:
+            if is_pause_due:
                 yield scheduler.unseen_share
                 if self._stopped_because is not None:
                     return
@@ -304,10 +304,10 @@ class ImageSearch:
                 self._detector.runtime.tell(self.n_visited, len(self._tiles))
                 n_vehicles = self._visit(index, tile)
                 scheduler.report(index, n_vehicles)
-            pauses = self._take_pause()
+            is_pause_due = self._take_pause()
 
     def _take_pause(self) -> bool:
-        """Test whether a pause is due, and schedule the next one if it is."""
+        """Test whether a pause is due; if it is, schedule the next one."""
         if self._next_pause is None:
             return False
         if not self._next_pause <= self.n_visited < self._max_tiles:
@@ -346,22 +346,18 @@ class ImageSearch:
     def _scheduler(self, factors: Collection[int]) -> TileScheduler:
         """Schedule the tiles of some levels by the tile prior and the scene-scale prior."""
         tiles = [(tile.level.factor, tile.window) for tile in self._tiles]
-        priors = np.array(
-            [tile_prior_of(self._tile_priors, window, factor) for factor, window in tiles]
-        )
+        cells = self._tile_priors
+        priors = np.array([tile_prior_of(cells, window, factor) for factor, window in tiles])
         density = None
         if self._prior is not None:
             density = self._prior.density
-        ranges = {
-            factor: lengths
-            for factor, lengths in self._length_ranges_px().items()
-            if factor in factors
-        }
-        return TileScheduler(tiles, priors, level_shares(ranges, density))
+        ranges = self._length_ranges_px()
+        scheduled = {factor: ranges[factor] for factor in ranges if factor in factors}
+        return TileScheduler(tiles, priors, level_shares(scheduled, density))
 
     @cached_property
     def _tile_priors(self) -> NDArray[np.float64]:
-        """Map of the probability that a cell of the image shows cars."""
+        """Probability that each cell of the image shows cars."""
         return tile_prior_map(self._raster)
 
     def _reading_order(self) -> list[int]:

@@ -5,6 +5,7 @@ Towns have many edges, fields have few. The search visits tiles with many edges 
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import cv2
@@ -108,12 +109,12 @@ def tile_prior_of(cells: NDArray[np.float64], window: Window, factor: int) -> fl
         factor: reduction factor of the tile's level.
     """
     rows, columns = cells.shape
+    right_px = (window.x_px + window.width_px) * factor
+    bottom_px = (window.y_px + window.height_px) * factor
     # The preview drops incomplete pixels, so the last cells may end before the image does.
-    top = min(window.y_px * factor // CELL_PX, rows - 1)
     left = min(window.x_px * factor // CELL_PX, columns - 1)
+    top = min(window.y_px * factor // CELL_PX, rows - 1)
     # Rounded up, to include cells that the tile touches in part.
-    bottom = -(-(window.y_px + window.height_px) * factor // CELL_PX)
-    right = -(-(window.x_px + window.width_px) * factor // CELL_PX)
-    bottom = max(bottom, top + 1)
-    right = max(right, left + 1)
+    right = max(math.ceil(right_px / CELL_PX), left + 1)
+    bottom = max(math.ceil(bottom_px / CELL_PX), top + 1)
     return float(cells[top:bottom, left:right].mean())

@@ -133,11 +133,13 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
         @functools.wraps(load)
         def cached(*args: P.args, **kwargs: P.kwargs) -> T:
-            positional = [_absolute(value) for value in args]
+            positional = tuple(_absolute(value) for value in args)
             named = {name: _absolute(value) for name, value in kwargs.items()}
-            files = [value for value in (*positional, *named.values()) if isinstance(value, Path)]
-            states = tuple(state for file in files for state in _states(file))
-            return loaded(states, tuple(positional), tuple(named.items()))
+            states: list[_FileState] = []
+            for value in (*positional, *named.values()):
+                if isinstance(value, Path):
+                    states += _states(value)
+            return loaded(tuple(states), positional, tuple(named.items()))
 
         return cached
 
