@@ -223,25 +223,35 @@ def _line_offsets(
     flank = round(_FLANK_PX / _STEP_PX)
     inner = profiles[:, flank:-flank]
     ridge = inner - np.maximum(profiles[:, : -2 * flank], profiles[:, 2 * flank :])
-    n_places = ridge.shape[1]
-    peak = ridge.argmax(axis=1)
-    piece = np.arange(len(peak))
-    height = ridge[piece, peak]
-
-    # The peak of a parabola through the highest value and its neighbours.
-    left = ridge[piece, np.maximum(peak - 1, 0)]
-    right = ridge[piece, np.minimum(peak + 1, n_places - 1)]
-    bend = np.minimum(left - 2 * height + right, -1e-6)
-    shift = np.clip((left - right) / (2 * bend), -0.5, 0.5)
+    peak, height, shift = _highest(ridge)
     offsets = across[flank:-flank][peak] + shift * _STEP_PX
 
     # A peak at the end of the profile, or a piece outside the image, shows no line.
     noise = np.median(np.abs(np.diff(inner[:, ::4], axis=1)))
     least = max(_MIN_CONTRAST, _CONTRAST_PER_NOISE * float(noise))
-    at_end = (peak == 0) | (peak == n_places - 1)
+    at_end = (peak == 0) | (peak == ridge.shape[1] - 1)
     inside = ((starts >= 0) & (starts <= np.array(grey.shape[::-1]) - 1)).all(axis=1)
     strengths = np.where(at_end | ~inside, 0.0, np.clip((height - least) / least, 0, 1))
     return offsets, strengths
+
+
+def _highest(
+    ridge: NDArray[np.float32],
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    """Find the highest value of each row ``[n, m]``.
+
+    Returns:
+        Its columns ``[n]``, its values ``[n]``, and the shifts ``[n]``, -0.5 to 0.5, from the
+        columns to the peaks of parabolas through the values and their neighbours.
+    """
+    rows = np.arange(len(ridge))
+    peak = ridge.argmax(axis=1)
+    height = ridge[rows, peak]
+    left = ridge[rows, np.maximum(peak - 1, 0)]
+    right = ridge[rows, np.minimum(peak + 1, ridge.shape[1] - 1)]
+    bend = np.minimum(left - 2 * height + right, -1e-6)
+    shift = np.clip((left - right) / (2 * bend), -0.5, 0.5)
+    return peak, height, shift
 
 
 def _profiles(

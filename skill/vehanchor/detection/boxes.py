@@ -118,16 +118,17 @@ def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
     half_b = second[:, 2:4].T / 2
 
     # Boxes with parallel sides share a rectangle; at a quarter turn the sides of b are exchanged.
-    half_b_along = np.where(np.abs(cosine) < np.abs(sine), half_b[::-1], half_b)
-    shared_sides = np.clip(
-        half_a + half_b_along - np.abs(shift), 0, 2 * np.minimum(half_a, half_b_along)
-    )
+    is_crossed = np.abs(cosine) < np.abs(sine)
     is_parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
+    half_b_along = np.where(is_crossed, half_b[::-1], half_b)
+    shorter = 2 * np.minimum(half_a, half_b_along)
+    shared_sides = np.clip(half_a + half_b_along - np.abs(shift), 0, shorter)
 
     # Boxes without a width divide by zero.
     with np.errstate(divide="ignore", invalid="ignore"):
+        parallel = shared_sides[0] * shared_sides[1]
         slanted = _slanted_overlap(half_a, half_b, shift=shift, cosine=cosine, sine=sine)
-        shared = np.where(is_parallel, shared_sides[0] * shared_sides[1], slanted)
+        shared = np.where(is_parallel, parallel, slanted)
         areas = 4 * (half_a.prod(axis=0) + half_b.prod(axis=0))
         iou = shared / (areas - shared)
     return np.asarray(np.clip(np.nan_to_num(iou, nan=0.0), 0.0, 1.0))

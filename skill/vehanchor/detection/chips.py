@@ -163,7 +163,7 @@ def read_appearance(
     weights = precisions / precisions.sum(axis=1, keepdims=True)
     sizes_px = answers.sizes * boxes[:, 2:3]
     log_gsd = (weights * (answers.log_metres - np.log(sizes_px))).sum(axis=1)
-    # The errors of the metres by length and by width are one error: both come from the kind of car.
+    # The errors of length and width by appearance count as one error, those of the edges do not.
     metres_sds = answers.metres_sd.mean(axis=1)
     edge_variances = 1 / precisions.sum(axis=1)
     log_sds = np.sqrt(metres_sds**2 + edge_variances)

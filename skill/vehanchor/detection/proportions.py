@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
-# The image's width is multiplied and divided by it: 18 % in width and in height.
+# The image's width is multiplied and divided by it, an error of 18 % in each direction.
 _FACTOR = 1.4
 # Halves of a chip's diagonal from the centre to the farthest pixel that a stretched chip needs.
 _REACH = 1.4
@@ -86,9 +86,9 @@ def stretch_of_few(
 ) -> float | None:
     """Compute how clearly a few vehicles prefer a narrower or a wider image, by the chip network.
 
-    The truer of the changed images suits cars better than the image does, and better than the image
-    changed the other way. The measure is the smaller of both differences of the mean logits, where
-    the second one counts a third. Parallel vehicles need clearer evidence: they can also be long
+    If the image is stretched, one of the changed images suits cars better than the image itself and
+    than the other one. The measure is the smaller of both differences of the mean logits, where the
+    second one counts a third. Parallel vehicles need clearer evidence: they can also be long
     vehicles, or show their flanks.
 
     Args:
