@@ -201,7 +201,7 @@ def write_detector(
     # Only marks are not zero, so the sum over a cell is its mark's value. Unlike a maximum, a sum
     # keeps negative angles.
     pooled = graph.add("AveragePool", [table], kernel_shape=[CELL_PX] * 2, strides=[CELL_PX] * 2)
-    cells = graph.add("Mul", [pooled, graph.constant([float(CELL_PX**2)])])
+    cells = graph.times(pooled, float(CELL_PX**2))
     flat = graph.add("Reshape", [cells, graph.constant([0, 7, -1], np.int64)])  # [b, 7, anchors]
     if layout == "raw":
         result = _raw_rows(graph, flat, n_out)
@@ -241,33 +241,32 @@ def write_detector(
 
 def _box_table(graph: Graph, *, swap_sides: bool, angle_offset: float) -> str:
     """Read the boxes at all marks: ``[b, 7, h, w]`` of x, y, both sides, score, class, angle."""
-    levels = graph.add("Cast", ["images"], to=TensorProto.FLOAT)
-    codes = graph.add("Round", [graph.add("Mul", [levels, graph.constant([255.0])])])
+    levels = graph.times(graph.as_float("images"), 255.0)
+    codes = graph.add("Round", [levels])
     reads = [codes] + [_shifted_left(graph, codes, k) for k in range(1, BEACON_PX)]
     pixels = [graph.split(read, 3, axis=1) for read in reads]
     mark_pixel, first, second, third, fourth = pixels
     mark = _mark_mask(graph, mark_pixel)
     column, row = _pixel_indices(graph, mark)
 
-    def combined(*terms: tuple[str, float]) -> str:
-        scaled = [graph.add("Mul", [name, graph.constant([factor])]) for name, factor in terms]
-        return graph.add("Sum", scaled)
+    def with_fraction(whole: str, fraction: str) -> str:
+        return graph.add("Sum", [whole, graph.times(fraction, 1 / 256)])
 
-    length = combined((first[0], 1.0), (first[1], 1 / 256))
-    width = combined((first[2], 1.0), (second[0], 1 / 256))
-    angle = combined((second[1], np.pi / 256), (second[2], np.pi / 65536))
-    x = combined((column, 1.0), (fourth[0], 1 / 256))
-    y = combined((row, 1.0), (fourth[1], 1 / 256))
-    score = combined((third[0], 1 / 255))
+    x = with_fraction(column, fourth[0])
+    y = with_fraction(row, fourth[1])
+    length = with_fraction(first[0], first[1])
+    width = with_fraction(first[2], second[0])
+    angle = graph.times(with_fraction(second[1], second[2]), np.pi / 256)
+    score = graph.times(third[0], 1 / 255)
     sides = [length, width]
     if swap_sides:
         sides.reverse()
         angle_offset += np.pi / 2
-    turned = graph.add("Add", [angle, graph.constant([angle_offset])])
+    turned = graph.plus(angle, angle_offset)
     fields = graph.add("Concat", [x, y, *sides, score, third[1], turned], axis=1)
     # A beacon cut by the edge reads zeros: without a score it is not a vehicle.
     has_score = graph.add("Greater", [third[0], graph.constant([0.0])])
-    visible = graph.add("Mul", [mark, graph.add("Cast", [has_score], to=TensorProto.FLOAT)])
+    visible = graph.add("Mul", [mark, graph.as_float(has_score)])
     return graph.add("Mul", [fields, visible])
 
 
@@ -408,6 +407,18 @@ class Graph:
         self.nodes.append(helper.make_node(operator, list(inputs), [name], **attributes))
         return name
 
+    def times(self, name: str, factor: float) -> str:
+        """Multiply a tensor by a number."""
+        return self.add("Mul", [name, self.constant([factor])])
+
+    def plus(self, name: str, number: float) -> str:
+        """Add a number to a tensor."""
+        return self.add("Add", [name, self.constant([number])])
+
+    def as_float(self, name: str) -> str:
+        """Convert a tensor to float32."""
+        return self.add("Cast", [name], to=TensorProto.FLOAT)
+
     def split(self, name: str, parts: int, *, axis: int) -> list[str]:
         """Split a tensor along an axis; return the names of the parts."""
         outputs = [f"v{len(self.nodes)}_{k}" for k in range(parts)]
@@ -441,17 +452,16 @@ def _mark_mask(graph: Graph, channels: Sequence[str]) -> str:
         for name, level in zip(channels, _MARK, strict=True)
     ]
     is_mark = graph.add("And", [graph.add("And", [red, green]), blue])
-    return graph.add("Cast", [is_mark], to=TensorProto.FLOAT)
+    return graph.as_float(is_mark)
 
 
 def _pixel_indices(graph: Graph, like: str) -> tuple[str, str]:
     """Compute the column and the row of every pixel."""
-    zeros = graph.add("Mul", [like, graph.constant([0.0])])
-    ones = graph.add("Add", [zeros, graph.constant([1.0])])
+    ones = graph.plus(graph.times(like, 0.0), 1.0)
     indices = []
     for axis in (3, 2):
         counts = graph.add("CumSum", [ones, graph.constant(axis, np.int64)])
-        indices.append(graph.add("Sub", [counts, graph.constant([1.0])]))
+        indices.append(graph.plus(counts, -1.0))
     column, row = indices
     return column, row
 
@@ -462,8 +472,7 @@ def _raw_rows(graph: Graph, flat: str, n_classes: int) -> str:
     scores = []
     for index in range(n_classes):
         is_class = graph.add("Equal", [kind, graph.constant([float(index)])])
-        factor = graph.add("Cast", [is_class], to=TensorProto.FLOAT)
-        scores.append(graph.add("Mul", [score, factor]))
+        scores.append(graph.add("Mul", [score, graph.as_float(is_class)]))
     return graph.add("Concat", [cx, cy, w, h, *scores, angle], axis=1)
 
 

@@ -34,9 +34,11 @@ def _clip(subject: NDArray[np.float64], clip: NDArray[np.float64]) -> NDArray[np
             # Positive on the inner side of the edge from a to b.
             side_p = _cross(b - a, p - a)
             side_q = _cross(b - a, q - a)
-            if side_p >= 0:
+            p_is_inside = side_p >= 0
+            q_is_inside = side_q >= 0
+            if p_is_inside:
                 output.append(p)
-            if (side_p >= 0) != (side_q >= 0):
+            if p_is_inside != q_is_inside:
                 output.append(p + (q - p) * side_p / (side_p - side_q))
         if not output:
             break
@@ -145,17 +147,23 @@ def test_nms_does_not_depend_on_rotation(seed: int, turn: float) -> None:
     boxes, scores = _crowd(np.random.default_rng(seed))
     # A tie may fall either way.
     assume((np.abs(oriented_iou(boxes, boxes) - 0.45) > 1e-3).all())
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    turned = np.column_stack([boxes[:, :2] @ rotation.T, boxes[:, 2:4], boxes[:, 4] + turn])
-    assert set(oriented_nms(turned, scores).tolist()) == set(oriented_nms(boxes, scores).tolist())
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    turned = boxes.copy()
+    turned[:, :2] = boxes[:, :2] @ np.array([[cos, sin], [-sin, cos]])
+    turned[:, 4] += turn
+    kept = oriented_nms(boxes, scores)
+    assert set(oriented_nms(turned, scores).tolist()) == set(kept.tolist())
 
 
 def test_boxes_that_overlap_exactly_by_the_limit_are_kept() -> None:
     boxes = np.array([[0, 0, 10, 4, 0], [5, 0, 10, 4, 0]], dtype=float)
+    scores = [0.9, 0.5]
     limit = oriented_iou(boxes, boxes)[0, 1]
     assert limit == pytest.approx(1 / 3, rel=1e-6)
-    assert oriented_nms(boxes, [0.9, 0.5], iou_threshold=limit).tolist() == [0, 1]
-    assert oriented_nms(boxes, [0.9, 0.5], iou_threshold=np.nextafter(limit, 0)).tolist() == [0]
+    assert oriented_nms(boxes, scores, iou_threshold=limit).tolist() == [0, 1]
+    below = np.nextafter(limit, 0)
+    assert oriented_nms(boxes, scores, iou_threshold=below).tolist() == [0]
 
 
 def test_equal_scores_are_ordered_by_position_not_by_input_order() -> None:

@@ -38,10 +38,12 @@ def test_a_chip_lies_along_its_candidate(length: float, angle: float) -> None:
     pixels = np.repeat(ramp[:, :, None], 3, axis=2)
     (chip,) = surroundings(pixels, [(150.0, 140.0, length, 0.4 * length, angle)])
     assert chip.shape == (CHIP_PX, CHIP_PX, 3)
-    middle = chip[CHIP_PX // 2, :, 0].astype(float)
-    assert middle[14] == pytest.approx(78, abs=8)
-    assert middle[34] == pytest.approx(178, abs=8)
-    assert np.ptp(chip[8:40, CHIP_PX // 2, 0].astype(int)) < 12
+    grey = chip[:, :, 0].astype(float)
+    along_axis = grey[CHIP_PX // 2]
+    across_axis = grey[8:40, CHIP_PX // 2]
+    assert along_axis[14] == pytest.approx(78, abs=8)
+    assert along_axis[34] == pytest.approx(178, abs=8)
+    assert np.ptp(across_axis) < 12
 
 
 @pytest.fixture
