@@ -21,7 +21,7 @@ _STEP_PX = 0.25
 _FLANK_PX = 2.0
 # Largest number of samples along a piece.
 _MAX_SAMPLES = 64
-# Offsets at which a line is looked for, in each round of the fit.
+# Largest offset of a line in each round of the fit.
 _REACHES_PX = (4.0, 3.0, 2.5, 2.0, 2.0, 2.0)
 # Contrast of a line in the averaged profile: grey levels, and multiples of the noise.
 _MIN_CONTRAST = 1.2

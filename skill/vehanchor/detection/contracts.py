@@ -231,10 +231,10 @@ def recognise_contract(
         contract = kind.recognise(shapes, named_classes)
         if contract is not None:
             return contract
-    found = ", ".join(str(list(shape)) for shape in shapes)
+    stated = ", ".join(str(list(shape)) for shape in shapes)
     expected = " or ".join(kind.layout for kind in CONTRACTS)
     raise ModelContractError(
-        f"its outputs have shapes {found}, with {len(named_classes)} class names in the metadata; "
+        f"its outputs have shapes {stated}, with {len(named_classes)} class names in the metadata; "
         f"expected {expected}"
     )
 

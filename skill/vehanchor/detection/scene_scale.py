@@ -39,7 +39,7 @@ TILE_PX = 160
 # Reduction factors of the levels.
 FACTORS = (1, 2, 4, 8)
 # Largest number of tiles of a level.
-MOST_TILES = 24
+MAX_TILES = 24
 # Tiles per run: 24 take three times the memory and as much time.
 _BATCH = 8
 _MIN_PROBABILITY = 1e-12
@@ -158,11 +158,11 @@ def _grid_shape(width_px: int, height_px: int) -> tuple[int, int]:
     """
     columns = -(-width_px // TILE_PX)
     rows = -(-height_px // TILE_PX)
-    if columns * rows <= MOST_TILES:
+    if columns * rows <= MAX_TILES:
         return columns, rows
-    spread_columns = round(np.sqrt(MOST_TILES * width_px / height_px))
-    columns = int(np.clip(spread_columns, 1, min(columns, MOST_TILES)))
-    rows = min(rows, MOST_TILES // columns)
+    spread_columns = round(np.sqrt(MAX_TILES * width_px / height_px))
+    columns = int(np.clip(spread_columns, 1, min(columns, MAX_TILES)))
+    rows = min(rows, MAX_TILES // columns)
     return columns, rows
 
 

@@ -197,7 +197,7 @@ def rendered() -> Painted:
 
 
 @pytest.mark.slow
-def test_the_bundled_network_tells_fitting_boxes_from_large_ones(
+def test_the_bundled_network_prefers_fitting_boxes_to_large_ones(
     bundled: ChipNetwork, rendered: Painted
 ) -> None:
     image, boxes = rendered

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vehanchor.detection.scene_scale import (
     FACTORS,
-    MOST_TILES,
+    MAX_TILES,
     TILE_PX,
     SceneCalibration,
     SceneScalePrior,
@@ -63,7 +63,7 @@ def test_every_level_that_holds_a_tile_has_tiles(width: int, height: int) -> Non
     expected = [factor for factor in FACTORS if min(width, height) >= TILE_PX * factor]
     assert [factor for factor, _ in levels] == expected
     for _, windows in levels:
-        assert 1 <= len(windows) <= MOST_TILES
+        assert 1 <= len(windows) <= MAX_TILES
 
 
 @pytest.mark.parametrize(("width", "height"), _SIZES)
