@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vehanchor.courts.find import Proposal, courts_among
+from vehanchor.courts.find import courts_among
+from vehanchor.courts.network import Proposal
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.raster import Raster
 from vehanchor.models.session import run_session
@@ -51,7 +52,7 @@ def _each_image_is_looked_at_once() -> Iterator[None]:
         return list(seen[key])
 
     with pytest.MonkeyPatch.context() as patches:
-        for module in ("courts.find", "detection.scene_scale"):
+        for module in ("courts.network", "detection.scene_scale"):
             patches.setattr(f"vehanchor.{module}.run_session", ran)
         patches.setattr("vehanchor.courts.find.courts_among", fitted)
         yield

@@ -1,4 +1,4 @@
-"""Places full of equal things of a car's shape and not of its size, drawn with the scene's own painter."""
+"""Yards full of equal things that have the shape of cars but not their size."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from research.scenes.sprites import Sun
 from research.scenes.world import Box, Frame, Material, PlacedVehicle, Rgb, Surface, World
 
 Yard = Literal["lorries", "buses", "caravans", "containers", "boats", "roof units"]
-YARDS: dict[Yard, tuple[float, float]] = {  # length and width of one, metres
+# Length and width of one thing, metres.
+YARDS: dict[Yard, tuple[float, float]] = {
     "lorries": (16.0, 2.55),
     "buses": (12.0, 2.55),
     "caravans": (7.0, 2.3),
@@ -24,31 +25,21 @@ YARDS: dict[Yard, tuple[float, float]] = {  # length and width of one, metres
     "roof units": (2.4, 1.2),
 }
 EQUAL_CARS = (4.6, 1.85)
-"""Length and width of the hire cars of ``paint_yard``, metres: of one make and paint."""
+"""Length and width of the hire cars of ``paint_yard``, metres: all of one make and paint."""
 
+_WHITE: Rgb = (226, 228, 228)
 _BODIES: dict[str, str] = {"lorries": "semitrailer", "buses": "bus", "caravans": "caravan"}
 _GROUND: dict[str, tuple[Rgb, Material]] = {
     "boats": ((62, 92, 104), Material.WATER),
     "roof units": ((150, 146, 140), Material.GRAVEL),
 }
 _PAINTS: tuple[Rgb, ...] = (
-    (226, 228, 228),
+    _WHITE,
     (150, 60, 50),
     (52, 88, 130),
     (196, 140, 60),
     (120, 124, 128),
 )
-
-
-def _outline(yard: Yard, frame: Frame, length: float, width: float) -> NDArray[np.float64]:
-    half = length / 2
-    side = width / 2
-    if yard == "boats":  # a pointed bow
-        bow = [(half, 0.0), (0.55 * half, 0.75 * side), (0.15 * half, side)]
-        return frame.points(
-            [*bow, (-half, 0.85 * side), (-half, -0.85 * side), *((x, -y) for x, y in bow[:0:-1])]
-        )
-    return frame.points([(half, side), (-half, side), (-half, -side), (half, -side)])
 
 
 def paint_yard(
@@ -69,48 +60,82 @@ def paint_yard(
     extent = side_px * gsd_m_per_px
     length, width = EQUAL_CARS if yard == "equal cars" else YARDS[yard]
     rgb, material = _GROUND.get(yard, ((98, 98, 100), Material.ASPHALT))
-    around = np.array(
-        [(-9, -9), (extent + 9, -9), (extent + 9, extent + 9), (-9, extent + 9)], dtype=np.float64
-    )
-    world = World(surfaces=[Surface(around, rgb, material)])
+    corners = [(-9, -9), (extent + 9, -9), (extent + 9, extent + 9), (-9, extent + 9)]
+    world = World(surfaces=[Surface(np.array(corners, dtype=np.float64), rgb, material)])
     turn = float(rng.uniform(0.1, 0.5))
+    middle = Frame(extent / 2, extent / 2, turn)
     fleet = Fleet(4.6, rng)
-    pitch_x = width * 1.45
-    pitch_y = length * 1.35
     reach = extent / math.sqrt(2) + length
-    for x in np.arange(-reach, reach, pitch_x):
-        for y in np.arange(-reach, reach, pitch_y):
+    for x in np.arange(-reach, reach, width * 1.45):
+        for y in np.arange(-reach, reach, length * 1.35):
+            # Some places are free.
             if rng.random() < 0.15:
                 continue
-            middle = Frame(extent / 2, extent / 2, turn)
             frame = middle.at(
                 x + rng.uniform(-0.1, 0.1),
                 y + rng.uniform(-0.3, 0.3),
                 math.pi / 2 + rng.normal(0, 0.02),
             )
             if yard == "equal cars":
-                model = VehicleModel(
-                    "small-vehicle", "sedan", length_m=length, width_m=width, paint=(226, 228, 228)
-                )
-                world.vehicles.append(PlacedVehicle(model, frame.x, y=frame.y, angle=frame.angle))
+                _place_vehicle(world, frame, "small-vehicle", "sedan", (length, width), _WHITE)
             elif yard in _BODIES:
-                paint = fleet.large(_BODIES[yard]).paint
-                model = VehicleModel(
-                    "large-vehicle", _BODIES[yard], length_m=length, width_m=width, paint=paint
-                )
-                world.vehicles.append(PlacedVehicle(model, frame.x, y=frame.y, angle=frame.angle))
+                body = _BODIES[yard]
+                paint = fleet.large(body).paint
+                _place_vehicle(world, frame, "large-vehicle", body, (length, width), paint)
+            elif yard == "containers":
+                paint = _PAINTS[rng.integers(len(_PAINTS))]
+                outline = _outline(yard, frame, length, width)
+                world.boxes.append(Box(outline, 2.6, paint))
             else:
-                paint = _PAINTS[rng.integers(len(_PAINTS))] if yard == "containers" else _PAINTS[0]
-                height = 2.6 if yard == "containers" else 1.0
-                world.boxes.append(Box(_outline(yard, frame, length, width), height, paint))
-                # a cockpit, a fan: something dark in the middle, as windows are
-                if yard != "containers":
-                    inner = _outline(
-                        "containers", frame.at(-0.08 * length, 0), 0.4 * length, 0.6 * width
-                    )
-                    world.boxes.append(Box(inner, height + 0.05, (70, 74, 80)))
+                _place_thing(world, frame, yard, length, width)
+    return _photograph(world, gsd_m_per_px, side_px, rng)
+
+
+def _place_vehicle(
+    world: World,
+    frame: Frame,
+    kind: Literal["small-vehicle", "large-vehicle"],
+    body: str,
+    size_m: tuple[float, float],
+    paint: Rgb,
+) -> None:
+    """Place a vehicle of a given length and width."""
+    length, width = size_m
+    model = VehicleModel(kind, body, length_m=length, width_m=width, paint=paint)
+    world.vehicles.append(PlacedVehicle(model, frame.x, y=frame.y, angle=frame.angle))
+
+
+def _place_thing(world: World, frame: Frame, yard: Yard, length: float, width: float) -> None:
+    """Place a boat or a roof unit: something dark in its middle resembles windows."""
+    height = 1.0
+    world.boxes.append(Box(_outline(yard, frame, length, width), height, _WHITE))
+    inner = frame.at(-0.08 * length, 0)
+    outline = _outline("containers", inner, 0.4 * length, 0.6 * width)
+    world.boxes.append(Box(outline, height + 0.05, (70, 74, 80)))
+
+
+def _outline(yard: Yard, frame: Frame, length: float, width: float) -> NDArray[np.float64]:
+    """Compute the corners of a thing; boats have a pointed bow."""
+    half = length / 2
+    side = width / 2
+    if yard != "boats":
+        return frame.points([(half, side), (-half, side), (-half, -side), (half, -side)])
+    tip = (half, 0.0)
+    shoulder = (0.55 * half, 0.75 * side)
+    beam = (0.15 * half, side)
+    stern = (-half, 0.85 * side)
+    port = [shoulder, beam, stern]
+    starboard = [(x, -y) for x, y in reversed(port)]
+    return frame.points([tip, *port, *starboard])
+
+
+def _photograph(
+    world: World, gsd_m_per_px: float, side_px: int, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Paint a world at twice the resolution, reduce it and add noise."""
     over = 2
     painter = Painter(world, Sun(1.0, math.radians(48)), rng=rng, px_per_m=over / gsd_m_per_px)
     tile = painter.paint(0.0, 0.0, side_px * over, side_px * over)
     image = cv2.resize(tile.rgb, (side_px, side_px), interpolation=cv2.INTER_AREA)
-    return np.asarray(np.clip(image + rng.normal(0, 3, image.shape), 0, 255), dtype=np.uint8)
+    noisy = image + rng.normal(0, 3, image.shape)
+    return np.asarray(np.clip(noisy, 0, 255), dtype=np.uint8)

@@ -26,7 +26,7 @@ from research.results.record import add_record_option, recording
 from research.scenes import render_scene
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
-from vehanchor.detection.scheduler import search_levels
+from vehanchor.detection.levels import search_levels
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import read_reduced_window, tile_grid
 from vehanchor.models.zoo import resolve_model

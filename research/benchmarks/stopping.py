@@ -24,18 +24,16 @@ from research.results.record import add_record_option, header, recording
 from vehanchor.analysis.convergence import convergence, has_converged, stop_rule
 from vehanchor.detection.detections import Appearance, Detections
 from vehanchor.detection.detector import load_detector
+from vehanchor.detection.levels import level_shares, search_levels
 from vehanchor.detection.scheduler import (
     LARGE_PIXELS,
     TileScheduler,
-    car_prior,
     first_pause,
-    level_shares,
     most_tiles,
     next_pause,
-    search_levels,
-    tile_prior_of,
 )
 from vehanchor.detection.search import ImageSearch
+from vehanchor.detection.tile_prior import car_prior, tile_prior_of
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.imagery.tiles import tile_grid

@@ -24,7 +24,7 @@ from vehanchor.analysis.pipeline import (
     checked_detector,
     estimate_each,
 )
-from vehanchor.courts.find import load_court_network
+from vehanchor.courts.network import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError

@@ -4,7 +4,7 @@
 
 A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of
 the resolution, on the train split of the sets of known scale; prints the two numbers of
-``vehanchor.detection.scheduler``, and the area under the curve on train and val.
+``vehanchor.detection.tile_prior``, and the area under the curve on train and val.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from research.training.logistic import area, logistic
-from vehanchor.detection.scheduler import NOISE_GRADIENT, gradient
+from vehanchor.detection.tile_prior import NOISE_GRADIENT, gradient
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

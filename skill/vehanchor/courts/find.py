@@ -1,333 +1,95 @@
-"""Courts of an image: proposed by a small network at low resolution, then matched, fitted and verified by their lines.
+"""Courts of an image: proposed by a network, then matched, fitted and verified by their lines.
 
-The network sees the image at 0.38 to 0.88 m/px, where a court is 27 to 62 px long and its lines are
-hardly visible.
+1. The court network proposes poses in the reduced image.
+2. Around a proposal, the templates of all games are matched with the lines.
+3. The best matches are fitted at finer resolutions, up to a fraction of a pixel.
+4. A court counts if its lines, its arcs and its shape are as the rules of the game demand.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
+from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
 
 from vehanchor.courts.fit import AFFINE, SIMILARITY, fit, pose_matrix, project
-from vehanchor.courts.match import BASKETBALL, TENNIS, Pose, match
-from vehanchor.detection.scheduler import WINDOWED_PIXELS
-from vehanchor.errors import ModelContractError
+from vehanchor.courts.match import match
+from vehanchor.courts.network import coarse_factors, load_court_network
+from vehanchor.courts.templates import BASKETBALL, LENGTHS_M, TENNIS, Pose
 from vehanchor.imagery.raster import Window
-from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
-from vehanchor.models.files import file_cached, read_model
-from vehanchor.models.runtime import LoadedModel, Runtime
-from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import COURTS
-from vehanchor.scale.density import quantile
+from vehanchor.imagery.tiles import read_reduced_window
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from vehanchor.courts.fit import Fit
-    from vehanchor.courts.match import Template
+    from vehanchor.courts.network import Proposal
+    from vehanchor.courts.templates import Template
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
+    from vehanchor.models.runtime import Runtime
 
-# Ranges of sizes and places; proposals lie at a court's end as often as at its centre.
-_FAR: tuple[NDArray[np.float64], NDArray[np.intp]] = (
-    np.arange(-10.0, 11.0) * 0.04,
-    np.arange(-27, 28, 3),
-)
-_THERE: tuple[NDArray[np.float64], NDArray[np.intp]] = np.arange(-1.0, 2.0) * 0.01, np.arange(-1, 2)
-_MOST_COURTS = 4
-# best proposals to try; fewer if the scale is known
-_MOST_PROPOSALS = 20
-_MOST_OF_ONE_SIZE = 6
-_MOST_REJECTED = 4  # rejected candidates in a row before the search ends
-# a court is fitted at the coarsest resolution that makes it this long, if there is one
+# Search around a proposal: log sizes, and pixels to either side. Proposals lie at a court's end as
+# often as at its centre.
+_WIDE_LOG_SIZES: NDArray[np.float64] = np.arange(-10.0, 11.0) * 0.04
+_WIDE_PLACES: NDArray[np.intp] = np.arange(-27, 28, 3)
+# Search around a fitted court.
+_CLOSE_LOG_SIZES: NDArray[np.float64] = np.arange(-1.0, 2.0) * 0.01
+_CLOSE_PLACES: NDArray[np.intp] = np.arange(-1, 2)
+
+_MAX_COURTS = 4
+# Best proposals to try; fewer if the scale is known.
+_MAX_PROPOSALS = 20
+_MAX_PROPOSALS_OF_ONE_SIZE = 6
+# Rejected candidates in a row before the search ends.
+_MAX_REJECTED = 4
+# Least length of a court, pixels. In shorter ones the lines are a pixel or two apart, as in many
+# textures.
+_MIN_PX = 60.0
+# Least length of a court for matching, if the image has that resolution.
+_MATCHED_PX = 72.0
+# A court is fitted at the coarsest resolution that makes it this long, if there is one.
 _FITTED_PX = 220.0
-_AROUND = 0.6  # of a court's length: radius for the directions of its lines
-# least length of a court; in shorter ones the lines are a pixel or two apart, as in many textures
-_LEAST_PX = 60.0
-_MATCHED_PX = 72.0  # least length of a court for matching, if the image has that resolution
-_MARGIN = 1.5  # half side of the patch, in half diagonals of the court
+# Radius of the neighbourhood that shows the directions of a court's lines, in court lengths.
+_AROUND = 0.6
+# Half side of a patch, in half diagonals of the court.
+_MARGIN = 1.5
+# A proposal within this part of a court's length of a better one is the same court.
+_SAME_COURT = 1 / 4
+# Part of a court, around its centre, in which the centre of another court cannot lie.
+_CENTRAL = 0.6
 
-_WORTH_A_FIT = 0.3
-_LEAST_SCORE = 0.55  # the maximum over 232 training images without a court is 0.50
-# roofs with grids reached 0.63; straight lines also form grids in yards and car parks
-_LEAST_COVERAGE = 0.68
-_SEEN_ARCS = 0.5
-_MOST_DISTORTION = 0.06
+# Least score of a match that is fitted.
+_MIN_MATCH_SCORE = 0.3
+# Least score of a court; the maximum over 232 training images without a court is 0.50.
+_MIN_SCORE = 0.55
+# Least coverage of the lines: roofs with grids reached 0.63. Straight lines form grids in yards and
+# car parks, too, so the arcs of a basketball court must be covered.
+_MIN_COVERAGE = 0.68
+_MIN_ARC_COVERAGE = 0.5
+# Largest log stretch or shear of an affine fit.
+_MAX_DISTORTION = 0.06
+
+# Histogram of the directions of gradients: bins of a quarter turn, 2 degrees each.
 _QUARTER = math.pi / 2
-_BINS = 45  # of a quarter turn: 2 degrees each
-_SMOOTH_PX = 1.2  # the pixel steps of a thin line have spurious directions
-# in Scharr sums, about ten grey levels: one shadow's edge must not outweigh all painted lines
-_CLEAREST = 160.0
-# share of the patch that is texture and noise; rounded grey levels have spurious directions
-_NO_EDGE = 0.7
-_SECOND = 0.8  # share of the strongest direction that a second one needs
+_BINS = 45
+# Smoothing, pixels: the pixel steps of a thin line have spurious directions.
+_SMOOTH_PX = 1.2
+# Largest weight of a gradient, in Scharr sums: about ten grey levels. The edge of one shadow must
+# not outweigh all painted lines.
+_MAX_STEEPNESS = 160.0
+# Share of the patch that is texture and noise; rounded grey levels have spurious directions.
+_TEXTURE_SHARE = 0.7
+# Share of the strongest direction that a second one needs, and its least distance, bins.
+_SECOND_SHARE = 0.8
 _APART_BINS = 5
-# side of the network's cells, and the unit of its lengths: research/training/courts/network.py
-_CELL_PX = 8
-_LENGTH_PX = 44.0
-_BEST_GSD_M_PER_PX = 0.58  # the middle of its training range: research/training/courts/data.py
-_FACTORS = (2, 4, 8, 16)  # one octave of scales each: images of 0.02 to 0.44 m/px
-# up to this image size all factors are searched, whatever the scene-scale prior
-_MOST_PIXELS_ALL_FACTORS = 1_500_000
-# of the reduced image; tiles overlap by two courts
-_TILE_PX = 1088
-_STRIDE_PX = 960
-_LEAST_SHARE = 0.25
-_MIN_SIDE_PX = 24
-LENGTHS_M = (TENNIS.length_m, BASKETBALL[0].length_m)
-
-
-class _Patch(NamedTuple):
-    """Grey levels around a court, reduced by ``factor``; its first pixel is at (left, top) of the reduced image."""
-
-    grey: NDArray[np.float32]
-    factor: int
-    left: int
-    top: int
-
-    def inside(self, pose: Pose) -> Pose:
-        """Convert a pose from the image to the patch."""
-        x, y = ((value + 0.5) / self.factor - 0.5 for value in (pose.x, pose.y))
-        return Pose(x - self.left, y - self.top, pose.angle, pose.px_per_m / self.factor)
-
-    def in_image(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert points from the patch (0 is a pixel's centre) to the image (0 is its left and upper edge)."""
-        return np.asarray((points + (self.left, self.top) + 0.5) * self.factor)
-
-    def outside(self, pose: Pose) -> Pose:
-        """Convert a pose from the patch to the image."""
-        x, y = (
-            (value + 0.5) * self.factor - 0.5 for value in (pose.x + self.left, pose.y + self.top)
-        )
-        return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
-
-
-class _Match(NamedTuple):
-    """Match of a game's template with a patch: score, pose, and the game's templates, the matched one first."""
-
-    score: float
-    patch: _Patch
-    pose: Pose
-    game: tuple[Template, ...]
-
-
-def find_courts(
-    raster: Raster, prior: SceneScalePrior | None = None, runtime: Runtime | None = None
-) -> list[Court]:
-    """Find and measure the courts that lie completely inside an image taken at nadir.
-
-    Args:
-        raster: the image.
-        prior: scene-scale prior; None without one.
-        runtime: of the network that proposes courts; None for the defaults.
-
-    Returns:
-        At most four courts, the highest score first. Half hidden courts and courts at the image's
-        edge are left out.
-    """
-    network = load_court_network(runtime)
-    factors = coarse_factors(raster, prior)
-    proposals = [each for factor in factors for each in network.propose(raster, factor)]
-    return courts_among(raster, proposals, n_sizes=len(factors))
-
-
-def courts_among(raster: Raster, proposals: Sequence[Proposal], *, n_sizes: int = 1) -> list[Court]:
-    """Measure the courts among proposals; see ``find_courts``.
-
-    Args:
-        raster: the image.
-        proposals: in no order.
-        n_sizes: number of reduction factors that were searched.
-    """
-    best = islice(_distinct(proposals), _MOST_OF_ONE_SIZE if n_sizes == 1 else _MOST_PROPOSALS)
-    matches = [each for proposal in best for each in _matches(raster, proposal)]
-    found: list[Court] = []
-    rejected = 0
-    for one in sorted(matches, key=lambda each: -each.score):
-        if rejected == _MOST_REJECTED or len(found) == _MOST_COURTS:
-            break
-        if any(_lies_in(one.patch.outside(one.pose)[:2], court) for court in found):
-            continue
-        court = _measured(raster, one)
-        rejected = 0 if court else rejected + 1
-        if court is not None and not any(
-            _lies_in(court.corners.mean(axis=0).tolist(), other) for other in found
-        ):
-            found.append(court)
-    return sorted(found, key=lambda court: -court.score)
-
-
-def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
-    """Yield proposals by falling score, without those within a quarter court length of a better one of like size.
-
-    This is lazy because large images have thousands of proposals and the first few suffice.
-    """
-    kept: list[Proposal] = []
-    for one in sorted(proposals, key=lambda each: -each.share):
-        near = TENNIS.length_m / 4 * one.pose.px_per_m
-        if not any(
-            other.factor == one.factor
-            and math.hypot(one.pose.x - other.pose.x, one.pose.y - other.pose.y) < near
-            for other in kept
-        ):
-            kept.append(one)
-            yield one
-
-
-def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
-    """Match the templates of all games near a proposal, the best first; empty if there are too few lines."""
-    games = ((TENNIS,), BASKETBALL)[:: -1 if proposal.which else 1]
-    firsts = [game[0] for game in games]  # the first template represents its game in the search
-    length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
-    # the largest that still shows the lines
-    factor = 2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX)))
-    patch = _read(raster, proposal.pose, firsts[0], factor)
-    start = patch.inside(proposal.pose)
-    turned = axes(patch.grey, start.x, start.y, _AROUND * firsts[0].length_m * start.px_per_m)
-    angles = [axis + quarter for axis in turned for quarter in (0.0, math.pi / 2)]
-    matched = match(patch.grey, firsts, start, *_FAR, angles)
-    matches = [
-        _Match(score, patch, pose=pose, game=game)
-        for (score, pose), game in zip(matched, games, strict=True)
-    ]
-    return sorted(
-        (each for each in matches if each.score >= _WORTH_A_FIT), key=lambda each: -each.score
-    )
-
-
-def _measured(raster: Raster, found: _Match) -> Court | None:
-    """Measure the court near a match with the game's best template; None if the lines do not support it."""
-    _, patch, pose, templates = found
-    first = fit(patch.grey, templates[0], pose_matrix(pose), SIMILARITY)
-    if templates[0].length_m * first.px_per_m * patch.factor < _LEAST_PX:
-        return None
-    there = _pose(first.matrix)
-    score, pose = max(
-        match(patch.grey, templates, there, *_THERE, [there.angle]), key=lambda each: each[0]
-    )
-    if score < _LEAST_SCORE:
-        return None
-    fits = [(kind, *_fitted(raster, kind, patch=patch, pose=pose)) for kind in templates]
-    template, seen, patch = max(fits, key=lambda each: each[1].coverage)
-    corners = patch.in_image(project(seen.matrix, template.outline))
-    if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
-        return None
-    arcs = seen.line_coverage[len(template.lines) :]
-    if (
-        seen.coverage < _LEAST_COVERAGE
-        or (len(arcs) and arcs.mean() < _SEEN_ARCS)
-        or not math.isfinite(seen.log_sd)
-    ):
-        return None
-    if not fit(patch.grey, template, seen.matrix, AFFINE).distortion <= _MOST_DISTORTION:
-        return None
-    gsd = float(1.0 / (seen.px_per_m * patch.factor))
-    return Court(
-        template.kind, corners, template.length_m, template.width_m, gsd, seen.log_sd, score
-    )
-
-
-def _fitted(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
-    """Fit at the resolution of the match, then at finer ones while the image has more pixels."""
-    seen = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
-    while patch.factor > 1 and template.length_m * seen.px_per_m < _FITTED_PX:
-        finer = _read(raster, patch.outside(_pose(seen.matrix)), template, patch.factor // 2)
-        seen = fit(
-            finer.grey,
-            template,
-            pose_matrix(finer.inside(patch.outside(_pose(seen.matrix)))),
-            SIMILARITY,
-        )
-        patch = finer
-    return seen, patch
-
-
-def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
-    """Read the patch that covers the whole search range of a court, clipped to the image."""
-    half = (
-        math.hypot(template.length_m, template.width_m) / 2 * pose.px_per_m / factor * _MARGIN
-        + _FAR[1][-1]
-    )
-    x = (pose.x + 0.5) / factor
-    y = (pose.y + 0.5) / factor
-    width = raster.width_px // factor
-    height = raster.height_px // factor
-    left, top = (
-        int(np.clip(value - half, 0, size - 1)) for value, size in ((x, width), (y, height))
-    )
-    right, bottom = (
-        int(np.clip(value + half, low + 1, size))
-        for value, low, size in ((x, left, width), (y, top, height))
-    )
-    pixels = read_reduced_window(
-        raster, Window(left, top, width_px=right - left, height_px=bottom - top), factor
-    )
-    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    return _Patch(np.asarray(grey, np.float32), factor, left=left, top=top)
-
-
-def _pose(matrix: NDArray[np.float64]) -> Pose:
-    """Convert a similarity matrix to a pose."""
-    (a, _, x), (c, _, y) = matrix[:2]
-    return Pose(float(x), float(y), math.atan2(c, a), math.hypot(a, c))
-
-
-def _lies_in(centre: Sequence[float], court: Court) -> bool:
-    """Test whether a point lies in the central part of a court."""
-    corners = court.corners - court.corners.mean(axis=0)
-    outline = np.asarray(court.corners.mean(axis=0) + 0.6 * corners, np.float32)
-    return cv2.pointPolygonTest(outline, tuple(centre), measureDist=False) >= 0
-
-
-def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[float]:
-    """Find the possible orientations of a rectangle of lines from the gradients around a point.
-
-    Args:
-        grey: ``[h, w]`` grey levels.
-        x: column of the point (0 is the centre of the first pixel).
-        y: row of the point.
-        radius: radius of the neighbourhood, pixels.
-
-    Returns:
-        One or two angles, radians from 0 to a quarter turn, the strongest first; each includes its
-        perpendicular.
-    """
-    rows, columns = np.ogrid[: grey.shape[0], : grey.shape[1]]
-    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
-    smoothed = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
-    across, down = (
-        np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, *order))[near] for order in ((1, 0), (0, 1))
-    )
-    steepness = np.hypot(across, down)
-    clear = steepness > np.quantile(steepness, _NO_EDGE)
-    weights = np.minimum(steepness[clear], _CLEAREST)
-    turned = np.arctan2(down[clear], across[clear]) % _QUARTER
-    cells = (turned / _QUARTER * _BINS).astype(np.intp) % _BINS
-    counts = np.bincount(cells, weights, _BINS)
-    smooth = (np.roll(counts, 1) + 2 * counts + np.roll(counts, -1)) / 4
-    found: list[float] = []
-    left = smooth.copy()
-    while len(found) < 2:
-        peak = int(left.argmax())
-        if found and left[peak] < _SECOND * smooth.max():
-            break
-        before = smooth[peak - 1]
-        top = smooth[peak]
-        after = smooth[(peak + 1) % _BINS]
-        bend = before - 2 * top + after
-        shift = (before - after) / (2 * bend) if bend < 0 else 0.0
-        found.append((peak + 0.5 + shift) * _QUARTER / _BINS)
-        left[(peak + np.arange(-_APART_BINS, _APART_BINS + 1)) % _BINS] = 0.0
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,128 +115,343 @@ class Court:
     log_sd: float
     score: float
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Mean of the corners."""
+        x, y = self.corners.mean(axis=0).tolist()
+        return x, y
 
-class Proposal(NamedTuple):
-    """Candidate for a court.
+
+class _Patch(NamedTuple):
+    """Patch of an image around a court.
 
     Attributes:
-        which: 0 for tennis, 1 for basketball.
-        share: 0..1, score of the network.
-        pose: in pixels of the image.
-        factor: reduction factor at which the candidate was found.
+        grey: ``[h, w]`` grey levels.
+        factor: reduction factor of the image.
+        left: column of the first pixel in the reduced image.
+        top: row of the first pixel in the reduced image.
     """
 
-    which: int
-    share: float
-    pose: Pose
+    grey: NDArray[np.float32]
     factor: int
+    left: int
+    top: int
+
+    def pose_in_patch(self, pose: Pose) -> Pose:
+        """Convert a pose from the image to the patch."""
+        x = (pose.x + 0.5) / self.factor - 0.5
+        y = (pose.y + 0.5) / self.factor - 0.5
+        return Pose(x - self.left, y - self.top, pose.angle, pose.px_per_m / self.factor)
+
+    def pose_in_image(self, pose: Pose) -> Pose:
+        """Convert a pose from the patch to the image."""
+        x = (pose.x + self.left + 0.5) * self.factor - 0.5
+        y = (pose.y + self.top + 0.5) * self.factor - 0.5
+        return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
+
+    def points_in_image(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert points from the patch to the image.
+
+        In the patch, 0 is the centre of the first pixel; in the image, its left and upper edge.
+        """
+        return np.asarray((points + (self.left, self.top) + 0.5) * self.factor)
 
 
-def coarse_factors(raster: Raster, prior: SceneScalePrior | None) -> list[int]:
-    """Choose the reduction factors for the court network.
+class _Match(NamedTuple):
+    """Match of a game's template with a patch.
 
-    For large images the scene-scale prior, if there is one, selects a single factor.
+    Attributes:
+        score: score of the match, at most 1.
+        patch: the patch.
+        pose: pose of the court in the patch.
+        game: templates of the game, the matched one first.
+    """
+
+    score: float
+    patch: _Patch
+    pose: Pose
+    game: tuple[Template, ...]
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Centre of the court in the image."""
+        pose = self.patch.pose_in_image(self.pose)
+        return pose.x, pose.y
+
+
+def find_courts(
+    raster: Raster, prior: SceneScalePrior | None = None, runtime: Runtime | None = None
+) -> list[Court]:
+    """Find and measure the courts that lie completely inside an image taken at nadir.
 
     Args:
         raster: the image.
         prior: scene-scale prior; None without one.
+        runtime: of the network that proposes courts; None for the defaults.
 
     Returns:
-        Factors, the finest first.
+        At most four courts, the highest score first. Half hidden courts and courts at the image's
+        edge are left out.
     """
-    side = min(raster.width_px, raster.height_px)
-    factors = [factor for factor in _FACTORS if side // factor >= _MIN_SIDE_PX]
-    if prior is None or raster.width_px * raster.height_px <= _MOST_PIXELS_ALL_FACTORS:
-        return factors
-    median = quantile(prior.density, 0.5)
-    return (
-        [min(factors, key=lambda factor: abs(math.log(median * factor / _BEST_GSD_M_PER_PX)))]
-        if factors
-        else []
+    network = load_court_network(runtime)
+    factors = coarse_factors(raster, prior)
+    proposals: list[Proposal] = []
+    for factor in factors:
+        proposals += network.propose(raster, factor)
+    return courts_among(raster, proposals, n_sizes=len(factors))
+
+
+def courts_among(raster: Raster, proposals: Sequence[Proposal], *, n_sizes: int = 1) -> list[Court]:
+    """Measure the courts among proposals; see ``find_courts``.
+
+    Args:
+        raster: the image.
+        proposals: in no order.
+        n_sizes: number of reduction factors that were searched.
+    """
+    n_proposals = _MAX_PROPOSALS
+    if n_sizes == 1:
+        n_proposals = _MAX_PROPOSALS_OF_ONE_SIZE
+    matches: list[_Match] = []
+    for proposal in islice(_distinct(proposals), n_proposals):
+        matches += _matches(raster, proposal)
+    matches.sort(key=lambda candidate: -candidate.score)
+
+    courts: list[Court] = []
+    n_rejected = 0
+    for candidate in matches:
+        if n_rejected == _MAX_REJECTED or len(courts) == _MAX_COURTS:
+            break
+        if _lies_in_any(candidate.centre, courts):
+            continue
+        court = _measured_court(raster, candidate)
+        if court is None:
+            n_rejected += 1
+            continue
+        n_rejected = 0
+        # The fit may have moved to a court that was found before.
+        if not _lies_in_any(court.centre, courts):
+            courts.append(court)
+    return sorted(courts, key=lambda court: -court.score)
+
+
+def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
+    """Yield proposals by falling score, without those near a better one of like size.
+
+    This is lazy because large images have thousands of proposals and the first few suffice.
+    """
+    kept: list[Proposal] = []
+    for proposal in sorted(proposals, key=lambda proposal: -proposal.share):
+        if not any(_is_same(proposal, better) for better in kept):
+            kept.append(proposal)
+            yield proposal
+
+
+def _is_same(proposal: Proposal, better: Proposal) -> bool:
+    """Test whether a proposal is near a better one of like size."""
+    if better.factor != proposal.factor:
+        return False
+    distance_px = math.hypot(proposal.pose.x - better.pose.x, proposal.pose.y - better.pose.y)
+    return distance_px < TENNIS.length_m * _SAME_COURT * proposal.pose.px_per_m
+
+
+def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
+    """Match the templates of all games near a proposal.
+
+    Returns:
+        The matches, the best first; empty if there are too few lines.
+    """
+    # The proposed game is the first: its size is that of the pose.
+    games = [(TENNIS,), BASKETBALL]
+    if proposal.which:
+        games.reverse()
+    # The first template represents its game in the search.
+    templates = [game[0] for game in games]
+    length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
+    # The coarsest resolution that still shows the lines.
+    factor = 2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX)))
+    patch = _read(raster, proposal.pose, templates[0], factor)
+    start = patch.pose_in_patch(proposal.pose)
+    radius_px = _AROUND * templates[0].length_m * start.px_per_m
+    directions = axes(patch.grey, start.x, start.y, radius_px)
+    # Either side of the rectangle may be the long one.
+    angles = [direction + turn for direction in directions for turn in (0.0, _QUARTER)]
+    matched = match(
+        patch.grey,
+        templates,
+        start=start,
+        log_sizes=_WIDE_LOG_SIZES,
+        places=_WIDE_PLACES,
+        angles=angles,
+    )
+    matches = [
+        _Match(score, patch, pose=pose, game=game)
+        for (score, pose), game in zip(matched, games, strict=True)
+        if score >= _MIN_MATCH_SCORE
+    ]
+    return sorted(matches, key=lambda candidate: -candidate.score)
+
+
+def _measured_court(raster: Raster, candidate: _Match) -> Court | None:
+    """Measure the court near a match with the game's best template.
+
+    Returns:
+        The court; None if the lines do not support it.
+    """
+    patch = candidate.patch
+    first_template = candidate.game[0]
+    first_fit = fit(patch.grey, first_template, pose_matrix(candidate.pose), SIMILARITY)
+    if first_template.length_m * first_fit.px_per_m * patch.factor < _MIN_PX:
+        return None
+
+    # Match again at the fitted pose: a true court scores high there.
+    fitted_pose = _pose_of(first_fit.matrix)
+    matched = match(
+        patch.grey,
+        candidate.game,
+        start=fitted_pose,
+        log_sizes=_CLOSE_LOG_SIZES,
+        places=_CLOSE_PLACES,
+        angles=[fitted_pose.angle],
+    )
+    score, pose = max(matched, key=itemgetter(0))
+    if score < _MIN_SCORE:
+        return None
+
+    # The rules whose lines are covered best.
+    fits = [_fine_fit(raster, template, patch, pose) for template in candidate.game]
+    best = max(range(len(fits)), key=lambda index: fits[index][0].coverage)
+    template = candidate.game[best]
+    court_fit, patch = fits[best]
+    corners = patch.points_in_image(project(court_fit.matrix, template.outline))
+    if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
+        return None
+    if not _is_supported(court_fit, template, patch):
+        return None
+    return Court(
+        kind=template.kind,
+        corners=corners,
+        length_m=template.length_m,
+        width_m=template.width_m,
+        gsd_m_per_px=float(1.0 / (court_fit.px_per_m * patch.factor)),
+        log_sd=court_fit.log_sd,
+        score=score,
     )
 
 
-class CourtNetwork(LoadedModel):
-    """Network that proposes courts.
+def _is_supported(court_fit: Fit, template: Template, patch: _Patch) -> bool:
+    """Test whether a fit covers the lines and the arcs of a court, and has its shape."""
+    if court_fit.coverage < _MIN_COVERAGE or not math.isfinite(court_fit.log_sd):
+        return False
+    arc_coverage = court_fit.line_coverage[len(template.lines) :]
+    if len(arc_coverage) and arc_coverage.mean() < _MIN_ARC_COVERAGE:
+        return False
+    # With two more degrees of freedom, a true court keeps its proportions and right angles.
+    affine_fit = fit(patch.grey, template, court_fit.matrix, AFFINE)
+    return affine_fit.distortion <= _MAX_DISTORTION
+
+
+def _fine_fit(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
+    """Fit at the resolution of the match, then at finer ones while the image has more pixels."""
+    court_fit = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
+    while patch.factor > 1 and template.length_m * court_fit.px_per_m < _FITTED_PX:
+        pose_in_image = patch.pose_in_image(_pose_of(court_fit.matrix))
+        patch = _read(raster, pose_in_image, template, patch.factor // 2)
+        start = pose_matrix(patch.pose_in_patch(pose_in_image))
+        court_fit = fit(patch.grey, template, start, SIMILARITY)
+    return court_fit, patch
+
+
+def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
+    """Read the patch that covers the whole search range of a court, clipped to the image."""
+    half_diagonal_m = math.hypot(template.length_m, template.width_m) / 2
+    half = half_diagonal_m * pose.px_per_m / factor * _MARGIN + _WIDE_PLACES[-1]
+    x = (pose.x + 0.5) / factor
+    y = (pose.y + 0.5) / factor
+    width = raster.width_px // factor
+    height = raster.height_px // factor
+    left = int(np.clip(x - half, 0, width - 1))
+    top = int(np.clip(y - half, 0, height - 1))
+    right = int(np.clip(x + half, left + 1, width))
+    bottom = int(np.clip(y + half, top + 1, height))
+    window = Window(left, top, width_px=right - left, height_px=bottom - top)
+    pixels = read_reduced_window(raster, window, factor)
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    return _Patch(np.asarray(grey, np.float32), factor, left=left, top=top)
+
+
+def _pose_of(matrix: NDArray[np.float64]) -> Pose:
+    """Convert a similarity matrix to a pose."""
+    cos, _, x = matrix[0]
+    sin, _, y = matrix[1]
+    return Pose(float(x), float(y), math.atan2(sin, cos), math.hypot(cos, sin))
+
+
+def _lies_in_any(point: tuple[float, float], courts: Sequence[Court]) -> bool:
+    """Test whether a point lies in the central part of a court."""
+    for court in courts:
+        middle = court.corners.mean(axis=0)
+        outline = np.asarray(middle + _CENTRAL * (court.corners - middle), np.float32)
+        if cv2.pointPolygonTest(outline, point, measureDist=False) >= 0:
+            return True
+    return False
+
+
+def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[float]:
+    """Find the possible orientations of a rectangle of lines from the gradients around a point.
 
     Args:
-        path: ONNX file with an input ``tiles`` ``[n, 3, h, w]`` uint8 RGB, sides multiples of 8,
-            and an output ``courts`` ``[n, 5, h / 8, w / 8]``: scores of tennis and basketball,
-            cosine and sine of twice the angle, log of the length divided by 44 px.
-        runtime: how to open it; None for the defaults.
+        grey: ``[h, w]`` grey levels.
+        x: column of the point (0 is the centre of the first pixel).
+        y: row of the point.
+        radius: radius of the neighbourhood, pixels.
 
-    Raises:
-        ModelNotFoundError: there is no such file.
-        ModelContractError: the file is not a court network.
+    Returns:
+        One or two angles, radians from 0 to a quarter turn, the strongest first; each includes its
+        perpendicular.
     """
+    rows, columns = np.ogrid[: grey.shape[0], : grey.shape[1]]
+    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
+    smoothed = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
+    across = np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, 1, 0), np.float32)[near]
+    down = np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, 0, 1), np.float32)[near]
+    histogram = _direction_histogram(across, down)
 
-    def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
-        self.path = path
-        self.runtime = runtime or Runtime()
-        self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
-        names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
-        if names != ["tiles", "courts"]:
-            raise ModelContractError(
-                f"{path} has {', '.join(names)}: expected the input tiles and the output courts"
-            )
-
-    def propose(self, raster: Raster, factor: int) -> list[Proposal]:
-        """Propose courts in an image reduced by a factor; large images are read from the file's overviews if possible.
-
-        Args:
-            raster: the image.
-            factor: 1 or more.
-
-        Returns:
-            Proposals in no order; a court in the overlap of two tiles can occur twice.
-        """
-        width = raster.width_px // factor
-        height = raster.height_px // factor
-        read = (
-            read_reduced_window
-            if raster.width_px * raster.height_px < WINDOWED_PIXELS
-            else read_preview
-        )
-        found = []
-        for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
-            pixels = read(raster, window, factor)
-            down = -pixels.shape[0] % _CELL_PX
-            right = -pixels.shape[1] % _CELL_PX
-            pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)))
-            tile = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
-            described = f"the court network {self.path} fails on {list(tile.shape)}"
-            (seen,) = run_session(
-                self._session,
-                None,
-                feeds={"tiles": tile},
-                runtime=self.runtime,
-                described=described,
-            )
-            found += _peaks(seen[0], factor, left=window.x_px, top=window.y_px)
-        return found
+    # Peaks of the histogram, each with the maximum of a parabola through it and its neighbours.
+    directions: list[float] = []
+    rest = histogram.copy()
+    while len(directions) < 2:
+        peak = int(rest.argmax())
+        if directions and rest[peak] < _SECOND_SHARE * histogram.max():
+            break
+        before = histogram[peak - 1]
+        after = histogram[(peak + 1) % _BINS]
+        bend = before - 2 * histogram[peak] + after
+        shift = 0.0
+        if bend < 0:
+            shift = (before - after) / (2 * bend)
+        directions.append((peak + 0.5 + shift) * _QUARTER / _BINS)
+        around_peak = (peak + np.arange(-_APART_BINS, _APART_BINS + 1)) % _BINS
+        rest[around_peak] = 0.0
+    return directions
 
 
-_opened = file_cached(max_models=2)(CourtNetwork)
+def _direction_histogram(
+    across: NDArray[np.float32], down: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """Compute the smoothed histogram of the directions of clear gradients, modulo a quarter turn.
 
+    Args:
+        across: ``[n]`` gradients along +x.
+        down: ``[n]`` gradients along +y.
 
-def load_court_network(runtime: Runtime | None = None) -> CourtNetwork:
-    """Load the bundled network once for each runtime, on one thread."""
-    # one thread: the network is small, and must not occupy all cores of a single-threaded worker
-    chosen = replace(runtime or Runtime(), threads=1)
-    return _opened(COURTS, runtime=chosen.idle).under(chosen)
-
-
-def _peaks(seen: NDArray[np.float32], factor: int, left: int, top: int) -> list[Proposal]:
-    """Find the cells of a tile that score above their neighbours; (left, top) is its corner in the reduced image."""
-    found = []
-    for which, shares in enumerate(seen[:2]):
-        highest = cv2.dilate(shares, np.ones((3, 3)))
-        for row, column in zip(
-            *np.nonzero((shares >= highest) & (shares >= _LEAST_SHARE)), strict=True
-        ):
-            cos, sin, log_length = (float(value) for value in seen[2:, row, column])
-            length_px = _LENGTH_PX * math.exp(min(max(log_length, -1.0), 1.0)) * factor
-            x, y = ((left, top) + (np.array((column, row)) + 0.5) * _CELL_PX) * factor - 0.5
-            pose = Pose(float(x), float(y), math.atan2(sin, cos) / 2, length_px / LENGTHS_M[which])
-            found.append(Proposal(which, float(shares[row, column]), pose=pose, factor=factor))
-    return found
+    Returns:
+        ``[bins]`` weights.
+    """
+    steepness = np.hypot(across, down)
+    is_clear = steepness > np.quantile(steepness, _TEXTURE_SHARE)
+    weights = np.minimum(steepness[is_clear], _MAX_STEEPNESS)
+    directions = np.arctan2(down[is_clear], across[is_clear]) % _QUARTER
+    bins = (directions / _QUARTER * _BINS).astype(np.intp) % _BINS
+    counts = np.bincount(bins, weights, _BINS)
+    return (np.roll(counts, 1) + 2 * counts + np.roll(counts, -1)) / 4

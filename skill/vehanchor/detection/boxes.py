@@ -18,31 +18,39 @@ from vehanchor.scale.defaults import NMS_IOU
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# at smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU
+# At smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU.
 _PARALLEL_RAD = 2e-4
-_BLOCK_OVERLAPS = 16_384  # pairs whose overlaps are computed at once, in 30 MiB
-_FEW_PAIRS = 1 << 20  # that are compared at once, in 30 MiB
-_MOST_CELLS = 1 << 20  # of a column, and columns
-_MOST_PAIRS = 20_000_000  # that are near each other
+# Pairs whose overlaps are computed at once, in 30 MiB.
+_OVERLAP_BLOCK = 16_384
+# Pairs whose distances are compared at once, in 30 MiB.
+_PAIR_BLOCK = 1 << 20
+# Largest number of pairs that are near each other.
+_MAX_PAIRS = 20_000_000
+# Largest number of cells along each axis.
+_MAX_CELLS = 1 << 20
+# Difference between the numbers of neighbouring columns of cells: no row reaches the next column.
+_COLUMN_STEP = 2 * _MAX_CELLS
 
 
 def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
     """Convert boxes to canonical form: the long side first, the angle in [0, pi).
 
     Args:
-        boxes: ``[n, 5]`` rows ``(x, y, w, h, angle)``, the angle of the ``w`` side in radians; ``w
-            >= h`` not required.
+        boxes: ``[n, 5]`` rows ``(x, y, w, h, angle)``, with the angle of the ``w`` side in radians.
+            Either side may be the longer one.
 
     Returns:
         ``[n, 5]`` float64, the same rectangles as ``(x, y, length, width, angle)``.
     """
-    out = np.array(boxes, dtype=np.float64).reshape(-1, 5)
-    swap = out[:, 3] > out[:, 2]
-    out[swap, 2:4] = out[swap, 3:1:-1]
-    out[swap, 4] += np.pi / 2
-    out[:, 4] = np.mod(out[:, 4], np.pi)
-    out[out[:, 4] >= np.pi, 4] = 0.0  # mod of a tiny negative angle rounds up to pi itself
-    return out
+    rows = np.array(boxes, dtype=np.float64).reshape(-1, 5)
+    is_upright = rows[:, 3] > rows[:, 2]
+    rows[is_upright, 2:4] = rows[is_upright, 3:1:-1]
+    rows[is_upright, 4] += np.pi / 2
+    angles = np.mod(rows[:, 4], np.pi)
+    # The remainder of a tiny negative angle rounds up to pi itself.
+    angles[angles >= np.pi] = 0.0
+    rows[:, 4] = angles
+    return rows
 
 
 def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
@@ -55,18 +63,18 @@ def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
         ``[n, 4, 2]`` float64 x, y in pixels.
     """
     rows = np.asarray(boxes, dtype=np.float64).reshape(-1, 5)
-    along = rows[:, 2:3] / 2 * np.stack([np.cos(rows[:, 4]), np.sin(rows[:, 4])], axis=1)
-    across = rows[:, 3:4] / 2 * np.stack([-np.sin(rows[:, 4]), np.cos(rows[:, 4])], axis=1)
     centre = rows[:, :2]
-    return np.stack(
-        [
-            centre - along - across,
-            centre + along - across,
-            centre + along + across,
-            centre - along + across,
-        ],
-        axis=1,
-    )
+    cosine = np.cos(rows[:, 4])
+    sine = np.sin(rows[:, 4])
+    along = rows[:, 2:3] / 2 * np.stack([cosine, sine], axis=1)
+    across = rows[:, 3:4] / 2 * np.stack([-sine, cosine], axis=1)
+    corners = [
+        centre - along - across,
+        centre + along - across,
+        centre + along + across,
+        centre - along + across,
+    ]
+    return np.stack(corners, axis=1)
 
 
 def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
@@ -81,11 +89,13 @@ def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
         ``[n, 5]`` float64 canonical boxes.
     """
     points = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
-    first = (points[:, 1] - points[:, 0] + points[:, 2] - points[:, 3]) / 2
-    second = (points[:, 2] - points[:, 1] + points[:, 3] - points[:, 0]) / 2
-    sides = np.stack([np.linalg.norm(first, axis=1), np.linalg.norm(second, axis=1)], axis=1)
-    angle = np.arctan2(first[:, 1], first[:, 0])
-    return canonical_boxes(np.column_stack([points.mean(axis=1), sides, angle]))
+    a, b, c, d = np.moveaxis(points, 1, 0)
+    along = (b - a + c - d) / 2
+    across = (c - b + d - a) / 2
+    lengths = np.linalg.norm(along, axis=1)
+    widths = np.linalg.norm(across, axis=1)
+    angles = np.arctan2(along[:, 1], along[:, 0])
+    return canonical_boxes(np.column_stack([points.mean(axis=1), lengths, widths, angles]))
 
 
 def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -101,20 +111,26 @@ def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
     turn = second[:, 4] - first[:, 4]
     cosine = np.cos(turn)
     sine = np.sin(turn)
-    shift = _turned((second[:, :2] - first[:, :2]).T, np.cos(first[:, 4]), -np.sin(first[:, 4]))
+    # Centre of the second box in the frame of the first one.
+    offset = (second[:, :2] - first[:, :2]).T
+    shift = _turned(offset, np.cos(first[:, 4]), -np.sin(first[:, 4]))
     half_a = first[:, 2:4].T / 2
     half_b = second[:, 2:4].T / 2
-    # of parallel boxes, in the frames of a
-    along_b = np.where(np.abs(cosine) < np.abs(sine), half_b[::-1], half_b)
-    sides = np.clip(half_a + along_b - np.abs(shift), 0, 2 * np.minimum(half_a, along_b))
-    parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
-    with np.errstate(divide="ignore", invalid="ignore"):  # of boxes without a width
-        shared = np.where(
-            parallel,
-            sides[0] * sides[1],
-            _slanted_overlap(half_a, half_b, shift=shift, cosine=cosine, sine=sine),
-        )
-        iou = shared / (4 * (half_a.prod(axis=0) + half_b.prod(axis=0)) - shared)
+
+    # Boxes with parallel sides share a rectangle; at a quarter turn the sides of b are exchanged.
+    is_crossed = np.abs(cosine) < np.abs(sine)
+    is_parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
+    half_b_along = np.where(is_crossed, half_b[::-1], half_b)
+    shorter = 2 * np.minimum(half_a, half_b_along)
+    shared_sides = np.clip(half_a + half_b_along - np.abs(shift), 0, shorter)
+
+    # Boxes without a width divide by zero.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        parallel = shared_sides[0] * shared_sides[1]
+        slanted = _slanted_overlap(half_a, half_b, shift=shift, cosine=cosine, sine=sine)
+        shared = np.where(is_parallel, parallel, slanted)
+        areas = 4 * (half_a.prod(axis=0) + half_b.prod(axis=0))
+        iou = shared / (areas - shared)
     return np.asarray(np.clip(np.nan_to_num(iou, nan=0.0), 0.0, 1.0))
 
 
@@ -148,14 +164,16 @@ def _slanted_overlap(
     Returns:
         ``[k]`` areas.
     """
-    # of the corners, in order around the box
+    # Signs of the corners, in order around the box.
     signs = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]])[:, :, None]
+    # Each box's corners and edges in the frame of the other.
     corners_b = shift[:, None] + _turned(signs * half_b[:, None], cosine, sine)
     corners_a = _turned(signs * half_a[:, None] - shift[:, None], cosine, -sine)
     edges_b = np.roll(corners_b, -1, axis=1) - corners_b
     edges_a = np.roll(corners_a, -1, axis=1) - corners_a
+    # Cross products about the first centre; those of the first box's own edges are all equal.
     cross_b = corners_b[0] * edges_b[1] - corners_b[1] * edges_b[0]
-    cross_a = 2 * half_a.prod(axis=0)  # of every edge
+    cross_a = 2 * half_a.prod(axis=0)
     shares_b = _share_inside(corners_b, edges_b, half_a)
     shares_a = _share_inside(corners_a, edges_a, half_b)
     area: NDArray[np.float64] = (
@@ -167,13 +185,23 @@ def _slanted_overlap(
 def _share_inside(
     corners: NDArray[np.float64], edges: NDArray[np.float64], half: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Compute the share ``[4, k]`` of each edge ``[2, 4, k]`` from its corner that lies in a box around the origin."""
+    """Compute the share of each edge that lies in a box around the origin (Liang and Barsky).
+
+    Args:
+        corners: ``[2, 4, k]`` start of each edge.
+        edges: ``[2, 4, k]`` vector to its end.
+        half: ``[2, k]`` half sides of the box.
+
+    Returns:
+        ``[4, k]`` in 0..1.
+    """
     sides = half[:, None]
+    # Positions along the edge, 0 to 1, where it enters and leaves the box's two slabs.
     enter = (-np.copysign(sides, edges) - corners) / edges
     leave = (np.copysign(sides, edges) - corners) / edges
-    inside: NDArray[np.float64] = np.minimum(leave.min(axis=0), 1) - np.maximum(
-        enter.max(axis=0), 0
-    )
+    last_inside = np.minimum(leave.min(axis=0), 1)
+    first_inside = np.maximum(enter.max(axis=0), 0)
+    inside: NDArray[np.float64] = last_inside - first_inside
     return np.maximum(inside, 0)
 
 
@@ -189,11 +217,13 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """
     first = canonical_boxes(a)
     second = canonical_boxes(b)
+    first_radii = np.hypot(first[:, 2], first[:, 3]) / 2
+    second_radii = np.hypot(second[:, 2], second[:, 3]) / 2
     out = np.zeros((len(first), len(second)))
-    radii_a, radii_b = (np.hypot(rows[:, 2], rows[:, 3]) / 2 for rows in (first, second))
-    for column, box, radius in zip(out.T, second, radii_b, strict=True):
-        # no other circumscribed circles intersect
-        near = np.hypot(*(first[:, :2] - box[:2]).T) < radii_a + radius
+    for column, box, radius in zip(out.T, second, second_radii, strict=True):
+        # Boxes whose circumscribed circles are apart do not overlap.
+        distances = np.hypot(*(first[:, :2] - box[:2]).T)
+        near = distances < first_radii + radius
         column[near] = pair_iou(first[near], np.broadcast_to(box, first[near].shape))
     return out
 
@@ -211,8 +241,12 @@ def box_axes(
     """
     along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
     across = np.column_stack([-along[:, 1], along[:, 0]])
-    reaches = along * boxes[:, 2:3] / 2, across * boxes[:, 3:4] / 2
-    return tuple((boxes[:, :2] - reach, boxes[:, :2] + reach) for reach in reaches)
+    centres = boxes[:, :2]
+    half_long = along * boxes[:, 2:3] / 2
+    half_short = across * boxes[:, 3:4] / 2
+    long_axis = (centres - half_long, centres + half_long)
+    short_axis = (centres - half_short, centres + half_short)
+    return long_axis, short_axis
 
 
 def oriented_nms(
@@ -245,21 +279,24 @@ def oriented_nms(
     order = np.lexsort((*rows.T[::-1], -score))
     rows = rows[order]
     better, worse = _overlap_candidates(rows, iou_threshold)
-    kept = np.zeros(len(rows), bool)
-    open_ = np.ones(len(rows), bool)
-    while len(better):  # each round keeps the boxes that no better open box may overlap
-        best = open_.copy()
+    is_kept = np.zeros(len(rows), bool)
+    is_open = np.ones(len(rows), bool)
+    # Each round keeps the open boxes that no better open box may overlap, and drops the boxes that
+    # they overlap. The result is that of the greedy loop over single boxes.
+    while len(better):
+        best = is_open.copy()
         best[worse] = False
-        kept |= best
+        is_kept |= best
         of_best = best[better]
-        open_[
-            _overlapping(rows, better[of_best], worse=worse[of_best], iou_threshold=iou_threshold)
-        ] = False
-        open_ &= ~best
-        both = open_[better] & open_[worse]
-        better = better[both]
-        worse = worse[both]
-    result: NDArray[np.intp] = order[kept | open_]
+        dropped = _overlapping(
+            rows, better[of_best], worse=worse[of_best], iou_threshold=iou_threshold
+        )
+        is_open[dropped] = False
+        is_open &= ~best
+        both_open = is_open[better] & is_open[worse]
+        better = better[both_open]
+        worse = worse[both_open]
+    result: NDArray[np.intp] = order[is_kept | is_open]
     return result
 
 
@@ -270,43 +307,52 @@ def _overlapping(
     iou_threshold: float,
 ) -> NDArray[np.intp]:
     """List the worse boxes of the pairs whose IoU exceeds the threshold."""
-    blocks = [
-        slice(start, start + _BLOCK_OVERLAPS) for start in range(0, len(better), _BLOCK_OVERLAPS)
-    ]
-    return np.concatenate(
-        [
-            worse[:0],
-            *(
-                worse[each][pair_iou(rows[better[each]], rows[worse[each]]) > iou_threshold]
-                for each in blocks
-            ),
-        ]
-    )
+    overlapping = [worse[:0]]
+    for start in range(0, len(better), _OVERLAP_BLOCK):
+        block = slice(start, start + _OVERLAP_BLOCK)
+        ious = pair_iou(rows[better[block]], rows[worse[block]])
+        overlapping.append(worse[block][ious > iou_threshold])
+    return np.concatenate(overlapping)
 
 
 def _overlap_candidates(
     rows: NDArray[np.float64], iou_threshold: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """List the pairs, the earlier box first, that may exceed the threshold, by distance and area ratio."""
-    area = rows[:, 2] * rows[:, 3]
-    radius = np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
-    # of both areas, which the boxes share at least
+    """List the pairs that may exceed the threshold, by distance and area ratio.
+
+    Returns:
+        Indices ``[k]`` of the earlier boxes, and of the later ones.
+
+    Raises:
+        ModelContractError: too many boxes overlap.
+    """
+    areas = rows[:, 2] * rows[:, 3]
+    radii = np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
+    # Boxes at the threshold share at least this part of either area.
     share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)
     # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of
-    # the centres.
-    reach = radius - share * area / (2 * radius)
-    size_class = np.floor(np.log2(reach)).astype(int)
-    members = [np.flatnonzero(size_class == each) for each in np.unique(size_class)]
-    found = []
-    for c, d in combinations_with_replacement(members, 2):
-        i, j = _near_pairs(rows[c, :2], rows[d, :2], reach[c].max() + reach[d].max())
-        pairs = np.stack([c[i], d[j]])
-        found.append(pairs[:, i < j] if c is d else pairs)
-    first, second = np.concatenate(found, axis=1)
-    possible = np.minimum(area[first], area[second]) > iou_threshold * np.maximum(
-        area[first], area[second]
-    )
-    possible &= np.hypot(*(rows[second, :2] - rows[first, :2]).T) <= reach[first] + reach[second]
+    # the centres. So their distance is at most the sum of these reaches.
+    reaches = radii - share * areas / (2 * radii)
+
+    # Boxes of like size are compared with one reach: a huge box must not make all others near.
+    size_classes = np.floor(np.log2(reaches)).astype(int)
+    members = [np.flatnonzero(size_classes == size) for size in np.unique(size_classes)]
+    parts = []
+    for some, others in combinations_with_replacement(members, 2):
+        reach = reaches[some].max() + reaches[others].max()
+        i, j = _near_pairs(rows[some, :2], rows[others, :2], reach)
+        pairs = np.stack([some[i], others[j]])
+        if some is others:
+            # Each pair occurs twice, and each box with itself.
+            pairs = pairs[:, i < j]
+        parts.append(pairs)
+    first, second = np.concatenate(parts, axis=1)
+
+    smaller = np.minimum(areas[first], areas[second])
+    larger = np.maximum(areas[first], areas[second])
+    distances = np.hypot(*(rows[second, :2] - rows[first, :2]).T)
+    possible = smaller > iou_threshold * larger
+    possible &= distances <= reaches[first] + reaches[second]
     better, worse = np.sort([first[possible], second[possible]], axis=0)
     return better, worse
 
@@ -316,8 +362,8 @@ def _near_pairs(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Find all pairs with a distance of at most ``reach``.
 
-    Points are numbered by cells that are as wide as the reach; a k-d tree of ``scipy`` takes 0.3 s
-    to import.
+    Points are in cells as wide as the reach, so that near ones are in the same cell or in two that
+    touch. A k-d tree would do the same, but ``scipy``'s takes 0.3 s to import.
 
     Args:
         first: ``[n, 2]`` x, y.
@@ -332,25 +378,35 @@ def _near_pairs(
             square of their number.
     """
     points = np.concatenate([first, second]) - np.minimum(first.min(axis=0), second.min(axis=0))
-    cells = (points / max(reach, points.max() / _MOST_CELLS)).astype(np.int64) + 1
-    own, others = np.split(cells @ (2 * _MOST_CELLS, 1), [len(first)])
-    order = np.argsort(others)
-    # of three cells in each of three columns
-    middles = (own[:, None] + np.array([-2, 0, 2]) * _MOST_CELLS).ravel()
-    low = np.searchsorted(others, middles - 1, sorter=order)
-    n = np.searchsorted(others, middles + 1, "right", order) - low
-    found = []
-    for k in np.split(
-        np.arange(len(n)), np.searchsorted(np.cumsum(n), np.arange(_FEW_PAIRS, n.sum(), _FEW_PAIRS))
-    ):
-        i = np.repeat(k // 3, n[k])
-        j = order[np.arange(len(i)) + np.repeat(low[k] - np.cumsum(n[k]) + n[k], n[k])]
-        found.append(np.stack([i, j])[:, np.hypot(*(first[i] - second[j]).T) <= reach])
-        if sum(each.shape[1] for each in found) > _MOST_PAIRS:
+    cell_px = max(reach, points.max() / _MAX_CELLS)
+    columns_and_rows = (points / cell_px).astype(np.int64) + 1
+    # Cells of one column have consecutive numbers.
+    cells, other_cells = np.split(columns_and_rows @ (_COLUMN_STEP, 1), [len(first)])
+    order = np.argsort(other_cells)
+
+    # Runs of candidates in the sorted points: three consecutive cells in each of three columns.
+    middles = (cells[:, None] + np.array([-1, 0, 1]) * _COLUMN_STEP).ravel()
+    starts = np.searchsorted(other_cells, middles - 1, sorter=order)
+    ends = np.searchsorted(other_cells, middles + 1, side="right", sorter=order)
+    counts = ends - starts
+
+    # Blocks of runs with about as many pairs, to bound the memory.
+    block_ends = np.arange(_PAIR_BLOCK, counts.sum(), _PAIR_BLOCK)
+    blocks = np.split(np.arange(len(counts)), np.searchsorted(np.cumsum(counts), block_ends))
+    parts = []
+    n_pairs = 0
+    for runs in blocks:
+        # Number of each pair within its run, by which the run is written out.
+        run_starts = np.cumsum(counts[runs]) - counts[runs]
+        i = np.repeat(runs // 3, counts[runs])
+        j = order[np.arange(len(i)) + np.repeat(starts[runs] - run_starts, counts[runs])]
+        is_near = np.hypot(*(first[i] - second[j]).T) <= reach
+        parts.append(np.stack([i, j])[:, is_near])
+        n_pairs += int(is_near.sum())
+        if n_pairs > _MAX_PAIRS:
             raise ModelContractError(
-                f"more than {_MOST_PAIRS} pairs of the detector's {len(first)} boxes may "
-                "overlap: it is not a vehicle "
-                "detector, or min_score is too low"
+                f"more than {_MAX_PAIRS} pairs of the detector's {len(first)} boxes may overlap: "
+                "it is not a vehicle detector, or min_score is too low"
             )
-    i, j = np.concatenate(found, axis=1)
+    i, j = np.concatenate(parts, axis=1)
     return i, j

@@ -1,4 +1,7 @@
-"""Model cards: validated metadata of model files; for other detectors the paper's values are the defaults."""
+"""Model cards: validated metadata of model files.
+
+Detectors without our metadata get the paper's values.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,27 @@ from vehanchor.errors import ModelContractError
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
 from vehanchor.scale.density import Votes
 
-MIN_SCORE = 0.1  # paper, section III-B
-REFERENCE_LENGTH_M = 5.045  # paper, section III-F: KDE mode of the DOTA v1.5 training labels
-# the paper's +-0.5 m sweep taken as two standard deviations between regions
+# Paper, section III-B.
+MIN_SCORE = 0.1
+# Paper, section III-F: KDE mode of the DOTA v1.5 training labels.
+REFERENCE_LENGTH_M = 5.045
+# The paper's sweep of +-0.5 m, taken as two standard deviations between regions.
 REFERENCE_LENGTH_SD_M = 0.25
-LENGTH_RANGE_PX = (9.0, 120.0)  # small vehicles in DOTA's training tiles of 1024 px
-_REGION_RATIOS = {"europe": 4.5 / 5.045, "north_america": 5.5 / 5.045}  # paper, section IV-D
-_STRIDE_PX = 32  # of every YOLO's coarsest layer
-_MAX_LENGTH_PX = 1024.0  # side of a tile
-_MAX_TEXT = 1 << 20  # characters of one entry; a thousand class names take a fiftieth
-_MAX_STRIDE_PX = 1024  # side of a tile; input sides are padded to whole strides
+# Small vehicles in DOTA's training tiles of 1024 px.
+LENGTH_RANGE_PX = (9.0, 120.0)
+# Paper, section IV-D.
+_REGION_RATIOS = {"europe": 4.5 / 5.045, "north_america": 5.5 / 5.045}
+# Stride of the coarsest layer of every YOLO.
+_STRIDE_PX = 32
+
+# Side of a tile, which limits lengths, and strides: input sides are padded to whole strides.
+_MAX_LENGTH_PX = 1024.0
+_MAX_STRIDE_PX = 1024
+# Largest number of characters of an entry; a thousand class names take a fiftieth of it.
+_MAX_TEXT = 1 << 20
+# Number of characters of a wrong entry that a message shows.
+_SHOWN_TEXT = 80
+
 _KEYS = {"class_names": "names", "licence": "license", "stride_px": "stride"}
 """Keys in the metadata that Ultralytics writes; any other field's key is ``vehanchor.<field>``."""
 
@@ -34,23 +48,38 @@ def _literal(text: Any) -> Any:
         return text
     try:
         value = ast.literal_eval(text or "{}")
-    # the last two for too many brackets
+    # Too many brackets raise the last two.
     except (SyntaxError, TypeError, MemoryError, RecursionError):
-        raise ValueError("no Python value") from None
-    return dict(enumerate(value)) if isinstance(value, (list, tuple)) else value
+        raise ValueError("not a Python value") from None
+    if isinstance(value, (list, tuple)):
+        return dict(enumerate(value))
+    return value
+
+
+def _json(text: Any) -> Any:
+    """Read a value from its JSON text."""
+    if not isinstance(text, str):
+        return text
+    return from_json(text.encode(errors="replace"))
+
+
+def _comma_separated(text: Any) -> Any:
+    """Read a list from its text."""
+    if not isinstance(text, str):
+        return text
+    return text.split(",")
 
 
 def _rising(value: tuple[float, float]) -> tuple[float, float]:
+    """Check that the first number is below the second."""
     if value[0] >= value[1]:
         raise ValueError("not rising")
     return value
 
 
 _LENGTHS = f"{LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
-_JSON = BeforeValidator(
-    lambda text: from_json(text.encode(errors="replace")) if isinstance(text, str) else text
-)
-_LIST = BeforeValidator(lambda text: text.split(",") if isinstance(text, str) else text)
+_JSON = BeforeValidator(_json)
+_LIST = BeforeValidator(_comma_separated)
 _VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
 _VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
 _LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
@@ -223,6 +252,7 @@ def read_card(
     Raises:
         ModelContractError: an entry is missing or invalid.
     """
+    # Fields without a description are not in the metadata.
     keys = {
         name: _KEYS.get(name, f"vehanchor.{name}")
         for name, field in kind.model_fields.items()
@@ -235,12 +265,10 @@ def read_card(
             return kind(**{**defaults, **stated, "sha256": sha256})
         except ValidationError as error:
             wrong = str(error.errors()[0]["loc"][0])
-    found = (
-        f"metadata {keys[wrong]!r} is {stated[wrong][:80]!r}"
-        if wrong in stated
-        else f"no metadata {keys[wrong]!r}"
-    )
-    raise ModelContractError(f"{path}: {found}: expected {kind.model_fields[wrong].description}")
+    problem = f"no metadata {keys[wrong]!r}"
+    if wrong in stated:
+        problem = f"metadata {keys[wrong]!r} is {stated[wrong][:_SHOWN_TEXT]!r}"
+    raise ModelContractError(f"{path}: {problem}: expected {kind.model_fields[wrong].description}")
 
 
 def read_detector_card(
@@ -266,22 +294,39 @@ def read_detector_card(
         ModelContractError: an entry is invalid, or an auxiliary model belongs to another detector.
     """
     card = read_card(DetectorCard, path, sha256=sha256, metadata=metadata, name=path.stem)
-    lengths = {name: card.reference_length_m * ratio for name, ratio in _REGION_RATIOS.items()}
-    regions = {
+    values: dict[str, Any] = {
+        "region_lengths_m": _paper_regions(card.reference_length_m) | card.region_lengths_m
+    }
+    if verifier is not None:
+        _check_detector(verifier, "verifier", card=card, path=path)
+        values["min_score"] = verifier.min_score
+        values["verifier_sha256"] = verifier.sha256
+    if chips is not None:
+        _check_detector(chips, "chip network", card=card, path=path)
+        values["bodies"] = chips.bodies
+        values["chips_sha256"] = chips.sha256
+    return card.model_copy(update=values)
+
+
+def _paper_regions(reference_length_m: float) -> dict[str, float]:
+    """Compute the lengths of the paper's regions by their ratios, if they are valid."""
+    lengths = {name: reference_length_m * ratio for name, ratio in _REGION_RATIOS.items()}
+    return {
         name: length
         for name, length in lengths.items()
         if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M
     }
-    values: dict[str, Any] = {"region_lengths_m": regions | card.region_lengths_m}
-    for network, kind in ((verifier, "verifier"), (chips, "chip network")):
-        if network is not None and network.detector != card.name:
-            raise ModelContractError(
-                f"the {kind} of {path} was made for the detector {network.detector!r}, and this "
-                f"is {card.name!r}: "
-                "remove its file, or state this name in its metadata 'vehanchor.detector'"
-            )
-    if verifier is not None:
-        values |= {"min_score": verifier.min_score, "verifier_sha256": verifier.sha256}
-    if chips is not None:
-        values |= {"bodies": chips.bodies, "chips_sha256": chips.sha256}
-    return card.model_copy(update=values)
+
+
+def _check_detector(auxiliary: AuxiliaryCard, kind: str, card: DetectorCard, path: Path) -> None:
+    """Check that an auxiliary model was calibrated for this detector.
+
+    Raises:
+        ModelContractError: it was calibrated for another one.
+    """
+    if auxiliary.detector != card.name:
+        raise ModelContractError(
+            f"the {kind} of {path} was made for the detector {auxiliary.detector!r}, but this is "
+            f"{card.name!r}: remove its file, or state this name in its metadata "
+            "'vehanchor.detector'"
+        )

@@ -1,8 +1,11 @@
-"""Chip network: an auxiliary model that looks at candidates, and says whether each is a car, and how large its body is.
+"""Chip network: an auxiliary model that measures the bodies of candidates.
 
-A chip shows 2.7 candidate lengths along the axis and 1.8 across. A candidate's box says where a car
-is. The edges say how long and how wide its body is in pixels; the appearance says how long and how
-wide it is in metres.
+A chip is a small picture along a candidate's axis: it shows 2.7 candidate lengths along the axis
+and 1.8 across. From it the network predicts
+
+- whether the candidate is a car in a fitting box,
+- where the edges of its body are: its length and width in pixels,
+- how long and wide the car is in metres, by its appearance.
 """
 
 from __future__ import annotations
@@ -25,17 +28,26 @@ if TYPE_CHECKING:
 
 CHIP_ROWS = 64
 CHIP_COLUMNS = 96
-CHIP_LENGTH_PX = 36.0  # the candidate's length on its chip, along the columns
+# The candidate's length on its chip, along the columns.
+CHIP_LENGTH_PX = 36.0
 KINDS = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
-_CUT_ROWS = (CHIP_COLUMNS - CHIP_ROWS) // 2  # of a square chip, above and below
-_REACH = 2.1  # candidate lengths from the centre to the farthest pixel that the square needs
-_LEAST_LENGTH_PX = 1.5 * CHIP_LENGTH_PX  # of a candidate where it is read; more detail is averaged
-_MIRRORS = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # along and across the candidate's axis
-_BATCH = 16  # chips per run: bounds the memory
-# length and width in candidate lengths: the limits of the training
-_LEAST_SIZE = (0.5, 0.15)
-_MOST_SIZE = (1.6, 0.9)
-_CUT_LOG_SD = 1.0  # of a length or width that the image's border cuts: it tells nothing; a choice
+
+# A chip is the middle of a square; these rows are cut off above and below it.
+_CUT_ROWS = (CHIP_COLUMNS - CHIP_ROWS) // 2
+# Candidate lengths from the centre to the farthest pixel that the square needs.
+_REACH = 2.1
+# Least length of a candidate at the resolution at which it is read; more detail is averaged.
+_MIN_LENGTH_PX = 1.5 * CHIP_LENGTH_PX
+# Directions of the mirrored chips: along and across the candidate's axis.
+_MIRRORS = ((1, 1), (-1, -1), (1, -1), (-1, 1))
+# Chips per run, to bound the memory.
+_BATCH = 16
+# Length and width of a body in candidate lengths: the limits of the training.
+_MIN_SIZE = (0.5, 0.15)
+_MAX_SIZE = (1.6, 0.9)
+# Standard deviation of the log of a length or width that the image border cuts: a choice, so large
+# that it counts nothing.
+_CUT_LOG_SD = 1.0
 
 
 class ChipAnswers(NamedTuple):
@@ -64,65 +76,71 @@ class ChipAnswers(NamedTuple):
     @property
     def sizes(self) -> NDArray[np.float64]:
         """``[n, 2]`` length and width in candidate lengths."""
-        return np.asarray(
-            np.clip(self.edges[:, 1::2] - self.edges[:, ::2], _LEAST_SIZE, _MOST_SIZE)
-        )
+        sizes = self.edges[:, 1::2] - self.edges[:, ::2]
+        return np.asarray(np.clip(sizes, _MIN_SIZE, _MAX_SIZE))
 
     @property
     def log_size_sd(self) -> NDArray[np.float64]:
         """``[n, 2]`` standard deviations of the logs of length and width."""
-        return np.asarray(np.hypot(self.edge_sd[:, ::2], self.edge_sd[:, 1::2]) / self.sizes)
+        size_sd = np.hypot(self.edge_sd[:, ::2], self.edge_sd[:, 1::2])
+        return np.asarray(size_sd / self.sizes)
 
 
 def bodies(boxes: NDArray[np.float64], answers: ChipAnswers) -> NDArray[np.float64]:
-    """Boxes of the bodies.
+    """Compute the boxes of the bodies.
 
     Args:
         boxes: ``[n, 5]`` candidates ``(x, y, length, width, angle)``, pixels and radians.
-        answers: of these candidates.
+        answers: answers for these candidates.
 
     Returns:
         ``[n, 5]`` canonical boxes.
     """
-    length = boxes[:, 2]
-    angle = boxes[:, 4] + answers.turn
-    along, across = ((answers.edges[:, k] + answers.edges[:, k + 1]) / 2 * length for k in (0, 2))
-    cosine = np.cos(angle)
-    sine = np.sin(angle)
-    centre = boxes[:, :2] + np.stack(
-        [cosine * along - sine * across, sine * along + cosine * across], axis=1
-    )
-    return canonical_boxes(np.column_stack([centre, answers.sizes * length[:, None], angle]))
+    lengths = boxes[:, 2]
+    angles = boxes[:, 4] + answers.turn
+    # A body's centre lies between its ends and between its sides, along and across its own axis.
+    along = (answers.edges[:, 0] + answers.edges[:, 1]) / 2 * lengths
+    across = (answers.edges[:, 2] + answers.edges[:, 3]) / 2 * lengths
+    cosine = np.cos(angles)
+    sine = np.sin(angles)
+    shifts = np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)
+    centres = boxes[:, :2] + shifts
+    sizes_px = answers.sizes * lengths[:, None]
+    return canonical_boxes(np.column_stack([centres, sizes_px, angles]))
 
 
 def with_appearance(
-    network: ChipNetwork, raster: Raster, found: Objects, *, most: int, mirrored: bool
+    network: ChipNetwork, raster: Raster, candidates: Objects, *, most: int, mirrored: bool
 ) -> tuple[Objects, Appearance]:
-    """Score the best candidates again, and replace their boxes by those of their bodies.
+    """Replace the boxes of candidates by those of their bodies, and score them again.
 
     Args:
-        network: looks at their chips.
+        network: the chip network.
         raster: the image.
-        found: candidates of a search, best first.
-        most: number of candidates to look at; the boxes of the others change by the medians of
-            these.
-        mirrored: whether to look at each in four mirrored views, which are steadier than one.
+        candidates: candidates in image pixels, best first.
+        most: number of candidates that the network examines. The others keep their scores, and get
+            the median size of the examined bodies, relative to their own lengths.
+        mirrored: whether to examine each in four mirrored views, which are steadier than one.
 
     Returns:
-        The candidates in their order, and the looks of the first ones.
+        The candidates in their order, and the appearance of the first ones.
     """
-    boxes = found.boxes.copy()
-    scores = found.scores.copy()
-    seen = boxes[:most]
-    answers = network.answers(candidate_chips(raster, seen), views=len(_MIRRORS) if mirrored else 1)
-    size_px = raster.width_px, raster.height_px
-    apparent = read_appearance(seen, answers, size_px)
+    image_px = raster.width_px, raster.height_px
+    examined = candidates.boxes[:most]
+    n_views = 1
+    if mirrored:
+        n_views = len(_MIRRORS)
+    answers = network.answers(candidate_chips(raster, examined), views=n_views)
+    appearance = read_appearance(examined, answers, image_px)
+
+    boxes = candidates.boxes.copy()
+    boxes[:most] = bodies(examined, answers)
+    boxes[:most, :2] = np.clip(boxes[:most, :2], 0, image_px)
     if len(boxes) > most:
         boxes[most:, 2:4] = boxes[most:, 2:3] * np.median(answers.sizes, axis=0)
-    boxes[:most] = bodies(seen, answers)
-    boxes[:most, :2] = np.clip(boxes[:most, :2], 0, size_px)
+    scores = candidates.scores.copy()
     scores[:most] = Weights(*network.card.weights).score(scores[:most], answers.logit)
-    return Objects(boxes, scores, found.classes), apparent
+    return Objects(boxes, scores, candidates.classes), appearance
 
 
 def read_appearance(
@@ -130,25 +148,33 @@ def read_appearance(
 ) -> Appearance:
     """Compare the sizes of bodies in pixels with their metres by appearance.
 
-    Length and width count by the precision of their edges. The image's border cuts a body's length,
-    its width or both; what is cut counts as unknown.
+    Length and width count by the precision of their edges. If the image border cuts a body's length
+    or width, that one counts as unknown.
 
     Args:
         boxes: ``[n, 5]`` candidates, pixels and radians.
-        answers: of these candidates.
+        answers: answers for these candidates.
         image_px: width and height of the image.
     """
-    variances = answers.log_size_sd**2 + _CUT_LOG_SD**2 * _cut(bodies(boxes, answers), image_px)
-    shares = (1 / variances) / (1 / variances).sum(axis=1, keepdims=True)
+    is_cut = _cut_by_border(bodies(boxes, answers), image_px)
+    # Mean of the log GSD by length and by width, weighted by the inverse variances.
+    variances = answers.log_size_sd**2 + _CUT_LOG_SD**2 * is_cut
+    precisions = 1 / variances
+    weights = precisions / precisions.sum(axis=1, keepdims=True)
     sizes_px = answers.sizes * boxes[:, 2:3]
-    log_gsd = (shares * (answers.log_metres - np.log(sizes_px))).sum(axis=1)
-    edge_variance = 1 / (1 / variances).sum(axis=1)
-    log_sds = np.sqrt(answers.metres_sd.mean(axis=1) ** 2 + edge_variance)
+    log_gsd = (weights * (answers.log_metres - np.log(sizes_px))).sum(axis=1)
+    # The errors of length and width by appearance count as one error, those of the edges do not.
+    metres_sds = answers.metres_sd.mean(axis=1)
+    edge_variances = 1 / precisions.sum(axis=1)
+    log_sds = np.sqrt(metres_sds**2 + edge_variances)
     return Appearance(log_gsd + np.log(sizes_px[:, 0]), log_sds, answers.logit)
 
 
-def _cut(boxes: NDArray[np.float64], image_px: tuple[int, int]) -> NDArray[np.bool_]:
-    """Tell whether the image's border cuts length and width ``[n, 2]``: whether an end, or a side, lies beyond it."""
+def _cut_by_border(boxes: NDArray[np.float64], image_px: tuple[int, int]) -> NDArray[np.bool_]:
+    """Test whether the image border cuts length and width ``[n, 2]`` of bodies.
+
+    It cuts the length if an end lies beyond it, and the width if a side does.
+    """
     ends = np.array(box_axes(boxes))  # [axis, end, n, x and y]
     beyond = (ends < 1) | (ends > np.array(image_px) - 1)
     return np.asarray(beyond.any(axis=(1, 3)).T)
@@ -170,30 +196,39 @@ def candidate_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.ui
         ``[n, 64, 96, 3]`` uint8 RGB.
     """
     chips = [np.zeros((0, CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)]
-    shorter = min(raster.width_px, raster.height_px)
+    shorter_px = min(raster.width_px, raster.height_px)
     for box in boxes:
-        factor = 2 ** max(0, math.floor(math.log2(min(box[2] / _LEAST_LENGTH_PX, shorter))))
-        pixels, inside = read_around(raster, box, factor=factor, reach=_REACH)
-        chips.append(
-            middle(surroundings(pixels, inside, side_px=CHIP_COLUMNS, length_px=CHIP_LENGTH_PX))
-        )
+        # The coarsest power of two that leaves the candidate enough pixels.
+        largest_factor = min(box[2] / _MIN_LENGTH_PX, shorter_px)
+        factor = 2 ** max(0, math.floor(math.log2(largest_factor)))
+        pixels, box_there = read_around(raster, box, factor=factor, reach=_REACH)
+        squares = surroundings(pixels, box_there, side_px=CHIP_COLUMNS, length_px=CHIP_LENGTH_PX)
+        chips.append(middle(squares))
     return np.concatenate(chips)
 
 
 class ChipNetwork(AuxiliaryModel[ChipCard]):
-    """Network from chips ``[n, 3, 64, 96]``, RGB in 0..1, to what ``ChipAnswers`` means."""
+    """Network from chips ``[n, 3, 64, 96]``, RGB in 0..1, to the values of ``ChipAnswers``.
+
+    The outputs are logits of the kinds, and logs of the standard deviations.
+    """
 
     named = "chip network"
     trained_by = "research/training/chips"
     chip_shape = (3, CHIP_ROWS, CHIP_COLUMNS)
     outputs: ClassVar = {
-        "logit": (), "kinds": (len(KINDS),), "edges": (4,), "edge_log_sd": (4,), "turn": (), "log_metres": (2,),
+        "logit": (),
+        "kinds": (len(KINDS),),
+        "edges": (4,),
+        "edge_log_sd": (4,),
+        "turn": (),
+        "log_metres": (2,),
         "metres_log_sd": (2,),
-    }  # fmt: skip
+    }
     card_type = ChipCard
 
     def answers(self, chips: NDArray[np.uint8], *, views: int = len(_MIRRORS)) -> ChipAnswers:
-        """Answer for candidates.
+        """Answer for candidates: means over mirrored chips.
 
         Args:
             chips: ``[n, 64, 96, 3]`` uint8 RGB.
@@ -202,21 +237,40 @@ class ChipNetwork(AuxiliaryModel[ChipCard]):
         Raises:
             ModelContractError: the network fails or does not answer in finite numbers.
         """
-        total = [np.zeros((len(chips), *shape)) for shape in self.outputs.values()]
+        means = ChipAnswers(*(np.zeros((len(chips), *shape)) for shape in self.outputs.values()))
         for start in range(0, len(chips), _BATCH):
-            part = slice(start, start + _BATCH)
+            batch = slice(start, start + _BATCH)
             for along, across in _MIRRORS[:views]:
-                for sum_, answer in zip(total, self._seen(chips[part], along, across), strict=True):
-                    sum_[part] += answer / views
-        return ChipAnswers(*total)
+                answers = self._mirrored_answers(chips[batch], along, across)
+                for mean, answer in zip(means, answers, strict=True):
+                    mean[batch] += answer / views
+        return means
 
-    def _seen(self, chips: NDArray[np.uint8], along: int, across: int) -> list[NDArray[np.float64]]:
-        """Answers for mirrored chips: each end, or each side, is seen on the other side."""
-        seen = self.predict(chips[:, ::across, ::along])
-        logit, kinds, edges, edge_log_sd, turn, log_metres, metres_log_sd = seen
+    def _mirrored_answers(self, chips: NDArray[np.uint8], along: int, across: int) -> ChipAnswers:
+        """Run the network on mirrored chips, and convert its answers to the chips as they are.
+
+        Args:
+            chips: ``[n, 64, 96, 3]`` uint8 RGB.
+            along: -1 to mirror along the candidate's axis, else 1.
+            across: -1 to mirror across it, else 1.
+        """
+        outputs = self.predict(chips[:, ::across, ::along])
+        logit, kinds, edges, edge_log_sd, turn, log_metres, metres_log_sd = outputs
         odds = np.exp(kinds - kinds.max(axis=1, keepdims=True))
-        order = [*((0, 1) if along > 0 else (1, 0)), *((2, 3) if across > 0 else (3, 2))]
-        return [
-            logit, odds / odds.sum(axis=1, keepdims=True), (edges * (along, along, across, across))[:, order],
-            np.exp(edge_log_sd)[:, order], turn * along * across, log_metres, np.exp(metres_log_sd),
-        ]  # fmt: skip
+        # A mirror exchanges both ends, or both sides, and changes their signs.
+        ends = (0, 1)
+        sides = (2, 3)
+        if along < 0:
+            ends = (1, 0)
+        if across < 0:
+            sides = (3, 2)
+        order = [*ends, *sides]
+        return ChipAnswers(
+            logit=logit,
+            kinds=odds / odds.sum(axis=1, keepdims=True),
+            edges=(edges * (along, along, across, across))[:, order],
+            edge_sd=np.exp(edge_log_sd)[:, order],
+            turn=turn * along * across,
+            log_metres=log_metres,
+            metres_sd=np.exp(metres_log_sd),
+        )

@@ -1,13 +1,10 @@
-"""Output layouts of oriented-box detectors, recognised by the shapes of the outputs, and the classes of vehicles.
+"""Contracts of oriented-box detectors: output layouts, and the classes that are vehicles.
 
-=============  ==============================
-========================================================================= contract       output
-exported by =============  ==============================
-========================================================================= ``Raw``        ``[1,
-4+classes+1, anchors]``   Ultralytics (YOLOv8, YOLO11 OBB), and the bundled detector ``EndToEnd``
-``[1, n, 7]``                   Ultralytics with ``nms=True``, or YOLO26 OBB =============
-==============================
-=========================================================================
+A layout is recognised by the shapes of the outputs:
+
+- ``Raw``: ``[1, 4+classes+1, anchors]``, exported by Ultralytics (YOLOv8 and YOLO11 OBB); also the
+  layout of the bundled detector.
+- ``EndToEnd``: ``[1, n, 7]``, exported by Ultralytics with ``nms=True``, or from YOLO26 OBB.
 
 To add one, write a subclass of ``DetectorContract`` and add it to ``CONTRACTS``.
 """
@@ -27,19 +24,41 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_VEHICLE_NAMES = ("small vehicle", "car", "vehicle")  # the first that the model has is used
+# Names of vehicles; the first that the model has is used.
+_VEHICLE_NAMES = ("small vehicle", "car", "vehicle")
+# Classes of DOTA v1.0 in the order of Ultralytics' models.
 _DOTA_NAMES = (
-    "plane", "ship", "storage "
-        "tank", "baseball diamond", "tennis court", "basketball court", "ground track field",
-    "harbor", "bridge", "large "
-        "vehicle", "small vehicle", "helicopter", "roundabout", "soccer ball field",
+    "plane",
+    "ship",
+    "storage tank",
+    "baseball diamond",
+    "tennis court",
+    "basketball court",
+    "ground track field",
+    "harbor",
+    "bridge",
+    "large vehicle",
+    "small vehicle",
+    "helicopter",
+    "roundabout",
+    "soccer ball field",
     "swimming pool",
-)  # fmt: skip
-_FIRST_SCORE = 4  # after cx, cy, w, h
-_FEATURES = _FIRST_SCORE + 1  # cx, cy, w, h and the angle, which is last
+)
+
+# A raw column is cx, cy, w, h, the scores, and the angle.
+_N_BOX_ROWS = 4
+_ROWS_WITHOUT_SCORES = _N_BOX_ROWS + 1
+_BOX_ROWS = [0, 1, 2, 3, -1]
+
+# Columns of an end-to-end row.
 _END_TO_END_WIDTH = 7
-_MOST_CLASSES = 1 << 31  # the comparison also drops NaN
-_LEAST_SCORE = 1e-9  # padding has 0
+_BOX_COLUMNS = [0, 1, 2, 3, 6]
+_SCORE_COLUMN = 4
+_CLASS_COLUMN = 5
+# Rows of padding have the score 0.
+_MIN_SCORE = 1e-9
+# Class indices are below; the comparison also drops NaN.
+_MAX_CLASSES = 1 << 31
 
 
 class DetectorContract(ABC):
@@ -72,7 +91,9 @@ class DetectorContract(ABC):
         min_score: float,
         classes: NDArray[np.intp] | None = None,
     ) -> Objects:
-        """Read the objects from the outputs for one image; sides may be in any order, angles unbounded.
+        """Read the objects from the outputs for one image.
+
+        Either side of a box may come first, and angles are unbounded.
 
         Args:
             outputs: in the order of the shapes.
@@ -88,7 +109,7 @@ class DetectorContract(ABC):
 
 
 class Raw(DetectorContract):
-    """Layout ``[1, 4+classes+1, anchors]``: a column is cx, cy, w, h, a score for each class, angle.
+    """Layout ``[1, 4+classes+1, anchors]``: columns of cx, cy, w, h, a score for each class, angle.
 
     Args:
         n_classes: number of scores in a column.
@@ -103,18 +124,21 @@ class Raw(DetectorContract):
     def recognise(
         cls, shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]
     ) -> Raw | None:
-        """Recognise the layout by the class names in the metadata, else because anchors outnumber the scores."""
+        """Recognise the layout by the class names in the metadata, else by the many anchors."""
         shape = shapes[0]
         if len(shape) != 3:
             return None
-        n_classes = shape[1] - _FEATURES
+        _, n_rows, n_anchors = shape
+        n_classes = n_rows - _ROWS_WITHOUT_SCORES
         if named_classes:
             # A column has one score for every class from 0 on; any other index would address
             # another value.
-            return cls(n_classes) if set(named_classes) == set(range(n_classes)) else None
-        return (
-            cls(n_classes) if n_classes >= 1 and shape[1] < shape[2] != _END_TO_END_WIDTH else None
-        )
+            is_raw = set(named_classes) == set(range(n_classes))
+        else:
+            is_raw = n_classes >= 1 and n_rows < n_anchors != _END_TO_END_WIDTH
+        if not is_raw:
+            return None
+        return cls(n_classes)
 
     def objects(
         self,
@@ -124,19 +148,28 @@ class Raw(DetectorContract):
     ) -> Objects:
         """Read the columns; see ``DetectorContract.objects``."""
         output = outputs[0][0]
-        indices = np.arange(self.n_classes) if classes is None else classes
-        scores = output[_FIRST_SCORE + indices]
-        best = scores[0] if len(scores) == 1 else scores.max(axis=0)
-        wanted = np.flatnonzero(best >= min_score)
+        indices = classes
+        if indices is None:
+            indices = np.arange(self.n_classes)
+        scores = output[_N_BOX_ROWS + indices]
+        # A maximum over one row would only copy it.
+        best_scores = scores[0]
+        if len(scores) > 1:
+            best_scores = scores.max(axis=0)
+        columns = np.flatnonzero(best_scores >= min_score)
+        best_classes = indices[scores[:, columns].argmax(axis=0)]
         return Objects(
-            output[:, wanted][[0, 1, 2, 3, -1]].T.astype(np.float64),
-            best[wanted].astype(np.float64),
-            indices[scores[:, wanted].argmax(axis=0)],
+            output[:, columns][_BOX_ROWS].T.astype(np.float64),
+            best_scores[columns].astype(np.float64),
+            best_classes,
         )
 
 
 class EndToEnd(DetectorContract):
-    """Layout ``[1, n, 7]``: a row is cx, cy, w, h, score, class, angle, padded with zeros to n (300 in practice)."""
+    """Layout ``[1, n, 7]``: a row is cx, cy, w, h, score, class, angle.
+
+    Rows of zeros pad the table to n, 300 in practice.
+    """
 
     layout = "[1, n, 7]"
 
@@ -146,7 +179,10 @@ class EndToEnd(DetectorContract):
     ) -> EndToEnd | None:
         """Recognise rows of seven values; see ``DetectorContract.recognise``."""
         del named_classes
-        return cls() if len(shapes[0]) == 3 and shapes[0][2] == _END_TO_END_WIDTH else None
+        shape = shapes[0]
+        if len(shape) != 3 or shape[2] != _END_TO_END_WIDTH:
+            return None
+        return cls()
 
     def objects(
         self,
@@ -156,16 +192,20 @@ class EndToEnd(DetectorContract):
     ) -> Objects:
         """Read the rows; see ``DetectorContract.objects``."""
         table = outputs[0][0].astype(np.float64)
-        found = table[
-            (table[:, 4] >= max(min_score, _LEAST_SCORE)) & (np.abs(table[:, 5]) < _MOST_CLASSES)
-        ]
+        is_certain = table[:, _SCORE_COLUMN] >= max(min_score, _MIN_SCORE)
+        has_class = np.abs(table[:, _CLASS_COLUMN]) < _MAX_CLASSES
+        rows = table[is_certain & has_class]
         if classes is not None:
-            found = found[np.isin(found[:, 5].astype(np.intp), classes)]
-        return Objects(found[:, [0, 1, 2, 3, 6]], found[:, 4], found[:, 5].astype(np.intp))
+            rows = rows[np.isin(rows[:, _CLASS_COLUMN].astype(np.intp), classes)]
+        return Objects(
+            rows[:, _BOX_COLUMNS],
+            rows[:, _SCORE_COLUMN],
+            rows[:, _CLASS_COLUMN].astype(np.intp),
+        )
 
     def ran_out(self, outputs: Sequence[NDArray[Any]]) -> bool:
         """Test whether no row is padding; see ``DetectorContract.ran_out``."""
-        scores = outputs[0][0][:, 4]
+        scores = outputs[0][0][:, _SCORE_COLUMN]
         return bool(len(scores) and (scores > 0).all())
 
 
@@ -175,7 +215,11 @@ CONTRACTS: tuple[type[DetectorContract], ...] = (Raw, EndToEnd)
 def recognise_contract(
     shapes: Sequence[tuple[int, ...]], named_classes: Collection[int]
 ) -> DetectorContract:
-    """Recognise the contract of a model by its outputs; arguments as in ``DetectorContract.recognise``.
+    """Recognise the contract of a model by its outputs.
+
+    Args:
+        shapes: as in ``DetectorContract.recognise``.
+        named_classes: as in ``DetectorContract.recognise``.
 
     Returns:
         The first of ``CONTRACTS`` that recognises the shapes.
@@ -187,10 +231,11 @@ def recognise_contract(
         contract = kind.recognise(shapes, named_classes)
         if contract is not None:
             return contract
+    stated = ", ".join(str(list(shape)) for shape in shapes)
+    expected = " or ".join(kind.layout for kind in CONTRACTS)
     raise ModelContractError(
-        f"its outputs have shapes {', '.join(str(list(shape)) for shape in shapes)}, with "
-        f"{len(named_classes)} class "
-        f"names in the metadata; expected {' or '.join(kind.layout for kind in CONTRACTS)}"
+        f"its outputs have shapes {stated}, with {len(named_classes)} class names in the metadata; "
+        f"expected {expected}"
     )
 
 
@@ -217,15 +262,9 @@ def vehicle_classes(
     if not names and n_classes == len(_DOTA_NAMES):
         names = dict(enumerate(_DOTA_NAMES))
     if wanted is not None:
-        if not wanted:
-            raise InvalidParameterError("classes is empty: name at least one, or leave it out")
-        return np.unique(
-            np.array(
-                [i for each in wanted for i in _indices_of(each, names, n_classes)], dtype=np.intp
-            )
-        )
-    for name in _VEHICLE_NAMES:
-        matching = [index for index, known in names.items() if known == name]
+        return _wanted_classes(wanted, names, n_classes)
+    for vehicle_name in _VEHICLE_NAMES:
+        matching = [index for index, name in names.items() if name == vehicle_name]
         if matching:
             return np.unique(np.array(matching, dtype=np.intp))
     if len(names) == 1 or n_classes == 1:
@@ -237,20 +276,41 @@ def vehicle_classes(
 
 
 def _canonical_name(name: str) -> str:
+    """Convert a class name to lower case with spaces."""
     return name.lower().replace("-", " ").replace("_", " ").strip()
 
 
-def _indices_of(wanted: str | int, names: Mapping[int, str], n_classes: int | None) -> list[int]:
-    if isinstance(wanted, int):
-        known = (
-            wanted in names if names else wanted >= 0 and (n_classes is None or wanted < n_classes)
-        )
-        found = [wanted] if known else []
+def _wanted_classes(
+    wanted: Sequence[str | int], names: Mapping[int, str], n_classes: int | None
+) -> NDArray[np.intp]:
+    """Find the indices of the classes that the caller wants.
+
+    Raises:
+        InvalidParameterError: the model lacks one, or there is none.
+    """
+    if not wanted:
+        raise InvalidParameterError("classes is empty: name at least one, or leave it out")
+    indices: list[int] = []
+    for name_or_index in wanted:
+        matching = _matching_indices(name_or_index, names, n_classes)
+        if not matching:
+            classes = dict(names) or f"{n_classes or 0} without names"
+            raise InvalidParameterError(
+                f"class {name_or_index!r} is not in the model; it has {classes}"
+            )
+        indices += matching
+    return np.unique(np.array(indices, dtype=np.intp))
+
+
+def _matching_indices(
+    name_or_index: str | int, names: Mapping[int, str], n_classes: int | None
+) -> list[int]:
+    """List the indices of the classes with a name or an index; several classes may share a name."""
+    if not isinstance(name_or_index, int):
+        wanted_name = _canonical_name(name_or_index)
+        return [index for index, name in names.items() if name == wanted_name]
+    if names:
+        exists = name_or_index in names
     else:
-        found = [index for index, name in names.items() if name == _canonical_name(wanted)]
-    if not found:
-        raise InvalidParameterError(
-            f"class {wanted!r} is not in the model; it has "
-            f"{dict(names) or f'{n_classes or 0} without names'}"
-        )
-    return found
+        exists = name_or_index >= 0 and (n_classes is None or name_or_index < n_classes)
+    return [name_or_index] if exists else []

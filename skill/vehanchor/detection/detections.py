@@ -1,4 +1,4 @@
-"""Result of a search: vehicles, objects of the detector's other classes, and the caller's corrections."""
+"""Result of a search: vehicles, objects of other classes, and the caller's corrections."""
 
 from __future__ import annotations
 
@@ -19,8 +19,14 @@ if TYPE_CHECKING:
     from vehanchor.options import Frame
     from vehanchor.options.rulers import ByHand
     from vehanchor.scale.defaults import Stopped
-_STATED_SCORE = 0.99  # the caller can be wrong, too
-_POINTED_SD_PX = 2.0  # error of an end, in pixels where it was pointed at; our assumption
+
+# Score of a vehicle that the caller added; the caller can be wrong, too.
+_STATED_SCORE = 0.99
+# Standard deviation of an end that the caller pointed at, in pixels of the caller's copy: our
+# assumption.
+_POINTED_SD_PX = 2.0
+# IoU from which two added vehicles are one.
+_SAME_VEHICLE_IOU = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +64,7 @@ class Appearance(NamedTuple):
     """Sizes of vehicles by their appearance.
 
     Attributes:
-        log_lengths: ``[n]`` float64, log of the metres that each body's length in pixels stands
-            for.
+        log_lengths: ``[n]`` float64, log of each body's length in metres.
         log_sds: ``[n]`` float64, their standard deviations as the network states them (see
             ``appearance_error``).
         logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
@@ -74,12 +79,12 @@ class Appearance(NamedTuple):
 
     def take(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Appearance:
         """Select vehicles by a mask ``[n]``, or by indices in their order."""
-        return Appearance(*(each[kept] for each in self))
+        return Appearance(self.log_lengths[kept], self.log_sds[kept], self.logits[kept])
 
     @classmethod
     def joined(cls, parts: Sequence[Appearance]) -> Appearance:
         """Concatenate the vehicles of at least one part."""
-        return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 class Corrections(NamedTuple):
@@ -143,17 +148,18 @@ class Detections:
     @property
     def numbers(self) -> NDArray[np.intp]:
         """``[n]`` int, numbers of the vehicles in pictures and options."""
-        return (
-            np.arange(1, len(self.boxes) + 1)
-            if self.corrections is None
-            else self.corrections.numbers
-        )
+        if self.corrections is not None:
+            return self.corrections.numbers
+        return np.arange(1, len(self.boxes) + 1)
 
     @property
     def stated(self) -> NDArray[np.bool_]:
         """``[n]`` bool, vehicles that the caller added: the last ones."""
-        n = len(self.boxes)
-        return np.arange(n) >= n - (0 if self.corrections is None else self.corrections.n_added)
+        n_added = 0
+        if self.corrections is not None:
+            n_added = self.corrections.n_added
+        n_vehicles = len(self.boxes)
+        return np.arange(n_vehicles) >= n_vehicles - n_added
 
 
 NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
@@ -182,62 +188,83 @@ def corrected(
     """
     if by_hand.given is None:
         return detections
-    found = len(detections.boxes)
-    missing = [each for each in by_hand.drop if each > found]
-    if missing:
-        have = f"they are 1 to {found}" if found else "none was found"
-        raise InvalidParameterError(
-            f"drop has number {missing[0]}, which is no vehicle of this image: {have}"
-        )
-    numbers = np.arange(1, found + 1)
+    n_detected = len(detections.boxes)
+    _check_numbers(by_hand.drop, n_detected)
     added, pointed_log_sds = _added_boxes(by_hand, frame, size_px)
-    overlaps = oriented_iou(detections.boxes, added).max(axis=1, initial=0.0) > nms_iou
-    kept = ~np.isin(numbers, by_hand.drop) & ~overlaps
     n_added = len(added)
 
+    numbers = np.arange(1, n_detected + 1)
+    is_dropped = np.isin(numbers, by_hand.drop)
+    is_replaced = oriented_iou(detections.boxes, added).max(axis=1, initial=0.0) > nms_iou
+    kept = ~is_dropped & ~is_replaced
+
+    reductions = detections.reductions
+    if reductions is not None:
+        reductions = np.concatenate([reductions[kept], np.ones(n_added)])
     appearance = detections.appearance
+    if appearance is not None:
+        appearance = appearance.take(kept[: len(appearance)])
+    added_numbers = n_detected + 1 + np.arange(n_added)
+    corrections = Corrections(
+        numbers=np.concatenate([numbers[kept], added_numbers]),
+        pointed_log_sds=np.concatenate([np.zeros(int(kept.sum())), pointed_log_sds]),
+        n_dropped=len(by_hand.drop),
+        n_added=n_added,
+    )
     return replace(
         detections,
         boxes=np.concatenate([detections.boxes[kept], added]),
         scores=np.concatenate([detections.scores[kept], np.full(n_added, _STATED_SCORE)]),
-        reductions=None
-        if detections.reductions is None
-        else np.concatenate([detections.reductions[kept], np.ones(n_added)]),
-        appearance=None if appearance is None else appearance.take(kept[: len(appearance)]),
-        corrections=Corrections(
-            numbers=np.concatenate([numbers[kept], found + 1 + np.arange(n_added)]),
-            pointed_log_sds=np.concatenate([np.zeros(int(kept.sum())), pointed_log_sds]),
-            n_dropped=len(by_hand.drop),
-            n_added=n_added,
-        ),
+        reductions=reductions,
+        appearance=appearance,
+        corrections=corrections,
+    )
+
+
+def _check_numbers(drop: Sequence[int], n_detected: int) -> None:
+    """Check that all vehicles to drop exist.
+
+    Raises:
+        InvalidParameterError: a number does not exist.
+    """
+    missing = [number for number in drop if number > n_detected]
+    if not missing:
+        return
+    existing = "no vehicle was found"
+    if n_detected:
+        existing = f"its vehicles are 1 to {n_detected}"
+    raise InvalidParameterError(
+        f"drop has number {missing[0]}, which is not a vehicle of this image: {existing}"
     )
 
 
 def _added_boxes(
     by_hand: ByHand, frame: Frame, size_px: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convert axes to boxes ``[k, 5]`` in pixels of the image, and compute the errors of their log lengths ``[k]``.
+    """Convert the axes of added vehicles to boxes in pixels of the image.
+
+    Returns:
+        Boxes ``[k, 5]``, and the standard deviations of their log lengths ``[k]``.
 
     Raises:
         InvalidParameterError: two of them are one vehicle.
     """
-    axes = np.array([astuple(each) for each in by_hand.add], dtype=np.float64).reshape(-1, 4)
+    axes = np.array([astuple(vehicle) for vehicle in by_hand.add], dtype=np.float64)
+    # Pixels of the image per pixel of the caller's copy.
     unit = np.array(size_px) / (frame.size or size_px)
     ends = axes.reshape(-1, 2, 2) * unit
     along = ends[:, 1] - ends[:, 0]
     lengths = np.hypot(along[:, 0], along[:, 1])
-    boxes = np.column_stack(
-        [
-            ends.mean(axis=1),
-            lengths,
-            lengths / CAR_LENGTH_OVER_WIDTH,
-            np.arctan2(along[:, 1], along[:, 0]) % np.pi,
-        ]
-    )
-    twice = np.argwhere(np.triu(oriented_iou(boxes, boxes) > 0.5, 1))
-    if len(twice):
-        one, other = twice[0] + 1
+    widths = lengths / CAR_LENGTH_OVER_WIDTH
+    angles = np.arctan2(along[:, 1], along[:, 0]) % np.pi
+    boxes = np.column_stack([ends.mean(axis=1), lengths, widths, angles])
+    is_same = oriented_iou(boxes, boxes) > _SAME_VEHICLE_IOU
+    same_pairs = np.argwhere(np.triu(is_same, 1))
+    if len(same_pairs):
+        first, second = same_pairs[0] + 1
         raise InvalidParameterError(
-            f"add {one} and add {other} are one vehicle: give each vehicle once"
+            f"add {first} and add {second} are one vehicle: give each vehicle once"
         )
-    return boxes, np.sqrt(2) * _POINTED_SD_PX * unit.mean() / lengths
+    # A length is the difference of two ends with independent errors.
+    pointed_sd_px = np.sqrt(2) * _POINTED_SD_PX * unit.mean()
+    return boxes, pointed_sd_px / lengths

@@ -39,16 +39,22 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
 
-_PADDING_LEVEL = 114  # grey level of Ultralytics' padding
-_ANGLE_LIMIT = 1e4  # radians; larger angles are invalid
-_MAX_INPUT_PX = 8192  # of a fixed input: 100 times the pixels of YOLO's training images
-_PX_PER_BOX = 8  # a YOLO with a layer of stride 4 has one anchor for 12 px
-_LEAST_BOXES = 4096
-_PROBE_STRIDES = 4  # side of the blank image that reveals the outputs' shapes, in strides
+# Grey level of Ultralytics' padding.
+_PADDING_LEVEL = 114
+# Side of the blank image that reveals the shapes of the outputs, in strides.
+_PROBE_STRIDES = 4
+# Largest side of a fixed input: 100 times the pixels of YOLO's training images.
+_MAX_INPUT_PX = 8192
+# Larger angles, in radians, are invalid.
+_MAX_ANGLE = 1e4
+# Largest number of boxes: so many, and one more for so many pixels. A YOLO with a layer of stride 4
+# has one anchor for 12 px.
+_MIN_BOX_LIMIT = 4096
+_PX_PER_BOX = 8
 
 
 class TileDetections(NamedTuple):
-    """Objects of one tile before non-maximum suppression, in tile pixels.
+    """Objects of one tile before non-maximum suppression, in pixels of the tile or of the image.
 
     Attributes:
         vehicles: boxes with their best vehicle class, even if another class scores higher.
@@ -115,21 +121,19 @@ class Detector(LoadedModel):
         self.runtime = runtime or Runtime()
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
-        verifier_path = verifier if verifier is not None else auxiliary_model(self.path, "verifier")
-        self.verifier = (
-            None if verifier_path is None else Verifier(verifier_path, runtime=self.runtime)
-        )
-        chips_path = chips if chips is not None else auxiliary_model(self.path, "chips")
-        self.chips = None if chips_path is None else ChipNetwork(chips_path, runtime=self.runtime)
+        self.verifier = self._open_verifier(verifier)
+        self.chips = self._open_chips(chips)
         self.card = read_detector_card(
             self.path,
             models_sha256(file),
             metadata=self._session.get_modelmeta().custom_metadata_map,
-            verifier=None if self.verifier is None else self.verifier.card,
-            chips=None if self.chips is None else self.chips.card,
+            verifier=self.verifier.card if self.verifier else None,
+            chips=self.chips.card if self.chips else None,
         )
         self._input = self._checked_input()
-        self._dtype = np.float16 if self._input.type == "tensor(float16)" else np.float32
+        self._dtype: type[np.floating[Any]] = np.float32
+        if self._input.type == "tensor(float16)":
+            self._dtype = np.float16
         self.fixed_size = self._fixed_size()
         self._contract = self._recognised_contract()
         try:
@@ -139,39 +143,65 @@ class Detector(LoadedModel):
         except ModelContractError as error:
             raise ModelContractError(f"{self.path}: {error}") from None
 
+    def _open_verifier(self, path: str | Path | None) -> Verifier | None:
+        """Open the verifier at a path, or by default the one beside the detector, if any."""
+        path = path if path is not None else auxiliary_model(self.path, "verifier")
+        if path is None:
+            return None
+        return Verifier(path, runtime=self.runtime)
+
+    def _open_chips(self, path: str | Path | None) -> ChipNetwork | None:
+        """Open the chip network at a path, or by default the one beside the detector, if any."""
+        path = path if path is not None else auxiliary_model(self.path, "chips")
+        if path is None:
+            return None
+        return ChipNetwork(path, runtime=self.runtime)
+
     def under(self, call: Runtime) -> Self:
         """Bind the detector and its auxiliary models to one call; see ``LoadedModel.under``."""
         bound = super().under(call)
-        if bound is not self:
-            bound.verifier = self.verifier and self.verifier.under(call)
-            bound.chips = self.chips and self.chips.under(call)
+        if bound is self:
+            return self
+        if self.verifier:
+            bound.verifier = self.verifier.under(call)
+        if self.chips:
+            bound.chips = self.chips.under(call)
         return bound
 
-    def _refuse(self, found: str) -> ModelContractError:
-        outputs = " or ".join(kind.layout for kind in CONTRACTS)
+    def _refuse(self, problem: str) -> ModelContractError:
+        """Create the error of a file that is not an oriented-box detector."""
+        layouts = " or ".join(kind.layout for kind in CONTRACTS)
         return ModelContractError(
-            f"{self.path} is not an oriented-box detector: {found}. Expected one float input "
-            "[1, 3, h, w] and an "
-            f"output {outputs}, as 'yolo export model=yolo11l-obb.pt format=onnx' writes it"
+            f"{self.path} is not an oriented-box detector: {problem}. Expected one float input "
+            f"[1, 3, h, w] and an output {layouts}, as 'yolo export model=yolo11l-obb.pt "
+            "format=onnx' writes it"
         )
 
     def _checked_input(self) -> Any:
+        """Check that the model has one float input ``[batch, 3, height, width]``, and return it."""
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
-            raise self._refuse(f"it has {len(inputs)} inputs ({', '.join(i.name for i in inputs)})")
-        first = inputs[0]
-        if first.type not in ("tensor(float)", "tensor(float16)"):
-            raise self._refuse(f"input {first.name!r} is {first.type}")
-        if len(first.shape) != 4 or (
-            first.shape[1] not in (3, None) and not isinstance(first.shape[1], str)
-        ):
-            raise self._refuse(f"input {first.name!r} has shape {first.shape}")
-        return first
+            names = ", ".join(tensor.name for tensor in inputs)
+            raise self._refuse(f"it has {len(inputs)} inputs ({names})")
+        (image,) = inputs
+        if image.type not in ("tensor(float)", "tensor(float16)"):
+            raise self._refuse(f"input {image.name!r} is {image.type}")
+        # A side that is not fixed is None or has a name.
+        is_image = len(image.shape) == 4 and (
+            image.shape[1] in (3, None) or isinstance(image.shape[1], str)
+        )
+        if not is_image:
+            raise self._refuse(f"input {image.name!r} has shape {image.shape}")
+        return image
 
     def _fixed_size(self) -> tuple[int, int] | None:
-        batch, _, height, width = (
-            side if isinstance(side, int) else None for side in self._input.shape
-        )
+        """Read height and width of the input; None if they are free.
+
+        Raises:
+            ModelContractError: the batch is not 1, or the input is too large.
+        """
+        sides = [side if isinstance(side, int) else None for side in self._input.shape]
+        batch, _, height, width = sides
         if batch not in (None, 1):
             raise ModelContractError(
                 f"{self.path}: batch size is fixed at {batch}; export with batch=1 or dynamic=True"
@@ -180,52 +210,67 @@ class Detector(LoadedModel):
             raise self._refuse(
                 f"its input is fixed at {width} x {height} px, more than {_MAX_INPUT_PX} px a side"
             )
-        return (height, width) if height and width else None
+        if not height or not width:
+            return None
+        return height, width
 
     def _recognised_contract(self) -> DetectorContract:
-        """Recognise the contract by the outputs' shapes; if these are symbolic, run a blank image to get them."""
-        shapes = [tuple(output.shape) for output in self._session.get_outputs()]
-        if not all(isinstance(side, int) for shape in shapes for side in shape[1:]):
-            height, width = self.fixed_size or (self.card.stride_px * _PROBE_STRIDES,) * 2
-            try:
-                outputs = self._run(np.zeros((1, 3, height, width), dtype=self._dtype))
-            except ModelContractError as error:
-                raise self._refuse(
-                    f"it does not take a blank {width} x {height} image ({error})"
-                ) from None
-            shapes = [output.shape for output in outputs]
+        """Recognise the contract by the shapes of the outputs."""
         try:
-            return recognise_contract(shapes, self.card.class_names)
+            return recognise_contract(self._output_shapes(), self.card.class_names)
         except ModelContractError as error:
             raise self._refuse(str(error)) from None
 
+    def _output_shapes(self) -> list[tuple[int, ...]]:
+        """List the shapes of the outputs; if the file leaves them open, run a blank image."""
+        shapes = [tuple(output.shape) for output in self._session.get_outputs()]
+        if all(isinstance(side, int) for shape in shapes for side in shape[1:]):
+            return shapes
+        probe_px = self.card.stride_px * _PROBE_STRIDES
+        height, width = self.fixed_size or (probe_px, probe_px)
+        try:
+            outputs = self._run(np.zeros((1, 3, height, width), dtype=self._dtype))
+        except ModelContractError as error:
+            raise self._refuse(
+                f"it does not take a blank {width} x {height} image ({error})"
+            ) from None
+        return [output.shape for output in outputs]
+
     def _run(self, batch: NDArray[Any]) -> list[NDArray[Any]]:
-        described = f"the detector {self.path} fails on {list(batch.shape)}"
+        """Run the model on ``[1, 3, H, W]``; return its outputs."""
         outputs = run_session(
             self._session,
             None,
             feeds={self._input.name: batch},
             runtime=self.runtime,
-            described=described,
+            described=f"the detector {self.path} fails on {list(batch.shape)}",
         )
         return [np.asarray(output) for output in outputs]
 
     def prepared(self, pixels: NDArray[np.uint8]) -> PreparedTile:
-        """Convert a tile ``[h, w, 3]`` uint8 RGB, no larger than the model's fixed input, to the model's input."""
+        """Convert a tile to the model's input.
+
+        Args:
+            pixels: ``[h, w, 3]`` uint8 RGB, no larger than the model's fixed input.
+        """
         tile = pixels
         height, width = tile.shape[:2]
-        stride = self.card.stride_px
-        full_h, full_w = self.fixed_size or (
-            -(-side // stride) * stride for side in (height, width)
-        )
-        if (full_h, full_w) != (height, width):
-            padded = np.full((full_h, full_w, 3), _PADDING_LEVEL, dtype=np.uint8)
+        full_height, full_width = self._input_size(height, width)
+        if (full_height, full_width) != (height, width):
+            padded = np.full((full_height, full_width, 3), _PADDING_LEVEL, dtype=np.uint8)
             padded[:height, :width] = tile
             tile = padded
-        batch = np.empty((1, 3, full_h, full_w), dtype=self._dtype)
+        batch = np.empty((1, 3, full_height, full_width), dtype=self._dtype)
         for plane, channel in zip(batch[0], cv2.split(tile), strict=True):
             np.multiply(channel, np.float32(1 / 255), out=plane, casting="unsafe")
         return PreparedTile(pixels, batch)
+
+    def _input_size(self, height: int, width: int) -> tuple[int, int]:
+        """Compute the size of the model's input for a tile: fixed, or whole strides."""
+        if self.fixed_size:
+            return self.fixed_size
+        stride = self.card.stride_px
+        return -(-height // stride) * stride, -(-width // stride) * stride
 
     def detect_tile(self, tile: PreparedTile, min_score: float) -> TileDetections:
         """Detect objects in one tile, without non-maximum suppression.
@@ -242,43 +287,52 @@ class Detector(LoadedModel):
             vehicles = self._contract.objects(outputs, min_score, self._vehicle_classes)
             others = Objects.joined()
             if self._contract.n_classes != len(self._vehicle_classes):
-                anything = self._contract.objects(outputs, min_score)
-                others = anything.take(~np.isin(anything.classes, self._vehicle_classes))
+                best_of_all = self._contract.objects(outputs, min_score)
+                is_vehicle = np.isin(best_of_all.classes, self._vehicle_classes)
+                others = best_of_all.take(~is_vehicle)
             ran_out = self._contract.ran_out(outputs)
-        # other shapes than for the blank image
+        # The outputs have other shapes than for the blank image.
         except (LookupError, ValueError, TypeError) as error:
             shapes = ", ".join(str(list(output.shape)) for output in outputs)
             raise ModelContractError(
-                f"the detector {self.path} puts out {shapes}, no layout of its"
+                f"the detector {self.path} returned outputs of shape {shapes}, which do not match "
+                "its layout; export it again"
             ) from error
         return TileDetections(
-            self._checked(vehicles, tile.pixels), self._checked(others, tile.pixels), ran_out
+            self._sane_objects(vehicles, tile.pixels),
+            self._sane_objects(others, tile.pixels),
+            ran_out,
         )
 
-    def _checked(self, found: Objects, tile: NDArray[np.uint8]) -> Objects:
-        """Select the boxes that are no larger than a tile and centred in it, and convert them to canonical form.
+    def _sane_objects(self, objects: Objects, tile: NDArray[np.uint8]) -> Objects:
+        """Select the objects with possible boxes, and convert these to canonical form.
+
+        A possible box is finite, no larger than the tile and centred in it.
 
         Raises:
             ModelContractError: there are more boxes than any detector has anchors.
         """
         height, width = tile.shape[:2]
-        most = _LEAST_BOXES + height * width // _PX_PER_BOX
-        if len(found) > most:
+        max_boxes = _MIN_BOX_LIMIT + height * width // _PX_PER_BOX
+        if len(objects) > max_boxes:
             raise ModelContractError(
-                f"the detector {self.path} puts out {len(found)} boxes for {width} x {height} "
-                f"px: at most {most} have "
-                "place there"
+                f"the detector {self.path} returned {len(objects)} boxes for {width} x {height} "
+                f"px; at most {max_boxes} fit"
             )
-        boxes = found.boxes
-        sane = (
+        boxes = objects.boxes
+        centres = boxes[:, :2]
+        sides = boxes[:, 2:4]
+        is_sane = (
             np.isfinite(boxes).all(axis=1)
-            & (boxes[:, 2:4] > 0).all(axis=1)
-            & (np.abs(boxes[:, 4]) < _ANGLE_LIMIT)
+            & (sides > 0).all(axis=1)
+            & (sides <= math.hypot(width, height)).all(axis=1)
+            & (np.abs(boxes[:, 4]) < _MAX_ANGLE)
+            & ((centres >= 0) & (centres <= [width, height])).all(axis=1)
         )
-        sane &= (boxes[:, 2:4] <= math.hypot(width, height)).all(axis=1)
-        sane &= ((boxes[:, :2] >= 0) & (boxes[:, :2] <= [width, height])).all(axis=1)
         return Objects(
-            canonical_boxes(boxes[sane]), np.clip(found.scores[sane], 0.0, 1.0), found.classes[sane]
+            canonical_boxes(boxes[is_sane]),
+            np.clip(objects.scores[is_sane], 0.0, 1.0),
+            objects.classes[is_sane],
         )
 
 
@@ -299,14 +353,18 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
         ModelError: as ``Detector``.
     """
     file = Path(path)
-    chosen = runtime or Runtime()
-    verifier = auxiliary_model(file, "verifier")
-    chips = auxiliary_model(file, "chips")
-    return _opened(file, verifier=verifier, chips=chips, runtime=chosen.idle).under(chosen)
+    runtime = runtime or Runtime()
+    detector = _opened(
+        file,
+        verifier=auxiliary_model(file, "verifier"),
+        chips=auxiliary_model(file, "chips"),
+        runtime=runtime.idle,
+    )
+    return detector.under(runtime)
 
 
 def networks_sha256(card: DetectorCard) -> str:
-    """SHA-256 of the detector and of its auxiliary, scene-scale and court networks.
+    """Compute the SHA-256 of the detector and of its auxiliary, scene-scale and court networks.
 
     A result is stale once one of them has changed.
     """

@@ -1,8 +1,9 @@
 """Proportions of an image, from its vehicles: whether its width and height have different scales.
 
-Boxes cannot tell: the detector draws a car's proportions into a stretched image, too. The networks
-that score them can. Their chips are cut with the image's width reduced and enlarged by a factor of
-1.4. In an image of true proportions neither suits cars better.
+The detector's boxes do not show this: the detector draws a car's usual proportions into a stretched
+image, too. The networks that score the boxes do. Their chips are cut from the image as it is, and
+with its width reduced and enlarged by a factor of 1.4. In an image of true proportions, neither
+suits cars better.
 """
 
 from __future__ import annotations
@@ -24,27 +25,35 @@ if TYPE_CHECKING:
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
-_LEAST_VEHICLES = 5
-_LEAST_VERIFIED = 2
-# the most certain ones; more do not change the result
-_MOST_VEHICLES = 32
-_MOST_VERIFIED = 5
-_FACTOR = 1.4  # an error of 18 % in each direction
-# halves of a chip's diagonal from the centre to the farthest pixel that a stretched chip needs
+# The image's width is multiplied and divided by it, an error of 18 % in each direction.
+_FACTOR = 1.4
+# Halves of a chip's diagonal from the centre to the farthest pixel that a stretched chip needs.
 _REACH = 1.4
-_MOST_LOGIT = 6.0  # limits the weight of one vehicle
-_SD_OF_ONE = 0.7  # least standard deviation of the preferences of single vehicles
-_SD_OF_PLACES = 0.55  # of the mean preference between images of true proportions, train split
-# 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4
+# Largest absolute logit: it limits the weight of one vehicle.
+_MAX_LOGIT = 6.0
+
+# Vehicles that the verifier judges, by falling score; more do not change the result.
+_MIN_VEHICLES = 5
+_MAX_VEHICLES = 32
+# Least standard deviation of the preferences of single vehicles.
+_SD_OF_ONE = 0.7
+# Standard deviation of the mean preference between images of true proportions, train split.
+_SD_OF_PLACES = 0.55
+# 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4.
 _LIMIT_SIGMAS = 2.75
-_PARALLEL = 0.75  # least mean resultant length of doubled headings of vehicles that stand alike
-# 1 of 172 images of true proportions has more; 176 of 294 stretched by 1.4
+
+# Vehicles that the chip network judges if they are few.
+_MIN_OF_FEW = 2
+_MAX_OF_FEW = 5
+# Mean resultant length of the doubled headings from which vehicles count as parallel.
+_PARALLEL = 0.75
+# 1 of 172 images of true proportions has more; 176 of 294 stretched by 1.4.
 _LIMIT_PARALLEL = 0.7
 _LIMIT_CROSSED = 0.28
 
 
 def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> float | None:
-    """Compute how surely the vehicles prefer a narrower or a wider image.
+    """Compute how clearly the vehicles prefer a narrower or a wider image.
 
     The measure is the mean difference of the logits over its standard deviation.
 
@@ -58,15 +67,16 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
         The preference over its limit: above 1 if the image is too wide, below -1 if it is too high;
         None for fewer than five vehicles.
     """
-    if len(boxes) < _LEAST_VEHICLES:
+    if len(boxes) < _MIN_VEHICLES:
         return None
-    chosen = boxes[:_MOST_VEHICLES]
-    chip = verifier.CHIP_PX, verifier.CHIP_LENGTH_PX
-    narrower, wider = (
-        np.clip(network.logits(_chips(raster, chosen, width, *chip)), -_MOST_LOGIT, _MOST_LOGIT)
-        for width in (1 / _FACTOR, _FACTOR)
-    )
-    gains = narrower - wider
+    best = boxes[:_MAX_VEHICLES]
+
+    def logits(width: float) -> NDArray[np.float64]:
+        squares = _chips(raster, best, width, verifier.CHIP_PX, verifier.CHIP_LENGTH_PX)
+        return np.clip(network.logits(squares), -_MAX_LOGIT, _MAX_LOGIT)
+
+    gains = logits(1 / _FACTOR) - logits(_FACTOR)
+    # Vehicles of one image share a place, whose error more vehicles do not reduce.
     variance = (float(gains.var(ddof=1)) + _SD_OF_ONE**2) / len(gains) + _SD_OF_PLACES**2
     return float(gains.mean()) / math.sqrt(variance) / _LIMIT_SIGMAS
 
@@ -74,12 +84,12 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
 def stretch_of_few(
     raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork
 ) -> float | None:
-    """Compute how surely a few vehicles prefer a narrower or a wider image, by the chip network.
+    """Compute how clearly a few vehicles prefer a narrower or a wider image, by the chip network.
 
-    A stretched image suits cars worse than one of the two others, and better than the other one.
-    The measure is the smaller of both differences of the mean logits, where the second one counts a
-    third. Parallel vehicles must say it more clearly: they can also be long vehicles, or show their
-    flanks.
+    If the image is stretched, one of the changed images suits cars better than the image itself and
+    than the other one. The measure is the smaller of both differences of the mean logits, where the
+    second one counts a third. Parallel vehicles need clearer evidence: they can also be long
+    vehicles, or show their flanks.
 
     Args:
         raster: the image.
@@ -87,25 +97,28 @@ def stretch_of_few(
         network: scores their chips.
 
     Returns:
-        The preference over its limit, as for ``stretch``; None for a single vehicle, which can tell
+        The preference over its limit, as for ``stretch``; None for a single vehicle, which shows
         nothing.
     """
-    if len(boxes) < _LEAST_VERIFIED:
+    if len(boxes) < _MIN_OF_FEW:
         return None
-    chosen = boxes[:_MOST_VERIFIED]
-    side = chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX
-    narrower, same, wider = (
-        float(
-            np.clip(network.answers(chips.middle(squares)).logit, -_MOST_LOGIT, _MOST_LOGIT).mean()
-        )
-        for squares in (
-            _chips(raster, chosen, width, *side) for width in (1 / _FACTOR, 1.0, _FACTOR)
-        )
-    )
+    best = boxes[:_MAX_OF_FEW]
+
+    def mean_logit(width: float) -> float:
+        squares = _chips(raster, best, width, chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX)
+        logits = network.answers(chips.middle(squares)).logit
+        return float(np.clip(logits, -_MAX_LOGIT, _MAX_LOGIT).mean())
+
+    narrower = mean_logit(1 / _FACTOR)
+    same = mean_logit(1.0)
+    wider = mean_logit(_FACTOR)
     too_wide = max(0.0, min(narrower - same, (narrower - wider) / 3))
     too_high = max(0.0, min(wider - same, (wider - narrower) / 3))
-    parallel = abs(np.exp(2j * chosen[:, 4]).mean()) >= _PARALLEL
-    return (too_wide - too_high) / (_LIMIT_PARALLEL if parallel else _LIMIT_CROSSED)
+    # Doubled headings: cars that face each other are parallel, too.
+    limit = _LIMIT_CROSSED
+    if abs(np.exp(2j * best[:, 4]).mean()) >= _PARALLEL:
+        limit = _LIMIT_PARALLEL
+    return (too_wide - too_high) / limit
 
 
 def _chips(
@@ -113,23 +126,42 @@ def _chips(
 ) -> NDArray[np.uint8]:
     """Cut chips ``[n, side, side, 3]`` from the image with its width multiplied by a factor.
 
-    The detector keeps a stretched car's area and gives its box the usual proportions.
+    Args:
+        raster: the image.
+        boxes: ``[n, 5]`` boxes in image pixels.
+        width: factor of the image's width.
+        side_px: rows and columns of a chip.
+        length_px: a vehicle's length on its chip.
     """
-    chips = []
+    squares = []
     reach = _REACH * math.sqrt(0.5) * side_px / length_px
     for box in boxes:
+        # The coarsest power of two that leaves twice the chip's detail.
         factor = 2 ** max(0, math.floor(math.log2(box[2] / (2 * length_px))))
-        pixels, (x, y, length, breadth, angle) = read_around(
-            raster, box, factor=factor, reach=reach
+        pixels, box_there = read_around(raster, box, factor=factor, reach=reach)
+        rows, columns = pixels.shape[:2]
+        resized_columns = max(1, round(columns * width))
+        across = resized_columns / columns
+        interpolation = cv2.INTER_LINEAR
+        if across < 1:
+            interpolation = cv2.INTER_AREA
+        resized = cv2.resize(pixels, (resized_columns, rows), interpolation=interpolation)
+        square = surroundings(
+            np.asarray(resized, np.uint8),
+            _box_after_resizing(box_there, across),
+            side_px=side_px,
+            length_px=length_px,
         )
-        columns = max(1, round(pixels.shape[1] * width))
-        across = columns / pixels.shape[1]
-        method = cv2.INTER_AREA if across < 1 else cv2.INTER_LINEAR
-        resized = np.asarray(
-            cv2.resize(pixels, (columns, pixels.shape[0]), interpolation=method), np.uint8
-        )
-        turned = math.atan2(math.sin(angle), math.cos(angle) * across)
-        size = math.sqrt(across)
-        moved = [[x * across, y, length * size, breadth * size, turned]]
-        chips.append(surroundings(resized, moved, side_px=side_px, length_px=length_px)[0])
-    return np.stack(chips)
+        squares.append(square[0])
+    return np.stack(squares)
+
+
+def _box_after_resizing(box: NDArray[np.float64], across: float) -> list[float]:
+    """Predict the detector's box after the image's width has changed by a factor.
+
+    The detector keeps a stretched car's area and gives its box the usual proportions.
+    """
+    x, y, length, width, angle = box
+    turned = math.atan2(math.sin(angle), math.cos(angle) * across)
+    size = math.sqrt(across)
+    return [x * across, y, length * size, width * size, turned]

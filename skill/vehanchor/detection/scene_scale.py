@@ -36,23 +36,34 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
 
 TILE_PX = 160
-FACTORS = (1, 2, 4, 8)  # reduction factors of the image
-MOST_TILES = 24  # per level
-_LEAST_PROBABILITY = 1e-12
-_SIZES_LOG_SD = 0.1  # of cars' lengths and of their measurement
-_OPEN_LOG_WIDTH = 2.0  # a prior that is flat over this width neither raises nor lowers a score
-_MOST_SIZE_ODDS = 2.0  # in either direction, because the prior may be wrong
-_BATCH = 8  # tiles per run: 24 take three times the memory and as much time
-# few places below this scale are in the training data
+# Reduction factors of the levels.
+FACTORS = (1, 2, 4, 8)
+# Largest number of tiles of a level.
+MAX_TILES = 24
+# Tiles per run: 24 take three times the memory and as much time.
+_BATCH = 8
+_MIN_PROBABILITY = 1e-12
+
+# Standard deviation of the log of cars' lengths, and of their measurement.
+_SIZES_LOG_SD = 0.1
+# A prior that is flat over this width, in log terms, neither raises nor lowers a score.
+_NEUTRAL_LOG_WIDTH = 2.0
+# Largest size odds in either direction, because the prior may be wrong.
+_MAX_SIZE_ODDS = 2.0
+
+# GSD below which the training data have few places, and the width of the transition.
 _SHARP_GSD_M_PER_PX = 0.15
 _SHARP_LOG_WIDTH = 0.15
-_FINER_LOG_REACH = 0.8  # by which a new place is finer at most
+# Largest difference, in log GSD, by which a new place is finer than it looks.
+_FINER_LOG_REACH = 0.8
 _Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 @pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(allow_inf_nan=False))
 class SceneCalibration:
-    """Calibration from a network's predictions to a density (``research/training/scene_scale/calibrate.py``).
+    """Calibration from a network's predictions to a density.
+
+    It is fitted by ``research/training/scene_scale/calibrate.py``.
 
     Attributes:
         first_log_gsd: natural log of metres per pixel at the first bin's centre.
@@ -89,12 +100,14 @@ class SceneScalePrior:
 
     @cached_property
     def _size_odds(self) -> NDArray[np.float64]:
-        per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
-        odds = np.log(np.maximum(per_log * _OPEN_LOG_WIDTH, _LEAST_PROBABILITY))
-        return np.asarray(np.clip(odds, -_MOST_SIZE_ODDS, _MOST_SIZE_ODDS))
+        """``[g]`` log odds on the grid: the density of car lengths over that of a neutral prior."""
+        density_per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
+        ratios = density_per_log * _NEUTRAL_LOG_WIDTH
+        odds = np.log(np.maximum(ratios, _MIN_PROBABILITY))
+        return np.asarray(np.clip(odds, -_MAX_SIZE_ODDS, _MAX_SIZE_ODDS))
 
     def scaled(self, ratio: float) -> SceneScalePrior:
-        """Move the prior to another image of the same ground, with ``ratio`` times the metres per pixel."""
+        """Move the prior to an image of the same ground with ``ratio`` times its GSD."""
         return replace(self, density=shifted(self.density, -math.log(ratio)))
 
     def size_odds(self, lengths_px: ArrayLike) -> NDArray[np.float64]:
@@ -107,11 +120,9 @@ class SceneScalePrior:
             ``[n]`` log odds from -2 to 2, relative to a prior that is flat over a factor of 7.4;
             -1.2 for a flat prior.
         """
-        return np.asarray(
-            np.interp(
-                np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64)), GRID, self._size_odds
-            )
-        )
+        # The GSD at which each length is that of a typical car.
+        log_gsds = np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64))
+        return np.asarray(np.interp(log_gsds, GRID, self._size_odds))
 
 
 def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]]:
@@ -131,20 +142,28 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
         height = height_px // factor
         if factor > 1 and min(width, height) < TILE_PX:
             break
-        columns = -(-width // TILE_PX)
-        rows = -(-height // TILE_PX)
-        if columns * rows > MOST_TILES:
-            columns = int(
-                np.clip(round(np.sqrt(MOST_TILES * width / height)), 1, min(columns, MOST_TILES))
-            )
-            rows = min(rows, MOST_TILES // columns)
+        columns, rows = _grid_shape(width, height)
         lefts = np.linspace(0, max(0, width - TILE_PX), columns).astype(int)
         tops = np.linspace(0, max(0, height - TILE_PX), rows).astype(int)
-        tile = min(TILE_PX, width), min(TILE_PX, height)
-        levels.append(
-            (factor, [Window(int(left), int(top), *tile) for top in tops for left in lefts])
-        )
+        size = min(TILE_PX, width), min(TILE_PX, height)
+        windows = [Window(int(left), int(top), *size) for top in tops for left in lefts]
+        levels.append((factor, windows))
     return levels
+
+
+def _grid_shape(width_px: int, height_px: int) -> tuple[int, int]:
+    """Choose the numbers of columns and rows of a level's tiles.
+
+    Tiles cover the level if few are enough; otherwise they are spread in its proportions.
+    """
+    columns = -(-width_px // TILE_PX)
+    rows = -(-height_px // TILE_PX)
+    if columns * rows <= MAX_TILES:
+        return columns, rows
+    spread_columns = round(np.sqrt(MAX_TILES * width_px / height_px))
+    columns = int(np.clip(spread_columns, 1, min(columns, MAX_TILES)))
+    rows = min(rows, MAX_TILES // columns)
+    return columns, rows
 
 
 def scene_density(
@@ -166,16 +185,19 @@ def scene_density(
     """
     total = np.zeros(len(GRID))
     for factor, log_probs in levels:
-        centres = calibration.first_log_gsd + calibration.log_step * np.arange(len(log_probs))
-        seen = np.exp(calibration.temperature * (log_probs - log_probs.max()))
-        seen = (1 - calibration.doubt) * seen / seen.sum() + calibration.doubt / len(seen)
-        total += np.interp(
-            GRID + np.log(factor), centres, np.log(np.maximum(seen, _LEAST_PROBABILITY))
-        )
+        bins = len(log_probs)
+        # Temperature scaling, then a mixture with a flat density: no level can veto the others.
+        probs = np.exp(calibration.temperature * (log_probs - log_probs.max()))
+        probs = (1 - calibration.doubt) * probs / probs.sum() + calibration.doubt / bins
+        # A pixel of the reduced image is ``factor`` times as large as one of the image.
+        centres = calibration.first_log_gsd + calibration.log_step * np.arange(bins)
+        log_probs_on_grid = np.log(np.maximum(probs, _MIN_PROBABILITY))
+        total += np.interp(GRID + np.log(factor), centres, log_probs_on_grid)
+    # Power of the geometric mean: 1 for dependent levels, their number for independent ones.
     total *= float(len(levels)) ** (calibration.levels - 1)
     density = np.exp(total - total.max())
-    seen = _with_finer(density / density.sum(), calibration.finer)
-    return np.asarray((1.0 - calibration.floor) * seen + calibration.floor * flat())
+    density = _with_finer(density / density.sum(), calibration.finer)
+    return np.asarray((1.0 - calibration.floor) * density + calibration.floor * flat())
 
 
 class SceneScaleNetwork(LoadedModel):
@@ -195,14 +217,14 @@ class SceneScaleNetwork(LoadedModel):
         self.path = path
         self.runtime = runtime or Runtime()
         self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
-        names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
+        tensors = [*self._session.get_inputs(), *self._session.get_outputs()]
+        names = [tensor.name for tensor in tensors]
         if names != ["tiles", "log_probs"]:
             raise ModelContractError(
                 f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs"
             )
-        self.calibration = _read_calibration(
-            path, self._session.get_modelmeta().custom_metadata_map
-        )
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        self.calibration = _read_calibration(path, metadata)
 
     def predict(self, raster: Raster) -> SceneScalePrior:
         """Predict the scale of an image from tiles at every resolution.
@@ -217,20 +239,25 @@ class SceneScaleNetwork(LoadedModel):
         n_tiles = 0
         for factor, windows in tile_windows(raster.width_px, raster.height_px):
             tiles = np.stack([read_tile(raster, window, factor) for window in windows])
-            described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
-            seen = [
-                run_session(
-                    self._session,
-                    None,
-                    feeds={"tiles": tiles[start : start + _BATCH]},
-                    runtime=self.runtime,
-                    described=described,
-                )[0]
-                for start in range(0, len(tiles), _BATCH)
-            ]
-            levels.append((factor, np.concatenate(seen).astype(np.float64).mean(axis=0)))
+            log_probs = self._log_probs(tiles)
+            levels.append((factor, log_probs.astype(np.float64).mean(axis=0)))
             n_tiles += len(tiles)
         return SceneScalePrior(scene_density(levels, self.calibration), n_tiles)
+
+    def _log_probs(self, tiles: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Predict the log-probabilities ``[n, bins]`` of tiles ``[n, 3, 160, 160]``."""
+        described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
+        parts = []
+        for start in range(0, len(tiles), _BATCH):
+            (log_probs,) = run_session(
+                self._session,
+                None,
+                feeds={"tiles": tiles[start : start + _BATCH]},
+                runtime=self.runtime,
+                described=described,
+            )
+            parts.append(log_probs)
+        return np.concatenate(parts)
 
 
 _opened = file_cached(max_models=2)(SceneScaleNetwork)
@@ -238,14 +265,16 @@ _opened = file_cached(max_models=2)(SceneScaleNetwork)
 
 def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork:
     """Load the bundled network once for each runtime."""
-    chosen = runtime or Runtime()
-    return _opened(SCENE_SCALE, runtime=chosen.idle).under(chosen)
+    runtime = runtime or Runtime()
+    return _opened(SCENE_SCALE, runtime=runtime.idle).under(runtime)
 
 
 def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float64]:
     """Move a share of the density at sharp scales evenly over the finer scales within reach."""
-    sharp = 1 / (1 + np.exp((GRID - np.log(_SHARP_GSD_M_PER_PX)) / _SHARP_LOG_WIDTH))
+    log_excess = GRID - np.log(_SHARP_GSD_M_PER_PX)
+    sharp = 1 / (1 + np.exp(log_excess / _SHARP_LOG_WIDTH))
     moving = chance * sharp * density
+    # The convolution spreads each cell over coarser scales; the offset turns them to finer ones.
     reach = round(_FINER_LOG_REACH / (GRID[1] - GRID[0]))
     moved = np.convolve(moving, np.full(reach, 1 / reach))[reach - 1 :]
     mixed = density - moving + moved
@@ -253,7 +282,10 @@ def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float
 
 
 def read_tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
-    """Read a tile ``[3, 160, 160]`` of ``tile_windows``; a small image is mirrored beyond its edges."""
+    """Read a tile ``[3, 160, 160]`` of ``tile_windows``.
+
+    A small image is mirrored beyond its edges.
+    """
     pixels = read_reduced_window(raster, window, factor)
     down = TILE_PX - pixels.shape[0]
     right = TILE_PX - pixels.shape[1]
@@ -263,11 +295,15 @@ def read_tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
 
 
 def _read_calibration(path: Path, metadata: Mapping[str, str]) -> SceneCalibration:
+    """Read the calibration from the metadata.
+
+    Raises:
+        ModelContractError: an entry is missing or invalid.
+    """
     try:
-        bins, stated = (
-            json.loads(metadata[f"vehanchor.scene_{name}"]) for name in ("bins", "calibration")
-        )
-        return SceneCalibration(*bins, **stated)
+        first_log_gsd, log_step = json.loads(metadata["vehanchor.scene_bins"])
+        fitted = json.loads(metadata["vehanchor.scene_calibration"])
+        return SceneCalibration(first_log_gsd, log_step, **fitted)
     except (KeyError, ValueError, TypeError) as error:
         raise ModelContractError(
             f"{path}: the metadata vehanchor.scene_* cannot be used: {error}"

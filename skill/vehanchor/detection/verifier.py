@@ -1,4 +1,4 @@
-"""Auxiliary models, which run on chips of a detector's boxes, and the verifier, which scores each candidate again.
+"""Verifier: a network that scores each candidate of the detector again; the base of such networks.
 
 A candidate's *chip* shows it and its surroundings, rotated along its axis and resized to one
 length. From the chip a small network predicts the logit of a car. The score combines the detector's
@@ -21,17 +21,22 @@ from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-CHIP_PX = 48  # rows and columns
-# candidate's length on its chip, along the columns; leaves 0.7 lengths on either side
+# Rows and columns of a chip.
+CHIP_PX = 48
+# The candidate's length on its chip, along the columns; it leaves 0.7 lengths on either side.
 CHIP_LENGTH_PX = 20.0
-# resolution to which the image is averaged before sampling, in units of the chip's
+# Resolution to which the image is averaged before sampling, over the chip's: against aliasing.
 _SHARPNESS = 1.5
-_BATCH = 64  # chips per run: a car park has a thousand candidates
-_MARGIN = 1e-4  # scores are clipped: 0 and 1 have no logit
+# Chips per run, to bound the memory: a car park has a thousand candidates.
+_BATCH = 64
+# Scores are clipped by it, because 0 and 1 have no logit.
+_SCORE_MARGIN = 1e-4
+# Combined logits are clipped, so that their exponential is finite.
+_MAX_LOGIT = 50
 _CardT = TypeVar("_CardT", bound=AuxiliaryCard)
 _INPUT = "chips"
 
@@ -56,57 +61,84 @@ def surroundings(
         pixels their border is repeated.
     """
     rows = np.asarray(boxes, np.float64).reshape(-1, 5)
-    bounds, sizes, matrices = _parts(rows, pixels.shape[1], pixels.shape[0], side_px, length_px)
+    image_px = pixels.shape[1], pixels.shape[0]
+    cuts = _cuts(rows, image_px, side_px=side_px, length_px=length_px)
     chips = np.empty((len(rows), side_px, side_px, 3), np.uint8)
     for chip, (left, top, right, bottom), (width, height), matrix in zip(
-        chips, bounds.tolist(), sizes.tolist(), matrices, strict=True
+        chips, cuts.bounds.tolist(), cuts.sizes.tolist(), cuts.matrices, strict=True
     ):
         part = pixels[top:bottom, left:right]
-        if (height, width) != part.shape[:2]:
-            part = np.asarray(
-                cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8
-            )
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        if part.shape[:2] != (height, width):
+            resized = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
+            part = np.asarray(resized, np.uint8)
         cv2.warpAffine(
-            part, matrix, (side_px, side_px), dst=chip, flags=flags, borderMode=cv2.BORDER_REPLICATE
+            part,
+            matrix,
+            (side_px, side_px),
+            dst=chip,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
         )
     return chips
 
 
-def _parts(
-    boxes: NDArray[np.float64], width_px: int, height_px: int, side_px: int, length_px: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Compute the parts of the image from which chips are cut, at once; a loop over boxes takes longer than the cuts.
+class _Cuts(NamedTuple):
+    """Parts of an image from which chips are cut.
 
-    Returns:
-        ``[n, 4]`` left, top, right and bottom of each part; ``[n, 2]`` width and height to which it
-        is reduced; and ``[n, 2, 3]`` matrices from the chip to the reduced part.
+    Attributes:
+        bounds: ``[n, 4]`` left, top, right and bottom of each part, pixels of the image.
+        sizes: ``[n, 2]`` width and height to which each part is reduced.
+        matrices: ``[n, 2, 3]`` affine maps from the chips to the reduced parts.
+    """
+
+    bounds: NDArray[np.intp]
+    sizes: NDArray[np.intp]
+    matrices: NDArray[np.float64]
+
+
+def _cuts(
+    boxes: NDArray[np.float64], image_px: tuple[int, int], side_px: int, length_px: float
+) -> _Cuts:
+    """Compute all cuts at once: a loop over the boxes would take longer than the cuts.
+
+    Args:
+        boxes: ``[n, 5]`` candidates in pixels of the image.
+        image_px: width and height of the image.
+        side_px: rows and columns of a chip.
+        length_px: a candidate's length on its chip.
     """
     centres = boxes[:, :2]
     angles = boxes[:, 4]
-    step = boxes[:, 2] / length_px  # pixels per pixel of the chip
-    reach = (0.75 * side_px * step + 2)[:, None]  # beyond the corners of the turned chip
-    ends = np.array([width_px, height_px])
-    first = np.clip(centres - reach, 0, ends - 1).astype(np.intp)
-    last = np.maximum(np.clip(centres + reach + 1, 1, ends).astype(np.intp), first + 1)
+    # Pixels of the image per pixel of the chip.
+    step = boxes[:, 2] / length_px
+
+    # The part reaches beyond the corners of the turned chip.
+    reach = (0.75 * side_px * step + 2)[:, None]
+    image_end = np.array(image_px)
+    first = np.clip(centres - reach, 0, image_end - 1).astype(np.intp)
+    last = np.clip(centres + reach + 1, 1, image_end).astype(np.intp)
+    last = np.maximum(last, first + 1)
+
+    # The part is reduced, so that bilinear sampling averages all of its pixels.
     extent = last - first
-    sizes = np.maximum(1, np.rint(extent * np.minimum(1.0, _SHARPNESS / step)[:, None])).astype(
-        np.intp
-    )
+    reduction = np.minimum(1.0, _SHARPNESS / step)[:, None]
+    sizes = np.maximum(1, np.rint(extent * reduction)).astype(np.intp)
     ratio = sizes / extent
+
+    # From the chip to the image: a rotation about the centre with the candidate's scale.
     cosine = np.cos(angles)
     sine = np.sin(angles)
-    # chip -> pixels
-    turn = step[:, None, None] * np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
+    rotation = np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
+    turn = step[:, None, None] * rotation
     origin = centres - first - turn @ [side_px / 2, side_px / 2]
     matrices = np.concatenate([turn * ratio[:, :, None], (origin * ratio)[:, :, None]], axis=2)
-    # Continuous coordinates have pixel centres at +0.5.
+    # These coordinates have pixel centres at +0.5, those of OpenCV at whole numbers.
     matrices[:, :, 2] += matrices[:, :, :2] @ (0.5, 0.5) - 0.5
-    return np.concatenate([first, last], axis=1), sizes, matrices
+    return _Cuts(np.concatenate([first, last], axis=1), sizes, matrices)
 
 
 class Weights(NamedTuple):
-    """Weights of the detector's logit, the verifier's logit and the size odds in the combined logit.
+    """Weights of the terms of the combined logit.
 
     Attributes:
         detector: weight of the detector's logit.
@@ -123,15 +155,23 @@ class Weights(NamedTuple):
     def score(
         self, scores: ArrayLike, logits: ArrayLike, size_odds: ArrayLike = 0.0
     ) -> NDArray[np.float64]:
-        """Combine the detector's scores, the verifier's logits and the size odds into scores ``[n]`` in [0, 1]."""
-        first = np.clip(np.asarray(scores, np.float64), _MARGIN, 1 - _MARGIN)
+        """Combine scores ``[n]`` in [0, 1]; see the class for the terms.
+
+        Args:
+            scores: ``[n]`` the detector's scores.
+            logits: ``[n]`` the verifier's logits.
+            size_odds: ``[n]`` how well the sizes fit, or 0.
+        """
+        detector = np.clip(np.asarray(scores, np.float64), _SCORE_MARGIN, 1 - _SCORE_MARGIN)
+        verifier = np.asarray(logits, np.float64)
+        size = np.asarray(size_odds, np.float64)
         total = (
-            self.detector * np.log(first / (1 - first))
-            + self.verifier * np.asarray(logits, np.float64)
+            self.detector * np.log(detector / (1 - detector))
+            + self.verifier * verifier
             + self.bias
+            + self.size * size
         )
-        total = total + self.size * np.asarray(size_odds, np.float64)
-        return np.asarray(1 / (1 + np.exp(-np.clip(total, -50, 50))))
+        return np.asarray(1 / (1 + np.exp(-np.clip(total, -_MAX_LOGIT, _MAX_LOGIT))))
 
 
 class AuxiliaryModel(LoadedModel, Generic[_CardT]):
@@ -142,6 +182,11 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
         runtime: how to open it; None for the defaults.
 
     Attributes:
+        named: name of the kind of network, for messages.
+        trained_by: module that trains and exports it, for messages.
+        chip_shape: channels, rows and columns of a chip.
+        outputs: names of the outputs, and the shape of a row of each.
+        card_type: type of the model card.
         path: the ONNX file.
         card: model card.
 
@@ -154,7 +199,7 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
     named: ClassVar[str]
     trained_by: ClassVar[str]
     chip_shape: ClassVar[tuple[int, int, int]]
-    outputs: ClassVar[Mapping[str, tuple[int, ...]]]  # names, and shapes of a row
+    outputs: ClassVar[Mapping[str, tuple[int, ...]]]
     card_type: ClassVar[type[AuxiliaryCard]]
 
     card: _CardT
@@ -164,20 +209,29 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
         self.runtime = runtime or Runtime()
         file = read_model(self.path)
         self._session = open_session(self.path, content=file.content, runtime=self.runtime)
-        inputs = self._session.get_inputs()
-        outputs = self._session.get_outputs()
-        names = [each.name for each in (*inputs, *outputs)]
-        if names != [_INPUT, *self.outputs] or tuple(inputs[0].shape[1:]) != self.chip_shape:
-            channels, height, width = self.chip_shape
-            raise ModelContractError(
-                f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, {channels}, "
-                f"{height}, {width}] and "
-                f"{', '.join(self.outputs)}, as {self.trained_by} writes them"
-            )
-        metadata = self._session.get_modelmeta().custom_metadata_map
+        self._check_contract()
         self.card = read_card(
-            self.card_type, self.path, sha256=models_sha256(file), metadata=metadata
+            self.card_type,
+            self.path,
+            sha256=models_sha256(file),
+            metadata=self._session.get_modelmeta().custom_metadata_map,
         )  # type: ignore[assignment]
+
+    def _check_contract(self) -> None:
+        """Check the names of inputs and outputs, and the shape of a chip.
+
+        Raises:
+            ModelContractError: the file is another kind of network.
+        """
+        inputs = self._session.get_inputs()
+        names = [tensor.name for tensor in (*inputs, *self._session.get_outputs())]
+        if names == [_INPUT, *self.outputs] and tuple(inputs[0].shape[1:]) == self.chip_shape:
+            return
+        channels, height, width = self.chip_shape
+        raise ModelContractError(
+            f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, {channels}, {height}, "
+            f"{width}] and {', '.join(self.outputs)}, as {self.trained_by} writes them"
+        )
 
     def predict(self, chips: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
         """Run the network on chips.
@@ -202,15 +256,23 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
             runtime=self.runtime,
             described=described,
         )
-        numbers = [np.asarray(each, np.float64) for each in results]
-        shapes = [(len(chips), *shape) for shape in self.outputs.values()]
-        if [each.shape for each in numbers] != shapes or not all(
-            np.isfinite(each).all() for each in numbers
-        ):
+        numbers = [np.asarray(result, np.float64) for result in results]
+        self._check_numbers(numbers, len(chips))
+        return numbers
+
+    def _check_numbers(self, outputs: Sequence[NDArray[np.float64]], n_chips: int) -> None:
+        """Check that the outputs have finite numbers for each chip.
+
+        Raises:
+            ModelContractError: they have not.
+        """
+        expected_shapes = [(n_chips, *shape) for shape in self.outputs.values()]
+        shapes = [output.shape for output in outputs]
+        are_finite = all(np.isfinite(output).all() for output in outputs)
+        if shapes != expected_shapes or not are_finite:
             raise ModelContractError(
                 f"the {self.named} {self.path} does not give numbers for each of its chips"
             )
-        return numbers
 
 
 class Verifier(AuxiliaryModel[VerifierCard]):
@@ -223,22 +285,24 @@ class Verifier(AuxiliaryModel[VerifierCard]):
     card_type = VerifierCard
 
     def scored(
-        self, pixels: NDArray[np.uint8], found: Objects, *, size_odds: ArrayLike = 0.0
+        self, pixels: NDArray[np.uint8], candidates: Objects, *, size_odds: ArrayLike = 0.0
     ) -> Objects:
         """Replace the scores of candidates by the combined scores.
 
         Args:
             pixels: ``[h, w, 3]`` uint8 RGB, the tile in which they were found.
-            found: candidates, in its pixels.
+            candidates: candidates, in its pixels.
             size_odds: ``[n]`` how well their sizes fit (see ``SceneScalePrior.size_odds``); 0
                 without a prior.
         """
         logits = [np.zeros(0)]
-        for start in range(0, len(found), _BATCH):
-            logits.append(self.logits(surroundings(pixels, found.boxes[start : start + _BATCH])))
-        scores = Weights(*self.card.weights).score(found.scores, np.concatenate(logits), size_odds)
-        return Objects(found.boxes, scores, found.classes)
+        for start in range(0, len(candidates), _BATCH):
+            chips = surroundings(pixels, candidates.boxes[start : start + _BATCH])
+            logits.append(self.logits(chips))
+        weights = Weights(*self.card.weights)
+        scores = weights.score(candidates.scores, np.concatenate(logits), size_odds)
+        return Objects(candidates.boxes, scores, candidates.classes)
 
     def logits(self, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Predict the logits of cars ``[n]`` from chips ``[n, 48, 48, 3]``, see ``surroundings``."""
+        """Predict the logits of cars ``[n]`` from chips ``[n, 48, 48, 3]``."""
         return self.predict(chips)[0]

@@ -1,4 +1,7 @@
-"""Files of an ONNX model: the graph, and the external weights of large exports; a cache while they are unchanged."""
+"""Files of an ONNX model: the graph, and the external weights of large exports.
+
+``file_cached`` keeps what was loaded from them while they are unchanged.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,10 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _BLOCK_BYTES = 1 << 20
-# protobuf's number below 16,384: seven bits per byte, lowest first
+# Number of protobuf below 16,384: seven bits per byte, lowest first.
 _LENGTH = rb"[\x80-\xff]?[\x00-\x7f]"
 _LOCATION = re.compile(rb"\x6a" + _LENGTH + rb"\x0a\x08location\x12(" + _LENGTH + rb")")
-"""Start of an entry of ``TensorProto.external_data`` (onnx.proto, field 13) with the key ``location``."""
+"""Start of an entry of ``TensorProto.external_data`` (onnx.proto, field 13), key ``location``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +71,11 @@ def read_model(path: Path) -> ModelFile:
 
 
 def models_sha256(*models: ModelFile) -> str:
-    """Compute the SHA-256, in hexadecimal digits, of models in order, each followed by its external weights."""
+    """Compute the SHA-256 of models in order, each followed by its external weights.
+
+    Returns:
+        The checksum in hexadecimal digits.
+    """
     digest = hashlib.sha256()
     for model in models:
         digest.update(model.content)
@@ -80,17 +87,19 @@ def models_sha256(*models: ModelFile) -> str:
 
 
 def external_locations(content: bytes) -> tuple[str, ...]:
-    """List the files of a graph's external weights, relative to its folder, each once; empty for other files.
+    """List the files of a graph's external weights, relative to its folder, each once.
 
     The graph itself names the file of every tensor that is stored outside it. The entries are found
     by their bytes, wherever the tensor lies in the graph, because the ``onnx`` package is not a
-    dependency.
+    dependency. Files that are not a graph have none.
     """
-    found: dict[str, None] = {}
+    locations: dict[str, None] = {}
     for entry in _LOCATION.finditer(content):
+        # Seven bits per byte, lowest first.
         length = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(entry[1]))
-        found[content[entry.end() : entry.end() + length].decode("utf-8", "replace")] = None
-    return tuple(found)
+        name = content[entry.end() : entry.end() + length]
+        locations[name.decode("utf-8", "replace")] = None
+    return tuple(locations)
 
 
 _FileState: TypeAlias = tuple[Path, int, int, int]
@@ -115,7 +124,7 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     def decorate(load: Callable[P, T]) -> Callable[P, T]:
         @functools.lru_cache(max_models)
         def loaded(
-            states: tuple[_FileState, ...],
+            states: tuple[_FileState, ...],  # part of the key: a changed file is another one
             args: tuple[Any, ...],
             named: tuple[tuple[str, Any], ...],
         ) -> T:
@@ -124,11 +133,13 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
         @functools.wraps(load)
         def cached(*args: P.args, **kwargs: P.kwargs) -> T:
-            given = [_absolute(each) for each in args]
-            named = {name: _absolute(each) for name, each in kwargs.items()}
-            files = [each for each in (*given, *named.values()) if isinstance(each, Path)]
-            states = tuple(state for file in files for state in _states(file))
-            return loaded(states, tuple(given), tuple(named.items()))
+            positional = tuple(_absolute(value) for value in args)
+            named = {name: _absolute(value) for name, value in kwargs.items()}
+            states: list[_FileState] = []
+            for value in (*positional, *named.values()):
+                if isinstance(value, Path):
+                    states += _states(value)
+            return loaded(tuple(states), positional, tuple(named.items()))
 
         return cached
 
@@ -136,9 +147,14 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def _absolute(value: Any) -> Any:
-    # Links are not resolved: external weights lie beside the given name, not beside the link's
-    # target.
-    return Path(value).absolute() if isinstance(value, os.PathLike) else value
+    """Make a path absolute; return any other value as it is.
+
+    Links are not resolved: external weights lie beside the given name, not beside the link's
+    target.
+    """
+    if not isinstance(value, os.PathLike):
+        return value
+    return Path(value).absolute()
 
 
 def _states(file: Path) -> list[_FileState]:
@@ -146,21 +162,26 @@ def _states(file: Path) -> list[_FileState]:
     state = _state(file)
     if state is None:
         return []
-    beside = (_state(file.parent / location) for location in _locations(state))
-    return [state, *(weights for weights in beside if weights is not None)]
+    weights = [_state(file.parent / location) for location in _locations(state)]
+    return [state, *(weight for weight in weights if weight is not None)]
 
 
 def _state(file: Path) -> _FileState | None:
+    """Read the state of a file; None for a missing one."""
     try:
-        found = file.stat()
-    except (OSError, ValueError):  # ValueError: a NUL in the name
+        status = file.stat()
+    # A NUL in the name is a ValueError.
+    except (OSError, ValueError):
         return None
-    return file, found.st_size, found.st_mtime_ns, found.st_ino
+    return file, status.st_size, status.st_mtime_ns, status.st_ino
 
 
 @functools.lru_cache(maxsize=32)
 def _locations(state: _FileState) -> tuple[str, ...]:
+    """List the files of a graph's external weights while the graph is unchanged."""
+    path = state[0]
     try:
-        return external_locations(state[0].read_bytes())
-    except OSError:  # for example a folder; loading reports it
+        return external_locations(path.read_bytes())
+    # The path is a folder, for example; loading reports it.
+    except OSError:
         return ()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
 MAX_THREADS = 256
-"""Largest accepted number of threads: each needs a stack, and no model here profits from more cores."""
+"""Largest accepted number of threads: each needs a stack, and no model here needs more cores."""
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with (done, total)."""
@@ -91,18 +91,20 @@ class Runtime:
     @property
     def idle(self) -> Runtime:
         """Runtime without progress and cancellation, with which models are opened and cached."""
-        return (
-            self if self.progress is None and self.cancellation is None else self.during(Runtime())
-        )
+        if self.progress is None and self.cancellation is None:
+            return self
+        return self.during(Runtime())
 
     def during(self, call: Runtime) -> Runtime:
         """Copy the runtime with the progress and the cancellation of a call."""
         return replace(self, progress=call.progress, cancellation=call.cancellation)
 
     def with_keywords(self, keywords: Mapping[str, Any]) -> Runtime:
-        """The same runtime with other fields; None leaves a field as it is."""
+        """Copy the runtime with other fields; None leaves a field as it is."""
         changes = {name: value for name, value in keywords.items() if value is not None}
-        return replace(self, **changes) if changes else self
+        if not changes:
+            return self
+        return replace(self, **changes)
 
     def tell(self, done: int, total: int) -> None:
         """Report progress, if anybody follows it."""
@@ -111,6 +113,11 @@ class Runtime:
 
 
 def _checked_threads(threads: Any) -> int | None:
+    """Check a number of threads.
+
+    Raises:
+        InvalidParameterError: it is not a whole number in the limits.
+    """
     if threads is None:
         return None
     try:
@@ -120,12 +127,19 @@ def _checked_threads(threads: Any) -> int | None:
 
 
 def _checked_providers(providers: Any) -> tuple[str, ...]:
+    """Check the names of execution providers; None gives the default.
+
+    Raises:
+        InvalidParameterError: there is none, or one is not a string.
+    """
     if providers is None:
         return DEFAULT_PROVIDERS
-    named = (providers,) if isinstance(providers, str) else tuple(providers)
-    if not named or not all(isinstance(name, str) for name in named):
+    if isinstance(providers, str):
+        providers = [providers]
+    names = tuple(providers)
+    if not names or not all(isinstance(name, str) for name in names):
         raise InvalidParameterError(f"providers is {providers!r}: name them, as in ['cuda', 'cpu']")
-    return named
+    return names
 
 
 class LoadedModel:
@@ -138,11 +152,9 @@ class LoadedModel:
     runtime: Runtime = Runtime()
 
     def under(self, call: Runtime) -> Self:
-        """Bind the model to one call: its runs report to the call's progress and obey its cancellation."""
-        if (
-            call.progress is self.runtime.progress
-            and call.cancellation is self.runtime.cancellation
-        ):
+        """Bind the model to the progress and the cancellation of one call."""
+        runtime = self.runtime
+        if call.progress is runtime.progress and call.cancellation is runtime.cancellation:
             return self
         bound = copy.copy(self)
         bound.runtime = self.runtime.during(call)

@@ -45,11 +45,13 @@ _SHORT_NAMES = {
     "directml": "DmlExecutionProvider",
     "rocm": "ROCMExecutionProvider",
 }
-# file size; bundled models and YOLO11n have about 10 MB, SAM's encoders hundreds
+# Largest file of a small model: bundled models and YOLO11n have 10 MB, SAM's encoders hundreds.
 _SMALL_BYTES = 32 << 20
 # ONNX Runtime's ``ArenaExtendStrategy``: the arena grows by the requested size, not by powers of
-# two
+# two.
 _AS_REQUESTED = 1
+# ONNX Runtime's level of messages at which it reports fatal errors only.
+_FATAL_ONLY = 4
 _logger = logging.getLogger(__name__)
 
 _OUT_OF_MEMORY = re.compile("bad.?alloc|failed to allocate|out of memory", re.IGNORECASE)
@@ -75,32 +77,50 @@ def open_session(
             the providers.
         OutOfMemoryError: there is too little memory for it now.
     """
-    chosen = runtime or Runtime()
-    wanted = _installed(chosen.providers)
+    runtime = runtime or Runtime()
+    providers = _installed(runtime.providers)
+    model: str | bytes = str(path)
+    if content is not None and not external_locations(content):
+        model = content
+    options = _session_options(model, runtime)
+    try:
+        session = onnxruntime.InferenceSession(model, options, providers=providers)
+    # ONNX Runtime's own exception types are private.
+    except Exception as error:
+        raise _converted(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
+    # ONNX Runtime silently falls back to the CPU.
+    if providers[0] not in session.get_providers():
+        _warn_once(f"{providers[0]} cannot start here: models run on {session.get_providers()[0]}")
+    # It keeps the file only to open it again with other providers.
+    if session.get_providers() == ["CPUExecutionProvider"]:
+        session._model_bytes = None
+    return session
+
+
+def _session_options(model: str | bytes, runtime: Runtime) -> onnxruntime.SessionOptions:
+    """Choose the options of a session: threads, messages and memory.
+
+    Args:
+        model: path of the file, or its bytes.
+        runtime: how to open it.
+    """
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # fatal only; a broken file raises an error of this package
-    # else threads spin on after each run
+    # A broken file raises an error of this package, so ONNX Runtime need not report it.
+    options.log_severity_level = _FATAL_ONLY
+    # Otherwise threads spin on after each run.
     options.add_session_config_entry("session.force_spinning_stop", "1")
-    if chosen.threads is not None:
-        options.intra_op_num_threads = chosen.threads
+    if runtime.threads is not None:
+        options.intra_op_num_threads = runtime.threads
         options.inter_op_num_threads = 1
-    model = str(path) if content is None or external_locations(content) else content
     if isinstance(model, bytes) and len(model) <= _SMALL_BYTES:
         _share_arena()
         options.add_session_config_entry("session.use_env_allocators", "1")
-        # keeps a block per input shape, and tiles have many shapes
+        # A pattern keeps a block for every shape of the input, and tiles have many shapes.
         options.enable_mem_pattern = False
     else:
-        options.enable_cpu_mem_arena = False  # never releases the memory of the largest run
-    try:
-        session = onnxruntime.InferenceSession(model, options, providers=wanted)
-    except Exception as error:  # ONNX Runtime's own exception types are private
-        raise _converted(error, f"{path} is not an ONNX model that ONNX Runtime can load") from None
-    if wanted[0] not in session.get_providers():  # ONNX Runtime silently falls back to the CPU
-        _warn_once(f"{wanted[0]} cannot start here: models run on {session.get_providers()[0]}")
-    if session.get_providers() == ["CPUExecutionProvider"]:
-        session._model_bytes = None  # it keeps the file only to open it again with other providers
-    return session
+        # An arena never releases the memory of the largest run.
+        options.enable_cpu_mem_arena = False
+    return options
 
 
 @cache
@@ -117,7 +137,8 @@ def _share_arena() -> None:
     arena = onnxruntime.OrtArenaCfg({"arena_extend_strategy": _AS_REQUESTED})
     try:
         onnxruntime.create_and_register_allocator(memory, arena)
-    except RuntimeError:  # another library in this process has registered one, which is shared then
+    # Another library in this process has registered one, which is shared then.
+    except RuntimeError:
         _logger.debug("ONNX Runtime has a shared arena already")
 
 
@@ -133,8 +154,7 @@ def _installed(providers: Sequence[str]) -> list[str]:
     if missing and "CPUExecutionProvider" not in wanted:
         raise ProviderUnavailableError(
             f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the "
-            "matching onnxruntime "
-            "build, or add cpu to the providers as a fallback"
+            "matching onnxruntime build, or add cpu to the providers as a fallback"
         )
     if missing:
         _warn_once(f"ONNX Runtime has no {', '.join(missing)} here: models run without")
@@ -158,7 +178,7 @@ def run_session(
 
     Args:
         session: the model.
-        outputs: names of the outputs wanted; None for all.
+        outputs: names of the outputs; None for all.
         feeds: inputs by name.
         runtime: runtime of the call; its cancellation ends the run.
         described: subject and verb of the error message if the run fails.
@@ -172,11 +192,13 @@ def run_session(
         CancelledError: the call was cancelled (``concurrent.futures``).
     """
     cancellation = runtime.cancellation
+    run_options = None
+    if cancellation is not None:
+        run_options = cancellation.run_options
     try:
-        results: list[Any] = session.run(
-            outputs, feeds, None if cancellation is None else cancellation.run_options
-        )
-    except Exception as error:  # ONNX Runtime's own exception types are private
+        results: list[Any] = session.run(outputs, feeds, run_options)
+    # ONNX Runtime's own exception types are private.
+    except Exception as error:
         if cancellation is not None and cancellation.requested:
             raise CancelledError("the call was cancelled") from error
         raise _converted(error, described) from None

@@ -12,17 +12,20 @@ _BUNDLED = Path(__file__).parent / "bundled"
 SEGMENTER = _BUNDLED / "segmenter-encoder.onnx", _BUNDLED / "segmenter-decoder.onnx"
 SCENE_SCALE = _BUNDLED / "scene-scale.onnx"
 COURTS = _BUNDLED / "courts.onnx"
-_NO_DETECTORS = {
+# Bundled files that are not detectors.
+_OTHER_FILES = {
     "verifier.onnx",
     "chips.onnx",
-    *(path.name for path in (*SEGMENTER, SCENE_SCALE, COURTS)),
+    SCENE_SCALE.name,
+    COURTS.name,
+    *(path.name for path in SEGMENTER),
 }
 
 
 def bundled_models() -> dict[str, Path]:
     """List the bundled detectors: name to file."""
     files = sorted(_BUNDLED.glob("*.onnx"), key=lambda path: path.stem)
-    return {path.stem: path for path in files if path.name not in _NO_DETECTORS}
+    return {path.stem: path for path in files if path.name not in _OTHER_FILES}
 
 
 def auxiliary_model(detector: Path, kind: Literal["verifier", "chips"]) -> Path | None:
@@ -34,9 +37,12 @@ def auxiliary_model(detector: Path, kind: Literal["verifier", "chips"]) -> Path 
         kind: which of them.
     """
     path = detector.with_name(f"{detector.stem}.{kind}.onnx")
-    if detector.resolve() == (_BUNDLED / f"{DEFAULT_DETECTOR}.onnx").resolve():
+    default_detector = _BUNDLED / f"{DEFAULT_DETECTOR}.onnx"
+    if detector.resolve() == default_detector.resolve():
         path = _BUNDLED / f"{kind}.onnx"
-    return path if path.is_file() else None
+    if not path.is_file():
+        return None
+    return path
 
 
 def resolve_model(model: str | Path | None = None) -> Path:
@@ -49,14 +55,16 @@ def resolve_model(model: str | Path | None = None) -> Path:
         ModelNotFoundError: the model is neither a bundled name nor a file.
     """
     bundled = bundled_models()
-    name = DEFAULT_DETECTOR if model is None else str(model)
+    name = DEFAULT_DETECTOR
+    if model is not None:
+        name = str(model)
     if name in bundled:
         return bundled[name]
     path = Path(name)
     if not path.is_file():
+        names = ", ".join(bundled) or "none"
         raise ModelNotFoundError(
-            f"no model {name!r}: not a file, and not one of the bundled detectors "
-            f"({', '.join(bundled) or 'none'})"
+            f"no model {name!r}: not a file, and not one of the bundled detectors ({names})"
         )
     return path
 

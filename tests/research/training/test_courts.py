@@ -14,8 +14,8 @@ from research.training.courts.data import Court, CropStream, Picture  # noqa: E4
 from research.training.courts.network import CourtNet  # noqa: E402
 from research.training.courts.train import export, losses  # noqa: E402
 from tests.skill.courts.drawing import draw_court  # noqa: E402 - PyTorch may be missing
-from vehanchor.courts.find import CourtNetwork  # noqa: E402
-from vehanchor.courts.match import TENNIS  # noqa: E402
+from vehanchor.courts.network import CourtNetwork  # noqa: E402
+from vehanchor.courts.templates import TENNIS  # noqa: E402
 from vehanchor.imagery.sources.opening import open_raster  # noqa: E402
 
 pytestmark = pytest.mark.slow

@@ -120,7 +120,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
     missing = await called(server, "estimate_gsd", images / "cars.png", drop=f"1,{n + 1}")
     assert missing.is_error
     assert (
-        f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}"
+        f"drop has number {n + 1}, which is not a vehicle of this image: its vehicles are 1 to {n}"
         in text_of(missing)
     )
 

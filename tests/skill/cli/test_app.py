@@ -495,7 +495,9 @@ def test_vehicles_are_corrected_by_hand(run: Any, n_detections: int) -> None:
 def test_an_unknown_number_of_a_vehicle_is_refused(run: Any, n_detections: int) -> None:
     n = n_detections
     result = _estimate(run, "cars.png", "--drop", n + 1)
-    error = f"drop has number {n + 1}, which is no vehicle of this image: they are 1 to {n}"
+    error = (
+        f"drop has number {n + 1}, which is not a vehicle of this image: its vehicles are 1 to {n}"
+    )
     assert error in result.stderr
 
 

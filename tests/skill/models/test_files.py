@@ -24,13 +24,14 @@ from vehanchor.models.zoo import (
 
 
 def outside(name: str, location: str) -> onnx.TensorProto:
+    """A tensor whose values are in another file."""
     tensor = numpy_helper.from_array(np.ones(300, np.float32), name)
     set_external_data(tensor, location=location)
     tensor.ClearField("raw_data")
     return tensor
 
 
-def test_weights_are_found_wherever_a_graph_can_hold_a_tensor() -> None:
+def test_external_weights_are_found_wherever_a_graph_holds_a_tensor() -> None:
     constant = helper.make_node("Constant", [], ["c"], value=outside("c", "constant.bin"))
     several = helper.make_node(
         "Custom", [], ["d"], domain="x", many=[outside("d", "one.bin"), outside("e", "two.bin")]
@@ -58,7 +59,7 @@ def test_weights_are_found_wherever_a_graph_can_hold_a_tensor() -> None:
     assert set(external_locations(model.SerializeToString())) == expected
 
 
-def test_the_checksum_covers_graph_and_weights_in_their_order(tmp_path: Path) -> None:
+def test_the_checksum_covers_graphs_with_their_weights_in_order(tmp_path: Path) -> None:
     encoder, decoder = write_sam2(tmp_path)
     beside = keep_weights_beside(decoder, ".weights")
     models = read_model(encoder), read_model(decoder)
@@ -68,19 +69,25 @@ def test_the_checksum_covers_graph_and_weights_in_their_order(tmp_path: Path) ->
     assert models_sha256(*models) == hashlib.sha256(joined).hexdigest()
 
 
-def test_missing_files_are_told_by_name(tmp_path: Path) -> None:
+def test_missing_weights_are_named(tmp_path: Path) -> None:
     _, decoder = write_sam2(tmp_path)
     beside = keep_weights_beside(decoder)
     beside.unlink()
     with pytest.raises(ModelNotFoundError, match=rf"{beside.name}, which is missing"):
         read_model(decoder)
-    for path in (tmp_path / "absent.onnx", tmp_path):
-        with pytest.raises(ModelNotFoundError, match="no model file"):
-            read_model(path)
+
+
+@pytest.mark.parametrize("name", ["absent.onnx", "."])
+def test_a_path_without_a_file_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ModelNotFoundError, match="no model file"):
+        read_model(tmp_path / name)
+
+
+# --- Cache
 
 
 class Loaded:
-    """A stand-in for a model: what its file held."""
+    """A stand-in for a model, with the bytes of its file."""
 
     def __init__(self, path: Path, threads: int | None) -> None:
         self.content = read_model(path).content
@@ -111,8 +118,9 @@ def test_a_file_is_loaded_once_for_each_set_of_options(model: Path) -> None:
 
 def test_a_replaced_file_is_loaded_anew(model: Path) -> None:
     before = load(model)
+    # The other file has the same size and time.
     other = model.with_name("other")
-    other.write_bytes(b"other")  # of the same size
+    other.write_bytes(b"other")
     os.utime(other, ns=(model.stat().st_mtime_ns, model.stat().st_mtime_ns))
     other.replace(model)
     after = load(model)
@@ -126,13 +134,13 @@ def test_a_relative_path_is_another_file_in_another_folder(
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "model.onnx").write_text(name)
-    found = []
+    models = []
     for name in ("a", "b", "a"):
         monkeypatch.chdir(tmp_path / name)
-        found.append(load(Path("model.onnx")))
-    assert [each.content for each in found] == [b"a", b"b", b"a"]
-    assert found[2] is found[0]
-    assert load(tmp_path / "a" / "model.onnx") is found[0]
+        models.append(load(Path("model.onnx")))
+    assert [model.content for model in models] == [b"a", b"b", b"a"]
+    assert models[2] is models[0]
+    assert load(tmp_path / "a" / "model.onnx") is models[0]
 
 
 def test_other_weights_beside_the_file_are_loaded_anew(tmp_path: Path) -> None:
@@ -144,12 +152,15 @@ def test_other_weights_beside_the_file_are_loaded_anew(tmp_path: Path) -> None:
     assert load(decoder) is not first
 
 
-def test_what_fails_is_tried_again(tmp_path: Path) -> None:
+def test_a_failure_is_not_cached(tmp_path: Path) -> None:
     path = tmp_path / "late.onnx"
     with pytest.raises(ModelNotFoundError):
         load(path)
     path.write_bytes(b"here now")
     assert load(path).content == b"here now"
+
+
+# --- Bundled models
 
 
 @pytest.fixture
@@ -164,41 +175,58 @@ def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_neither_a_segmenter_nor_a_chip_network_is_a_detector(bundled: Path) -> None:
+def test_only_detectors_are_listed(bundled: Path) -> None:
     assert bundled_models() == {
         "boats": bundled / "boats.onnx",
         "vehicles": bundled / "vehicles.onnx",
     }
 
 
-def test_this_installation_ships_a_detector_of_the_default_name() -> None:
-    assert resolve_model() == resolve_model(DEFAULT_DETECTOR) == bundled_models()[DEFAULT_DETECTOR]
+def test_this_installation_has_a_detector_of_the_default_name() -> None:
+    assert resolve_model() == bundled_models()[DEFAULT_DETECTOR]
+    assert resolve_model(DEFAULT_DETECTOR) == resolve_model()
     assert resolve_model().is_file()
 
 
-def test_a_detector_is_given_by_its_name_or_its_path(bundled: Path, tmp_path: Path) -> None:
+def test_a_bundled_detector_is_found_by_its_name(bundled: Path) -> None:
+    assert resolve_model("boats") == bundled / "boats.onnx"
+
+
+def test_a_detector_is_found_by_its_path(bundled: Path, tmp_path: Path) -> None:
     own = tmp_path / "own.onnx"
     own.touch()
-    assert resolve_model("boats") == bundled / "boats.onnx"
     assert resolve_model(own) == resolve_model(str(own)) == own
-    for name in ("chips", "segmenter-encoder", str(tmp_path / "absent.onnx"), str(tmp_path)):
-        with pytest.raises(ModelNotFoundError, match=r"bundled detectors \(boats, vehicles\)"):
-            resolve_model(name)
 
 
-def test_the_chip_network_lies_beside_its_detector(bundled: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["chips", "segmenter-encoder", "absent.onnx", "."])
+def test_any_other_name_is_refused_with_the_bundled_detectors(
+    bundled: Path, tmp_path: Path, name: str
+) -> None:
+    if name in ("absent.onnx", "."):
+        name = str(tmp_path / name)
+    with pytest.raises(ModelNotFoundError, match=r"bundled detectors \(boats, vehicles\)"):
+        resolve_model(name)
+
+
+def test_the_chip_network_of_the_default_detector_is_bundled(bundled: Path) -> None:
     assert auxiliary_model(bundled / "vehicles.onnx", "chips") == bundled / "chips.onnx"
     assert auxiliary_model(bundled / "boats.onnx", "chips") is None
-    own = tmp_path / "own.onnx"
-    assert auxiliary_model(own, "chips") is None
-    (tmp_path / "own.chips.onnx").touch()
-    assert auxiliary_model(own, "chips") == tmp_path / "own.chips.onnx"
     (bundled / "chips.onnx").unlink()
     assert auxiliary_model(bundled / "vehicles.onnx", "chips") is None
 
 
-def test_a_segmenter_is_given_by_both_its_paths(tmp_path: Path) -> None:
+def test_the_chip_network_of_another_detector_lies_beside_it(tmp_path: Path) -> None:
+    own = tmp_path / "own.onnx"
+    assert auxiliary_model(own, "chips") is None
+    (tmp_path / "own.chips.onnx").touch()
+    assert auxiliary_model(own, "chips") == tmp_path / "own.chips.onnx"
+
+
+def test_this_installation_has_a_segmenter() -> None:
     assert all(path.is_file() for path in resolve_segmenter())
+
+
+def test_a_segmenter_is_found_by_both_its_paths(tmp_path: Path) -> None:
     encoder = tmp_path / "encoder.onnx"
     decoder = tmp_path / "decoder.onnx"
     encoder.touch()
