@@ -21,11 +21,11 @@ from typing import Any
 import pytest
 
 from tests.server.calls.working import Value, answered, done
+from tests.server.sandbox.trace import confined_calls
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
-from vehanchor_server.sandbox.trace import confined_calls
 from vehanchor_server.services import Services
 
 CONFINE = """
