@@ -161,7 +161,7 @@ def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> It
 def _forgetful(request: pytest.FixtureRequest) -> None:
     """Forget what earlier tests have asked the server that all share."""
     if "services" in request.fixturenames:
-        request.getfixturevalue("services").models.__dict__.pop("memory", None)
+        request.getfixturevalue("services").resources.models.__dict__.pop("memory", None)
 
 
 @pytest.fixture

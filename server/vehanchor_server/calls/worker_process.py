@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from vehanchor_server.calls.messages import WorkerMessage
     from vehanchor_server.calls.task import Task
-    from vehanchor_server.parts import Parts
+    from vehanchor_server.resources import Resources
 
 # idle time before freed memory is returned; a call after that maps it again, for some 25 ms
 _IDLE_S = 5.0
@@ -68,7 +68,7 @@ class WorkerLimits:
 def serve_tasks(
     connection: Connection,
     log: Connection,
-    make_services: Callable[[], Parts],
+    make_resources: Callable[[], Resources],
     limits: WorkerLimits,
 ) -> None:
     """Confine this process, load the models and run tasks until the server ends: the main function of a worker.
@@ -76,7 +76,7 @@ def serve_tasks(
     Args:
         connection: connection to the server, for messages.
         log: pipe for log lines, which the server labels and limits.
-        make_services: creates the worker's parts.
+        make_resources: creates the resources of the worker.
         limits: resource limits of the worker.
     """
     from vehanchor_server.request_log import configure_logging
@@ -91,21 +91,21 @@ def serve_tasks(
     _keep_streams(connection, log)
     configure_logging()
     try:
-        services = make_services()
-        readable = services.readable
+        resources = make_resources()
+        readable = resources.readable
         confinement = (
             Confinement(lacks="the operator's settings") if readable is None else confine(readable)
         )
         threading.Thread(
             target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True
         ).start()
-        services.models.load_all()
+        resources.models.load_all()
         _glibc("malloc_trim", 0)
     except Exception:
         send(connection, _bug())
         return
     _limit_memory(limits.memory_bytes)
-    send(connection, Loaded(failure=services.models.failure, confinement=confinement))
+    send(connection, Loaded(failure=resources.models.failure, confinement=confinement))
     # the server ended, or released this worker
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
@@ -113,7 +113,7 @@ def serve_tasks(
                 _glibc("malloc_trim", 0)
             task = connection.recv()
             _limit_cpu(limits.cpu_s)
-            failure = _outcome(services, task, connection)
+            failure = _outcome(resources, task, connection)
             if failure is not None:
                 send(connection, failure)
             del task
@@ -139,14 +139,14 @@ def _keep_streams(connection: Connection, log: Connection) -> None:
     os.closerange(kept + 1, os.sysconf("SC_OPEN_MAX"))
 
 
-def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
+def _outcome(resources: Resources, task: Task[Any], connection: Connection) -> WorkerMessage | None:
     """Run a task and send its reply; otherwise return the message for the failure."""
 
     def report(percent: float, message: str) -> None:
         send(connection, Progressed(percent=percent, message=message))
 
     try:
-        send_reply(connection, perform(services, task, Job(Stop(), report)))
+        send_reply(connection, perform(resources, task, Job(Stop(), report)))
         return None
     except Exception as error:
         if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):

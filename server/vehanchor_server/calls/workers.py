@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.reply import Reply
     from vehanchor_server.calls.task import Record, Task
     from vehanchor_server.calls.worker_process import WorkerLimits
-    from vehanchor_server.parts import Parts
+    from vehanchor_server.resources import Resources
     from vehanchor_server.sandbox.confinement import Confinement
 
 _ENDS_WITHIN_S = 5.0  # a killed process, unless the system is stuck
@@ -60,19 +60,19 @@ class WorkerPool:
     """Workers of a server, at most one per concurrent call.
 
     Args:
-        make_services: creates a worker's parts: a module-level function or a ``functools.partial``
+        make_resources: creates the resources of a worker: a module-level function or a ``functools.partial``
             of one.
         limits: resource limits of each worker.
 
     Attributes:
-        make_services: as given.
+        make_resources: as given.
         limits: as given.
         closed: whether all workers were ended.
         failure: error code of the last failed load of the models, or None.
     """
 
-    def __init__(self, make_services: Callable[[], Parts], limits: WorkerLimits) -> None:
-        self.make_services = make_services
+    def __init__(self, make_resources: Callable[[], Resources], limits: WorkerLimits) -> None:
+        self.make_resources = make_resources
         self.limits = limits
         self.closed = False
         self.failure: str | None = None
@@ -197,7 +197,7 @@ class _Worker:
         log, written = context.Pipe(duplex=False)
         self.process = context.Process(
             target=serve_tasks,
-            args=(theirs, written, pool.make_services, pool.limits),
+            args=(theirs, written, pool.make_resources, pool.limits),
             name="vehanchor-worker",
             daemon=True,
         )
@@ -333,7 +333,7 @@ def _start_context() -> ForkServerContext | SpawnContext:
             tempfile.gettempdir()
             context = multiprocessing.get_context("forkserver")
             context.set_forkserver_preload(
-                [serve_tasks.__module__, "vehanchor_server.services", *SLOW_IMPORTS]
+                [serve_tasks.__module__, "vehanchor_server.resources", *SLOW_IMPORTS]
             )
             return context
     return multiprocessing.get_context("spawn")

@@ -42,6 +42,7 @@ from vehanchor_server.calls.messages import (
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
+from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
 from vehanchor_server.tools.target import MAX_TARGETS
 
@@ -220,7 +221,7 @@ def test_a_picture_has_a_bound(pipe: tuple[Connection, Connection]) -> None:
 
 
 @work(Value)
-def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -> Reply[Value]:
+def foreign_bytes(resources: Resources, job: Job, source: Any, hexadecimal: str) -> Reply[Value]:
     """Write bytes of the caller's choice where messages belong, as a compromised worker can."""
     import inspect
 

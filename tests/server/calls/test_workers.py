@@ -37,6 +37,7 @@ from vehanchor_server.calls.task import Task, work
 from vehanchor_server.calls.worker_process import WorkerLimits, serve_tasks
 from vehanchor_server.calls.workers import WorkerPool
 from vehanchor_server.errors import CallError
+from vehanchor_server.resources import Resources, create_resources
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
@@ -76,37 +77,39 @@ def georeferenced(images: Path) -> Iterator[Path]:
 
 
 @work(Value)
-def a_while(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def a_while(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     time.sleep(1.0)
     return answered(os.getpid())
 
 
 @work(Value)
-def crash(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def crash(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     os.kill(os.getpid(), signal.SIGSEGV)
     raise AssertionError
 
 
 @work(Value)
-def fill(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def fill(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     return answered(float(np.ones(1 << 29).sum()))  # 4 GiB
 
 
 @work(Value)
-def spin(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def spin(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     while True:
         pass
 
 
 @work(Value)
-def bug(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def bug(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     raise KeyError("hunter2")
 
 
 async def test_answers_are_those_of_one_process(
     isolated: Services, isolated_server: MCPServer[object], images: Path, georeferenced: Path
 ) -> None:
-    server = create_server(create_services(replace(isolated.settings, isolation="in-process")))
+    server = create_server(
+        create_services(replace(isolated.resources.settings, isolation="in-process"))
+    )
     reports: list[Any] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
@@ -172,7 +175,7 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
 
 
 @work(Value)
-def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def allocation_refused(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     raise CallError(
         "image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes."
     )
@@ -271,27 +274,27 @@ def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(
         time.sleep(0.02)
 
 
-def not_there() -> Services:
+def not_there() -> Resources:
     raise ModuleNotFoundError("No module named 'cv2'")
 
 
-def crashes() -> Services:
+def crashes() -> Resources:
     os._exit(3)
 
 
-def killed() -> Services:  # as a system does that has no memory left
+def killed() -> Resources:  # as a system does that has no memory left
     os.kill(os.getpid(), signal.SIGKILL)
     raise AssertionError
 
 
 @pytest.mark.parametrize(
-    ("make_services", "words"),
+    ("make_resources", "words"),
     [(not_there, "No module named 'cv2'"), (crashes, "exit code 3"), (killed, "exit code -9")],
 )
 def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
-    make_services: Any, words: str, caplog: pytest.LogCaptureFixture
+    make_resources: Any, words: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    workers = WorkerPool(make_services, WorkerLimits(1 << 30, 10))
+    workers = WorkerPool(make_resources, WorkerLimits(1 << 30, 10))
     workers.start()
     for _ in range(2):
         with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not the cause"):
@@ -319,7 +322,7 @@ def test_a_worker_for_which_there_is_no_process_is_not_the_images_fault(
     assert done(isolated, number) != process
 
 
-def endless() -> Services:  # as a model that computes for ever while it is loaded
+def endless() -> Resources:  # as a model that computes for ever while it is loaded
     while True:
         time.sleep(1)
 
@@ -338,11 +341,11 @@ def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
         workers.close()
 
 
-def lost_once(mark: Path, settings: Settings) -> Services:
+def lost_once(mark: Path, settings: Settings) -> Resources:
     if not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return create_services(settings)
+    return create_resources(settings)
 
 
 @pytest.mark.parametrize("is_lost", [True, False])
@@ -355,7 +358,7 @@ def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_i
     make = (
         partial(lost_once, tmp_path / "mark", settings)
         if is_lost
-        else partial(create_services, settings)
+        else partial(create_resources, settings)
     )
     workers = WorkerPool(make, WorkerLimits(1 << 30, 10))
     workers.start()
@@ -377,7 +380,7 @@ def test_a_worker_whose_server_leaves_without_reading_its_message_ends_without_a
     log, written = context.Pipe(duplex=False)
     worker = context.Process(
         target=serve_tasks,
-        args=(theirs, written, partial(create_services, settings), WorkerLimits(1 << 30, 10)),
+        args=(theirs, written, partial(create_resources, settings), WorkerLimits(1 << 30, 10)),
     )
     worker.start()
     theirs.close()

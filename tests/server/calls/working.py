@@ -13,6 +13,7 @@ from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, Work, work
 from vehanchor_server.images.argument import Base64Image
+from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
 
 TESTS = Path(__file__).parents[2]
@@ -54,6 +55,6 @@ def done(
 
 
 @work(Value)
-def number(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def number(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     """The process's; a work."""
     return answered(os.getpid())

@@ -146,7 +146,7 @@ def test_a_path_that_leads_nowhere_is_told_with_what_it_is_and_the_nearest_names
     assert "The nearest names are deep/b c%41.png." in str(refusal(root, "B C_41.png"))
     assert "Check the path." in str(refusal(root, "quite-different.tiff"))
     assert "is a folder. Name a file in it" in str(refusal(root, "deep"))
-    assert "this is a URL, no path" in str(refusal(root, "https://images.example/a.png"))
+    assert "this is a URL, not a path" in str(refusal(root, "https://images.example/a.png"))
 
 
 def test_the_first_root_with_the_file_of_a_relative_path_wins(root: Path, outside: Path) -> None:

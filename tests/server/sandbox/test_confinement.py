@@ -25,6 +25,7 @@ from tests.server.sandbox.trace import confined_calls
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
+from vehanchor_server.resources import Resources
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
 from vehanchor_server.services import Services
 
@@ -63,9 +64,9 @@ class Targets:
 
 
 @work(Value)
-def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Reply[Value]:
+def attempts(resources: Resources, job: Job, source: Any, targets: Targets) -> Reply[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
-    root = services.settings.roots[0]
+    root = resources.settings.roots[0]
     secret = targets.secret
     server = targets.server
     libc = ctypes.CDLL(None, use_errno=True)
@@ -154,7 +155,7 @@ def test_a_worker_can_do_its_work_and_nothing_else(
 ) -> None:
     if not (held[0] and held[1]):
         pytest.skip(f"this system does not confine: {held[2]}")
-    root = running.settings.roots[0]
+    root = running.resources.settings.roots[0]
     secret = tmp_path / "token"
     secret.write_text("hunter2")
     (root / "cars.png").write_bytes(b"pixels")
@@ -208,7 +209,7 @@ def test_what_a_system_lacks_is_told_and_the_rest_is_done(
 
 
 @work(Value)
-def inherited(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def inherited(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     """The descriptors and the environment variables of a worker."""
     folder = Path("/proc/self/fd")
     names = {int(each.name): str(each.readlink()) for each in folder.iterdir() if each.is_symlink()}

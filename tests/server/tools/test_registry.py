@@ -17,12 +17,12 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Reading
 from vehanchor_server.app import create_server
 from vehanchor_server.base_model import FrozenModel
-from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.resources import Resources
 from vehanchor_server.schemas import PUBLISHED, schema_files
 from vehanchor_server.services import Services
 from vehanchor_server.tools import registry
@@ -48,7 +48,7 @@ def image_size_tool(services: Services) -> StrictTool:
     async def image_size(
         image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
     ) -> CallToolResult:
-        answer = await run_call(services, ctx, image=image, work=_image_size, question=None)
+        answer = await services.run_call(ctx, image, work=_image_size, question=None)
         return answer.to_result(f"{answer.record.width_px} px wide.")
 
     title = "Tell an image's size"
@@ -57,9 +57,9 @@ def image_size_tool(services: Services) -> StrictTool:
 
 
 @work(Size)
-def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Reply[Size]:
+def _image_size(resources: Resources, job: Job, source: OpenedImage, _: None) -> Reply[Size]:
     job.stop.check()
-    with open_raster(source, Reading(limits=services.settings.image_limits)) as raster:
+    with open_raster(source, Reading(limits=resources.settings.image_limits)) as raster:
         return Reply((Size(width_px=raster.width_px, height_px=raster.height_px),))
 
 

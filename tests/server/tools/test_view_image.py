@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from tests.models import blank_image
 from tests.server.conftest import POOL, POOL_BOX, paint_scene, with_pool, write_image
 from tests.server.conversation import error_of, picture_of, text_of
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.images import path_access
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -267,10 +266,10 @@ async def test_a_listing_takes_a_slot_and_has_the_deadline(
     listing = threading.Event()
     goes_on = threading.Event()
 
-    def slow_walk(root: Path, stop: Stop) -> Iterator[Path]:
+    def slow_walk(root: Path, check_stop: Callable[[], None]) -> Iterator[Path]:
         listing.set()
         while not goes_on.wait(0.01):
-            stop.check()
+            check_stop()
         yield root / "a.png"
 
     monkeypatch.setattr(path_access, "_images_below", slow_walk)
