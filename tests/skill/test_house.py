@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import hypothesis
 import pytest
@@ -20,10 +21,38 @@ from tests.conftest import ROOT
 
 MODULE_LINES = 600
 FUNCTION_LINES = 80
-# of vehanchor, at most: a new import between packages needs a reason
-ROOT_MODULES = 3
-ARROWS = 112
-FLOORS = 13
+
+
+class Shape(NamedTuple):
+    """Limits on the rooms of a package: its subpackages, and its modules outside of these.
+
+    Attributes:
+        floors: longest chain of rooms that import each other.
+        arrows: imports from one room to another; a new one needs a reason.
+        root_modules: modules outside subpackages.
+    """
+
+    floors: int
+    arrows: int
+    root_modules: int
+
+
+SHAPES = {
+    "vehanchor": Shape(floors=13, arrows=112, root_modules=3),
+    "vehanchor_server": Shape(floors=9, arrows=48, root_modules=10),
+}
+# The rooms of the server, from the ground up: a room imports only rooms of lower floors.
+SERVER_FLOORS = (
+    ("errors", "base_model", "settings", "request_log"),
+    ("images", "sandbox", "app_page", "models"),
+    ("resources",),
+    ("calls",),
+    ("services",),
+    ("tools",),
+    ("app", "schemas"),
+    ("transport",),
+    ("command",),
+)
 LABORATORY = ("benchmarks", "paper", "results", "training")  # scenes are for tests, too
 FOLDERS = (ROOT / "skill", ROOT / "server")
 COMMANDS = (
@@ -86,21 +115,17 @@ IMPORTS = {name: _imported(tree) for name, tree in TREES.items()}
 
 
 def _room(name: str) -> str:
-    """Package or module below ``vehanchor`` to which a module belongs."""
+    """Subpackage, or module outside of these, to which a module belongs."""
     return ".".join(name.split(".")[:2])
 
 
-def _rooms() -> dict[str, set[str]]:
-    """The rooms of the library, each with those that it imports."""
-    rooms: dict[str, set[str]] = {
-        _room(name): set() for name in MODULES if _below(name, "vehanchor")
-    }
-    for name, imported in IMPORTS.items():
-        if _room(name) in rooms:
-            found = {
-                _room(each) for each in imported if each in MODULES and _below(each, "vehanchor")
-            }
-            rooms[_room(name)] |= found - {_room(name)}
+def _rooms(package: str) -> dict[str, set[str]]:
+    """The rooms of a package, each with those that it imports."""
+    members = [name for name in MODULES if _below(name, package)]
+    rooms: dict[str, set[str]] = {_room(name): set() for name in members}
+    for name in members:
+        imported = {_room(module) for module in IMPORTS[name] if module in members}
+        rooms[_room(name)] |= imported - {_room(name)}
     return rooms
 
 
@@ -130,27 +155,54 @@ def test_no_import_comes_back_to_where_it_began() -> None:
         pytest.fail(" <- ".join(error.args[1]))
 
 
-def test_the_packages_of_the_library_form_no_circle_and_few_floors() -> None:
-    rooms = _rooms()
+def _floors(package: str) -> dict[str, int]:
+    """The floor of each room: one above the highest that it imports; fail on a circle."""
+    rooms = _rooms(package)
     floors: dict[str, int] = {}
     try:
         for room in TopologicalSorter(rooms).static_order():
-            floors[room] = 1 + max((floors[each] for each in rooms[room]), default=0)
+            floors[room] = 1 + max((floors[imported] for imported in rooms[room]), default=0)
     except CycleError as error:
         pytest.fail(" <- ".join(error.args[1]))
-    assert max(floors.values()) <= FLOORS, sorted(floors.items(), key=lambda item: item[1])
+    return floors
 
 
-def test_few_packages_of_the_library_import_each_other() -> None:
-    arrows = sorted((room, each) for room, imported in _rooms().items() for each in imported)
-    assert len(arrows) <= ARROWS, arrows
+@pytest.mark.parametrize("package", SHAPES)
+def test_rooms_form_no_circle_and_few_floors(package: str) -> None:
+    floors = _floors(package)
+    highest_first = sorted(floors.items(), key=lambda room: room[1], reverse=True)
+    assert max(floors.values()) <= SHAPES[package].floors, highest_first
 
 
-def test_few_modules_lie_outside_packages() -> None:
+@pytest.mark.parametrize("package", SHAPES)
+def test_few_rooms_import_each_other(package: str) -> None:
+    arrows = sorted((room, other) for room, others in _rooms(package).items() for other in others)
+    assert len(arrows) <= SHAPES[package].arrows, arrows
+
+
+@pytest.mark.parametrize("package", SHAPES)
+def test_few_modules_lie_outside_subpackages(package: str) -> None:
     loose = [
-        room for room in _rooms() if room != "vehanchor" and MODULES[room].name != "__init__.py"
+        room for room in _rooms(package) if room != package and MODULES[room].name != "__init__.py"
     ]
-    assert len(loose) <= ROOT_MODULES, loose
+    assert len(loose) <= SHAPES[package].root_modules, loose
+
+
+def test_no_import_of_the_server_points_upward() -> None:
+    floors = {
+        f"vehanchor_server.{room}": floor
+        for floor, rooms in enumerate(SERVER_FLOORS)
+        for room in rooms
+    }
+    rooms = _rooms("vehanchor_server")
+    assert rooms.keys() - {"vehanchor_server"} == floors.keys()
+    upward = [
+        f"{room} imports {imported}"
+        for room, floor in floors.items()
+        for imported in rooms[room]
+        if floors[imported] >= floor
+    ]
+    assert not upward
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)
