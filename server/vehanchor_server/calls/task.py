@@ -21,7 +21,9 @@ Record = TypeVar("Record", bound=BaseModel)
 
 
 class Work(Protocol[Record]):
-    """Function of resources, job, opened image and question; other images are a fifth argument.
+    """Work of a call: a function of resources, job, opened image and question.
+
+    Other images are a fifth argument.
 
     Attributes:
         record: type of the records in the reply.
@@ -76,6 +78,8 @@ def perform(resources: Resources, task: Task[Record], job: Job) -> Reply[Record]
     Raises:
         CallError: the work failed with a remedy for the caller.
     """
-    first, *more = task.images
-    with resources.sources.open(*first) as source, library_errors(source):
-        return task.work(resources, job, source, task.question, *((more,) if more else ()))
+    (image, fetched), *more = task.images
+    with resources.sources.open(image, fetched) as source, library_errors(source):
+        if more:
+            return task.work(resources, job, source, task.question, more)
+        return task.work(resources, job, source, task.question)

@@ -150,7 +150,7 @@ def doubtful() -> GsdEstimate:
 LINE = "draw a line over a parking bay or lane dash (known_lengths)"
 CAR = "add a car that has no box (add)"
 REGION = "give the region (region)"
-DROP = "drop boxes that are no cars, see view_image (drop)"
+DROP = "drop boxes that are not cars, see view_image (drop)"
 
 
 @pytest.mark.parametrize(
