@@ -198,7 +198,11 @@ class PathAccess:
         raise missing
 
     def _split(self, path: Path) -> tuple[Path, tuple[str, ...]]:
-        """Split a path, by its text alone, into its root and the components below; refuse others."""
+        """Split a path, by its text alone, into its root and the components below the root.
+
+        Raises:
+            CallError: ``path_not_allowed``.
+        """
         for name, root in self._spellings:
             if _nfc(path).is_relative_to(_nfc(name)):
                 return root, path.parts[len(name.parts) :]

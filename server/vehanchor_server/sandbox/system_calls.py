@@ -1,9 +1,9 @@
 """System calls that a worker can make: those that decoders and networks need.
 
 The seccomp filter allows the calls in ``ALLOWED``, some with certain arguments only. It refuses all
-others with an error. A trace of a worker (``tests/server/sandbox/trace.py``) showed 49 of the calls:
-the worker read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks, measured and
-drew. The other allowed calls are their equivalents in other C libraries and on other processors.
+others with an error. ``tests/server/sandbox/trace.py`` showed 49 of the calls in a worker that read
+JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks, measured and drew. The other
+allowed calls are their equivalents in other C libraries and on other processors.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Arguments of the measuring tools that are options of the library, and the options made of them."""
+"""Arguments of the measuring tools that are options of the library, and the options from them."""
 
 from __future__ import annotations
 

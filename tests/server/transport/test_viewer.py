@@ -158,7 +158,7 @@ def test_what_is_no_photograph_is_not_kept(address: Address) -> None:
     ):
         reply = drop(address, name, data)
         assert reply.status_code == 415, name
-        assert reply.text.startswith(f"{name} is no photograph to measure: ")
+        assert reply.text.startswith(f"{name} is not a photograph to measure: ")
 
 
 def test_a_photograph_above_the_limit_is_not_kept(
