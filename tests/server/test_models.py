@@ -60,7 +60,7 @@ def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path
     assert models.failure is None
 
 
-def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_better(
+def test_the_calibration_is_for_callers_who_know_no_fleet(
     settings: Settings, tmp_path: Path
 ) -> None:
     settings = replace(settings, calibration=calibration_file(tmp_path / "c.json"))

@@ -130,7 +130,7 @@ async def test_vehicles_and_lines_are_drawn_where_they_are_with_the_vehicles_num
 
 
 @pytest.mark.anyio
-async def test_people_get_a_sentence_without_warnings_and_names_of_arguments(
+async def test_people_get_a_sentence_without_warnings_or_argument_names(
     server: MCPServer[object], images: Path
 ) -> None:
     line = {"x1": 20, "y1": 30, "x2": 420, "y2": 30, "metres": 400, "basis": "measured"}

@@ -217,7 +217,7 @@ def host(chromium: Any, calls: dict[str, Call], results: Results) -> Iterator[Ho
     host.leave("http://host.test/")
 
 
-def test_a_good_estimate_is_shown_in_words_numbers_and_boxes(host: Host) -> None:
+def test_a_good_estimate_is_shown_in_words_numbers_boxes(host: Host) -> None:
     record = host.record("good")
     jpeg = host.panel("good")["picture_jpeg"]
     host.show("good")
@@ -294,7 +294,7 @@ def test_a_call_is_told_from_its_beginning_to_its_end(host: Host) -> None:
     assert host.page.locator(".picture").count() == 0
 
 
-def test_every_ruler_is_listed_with_its_scale_and_the_chance_that_it_is_right(host: Host) -> None:
+def test_rulers_are_listed_with_their_chances(host: Host) -> None:
     record = host.record("rulers")
     host.show("rulers")
     rows = host.page.locator(".rulers li")
@@ -314,7 +314,7 @@ def test_every_ruler_is_listed_with_its_scale_and_the_chance_that_it_is_right(ho
 
 
 @pytest.mark.parametrize("thing", ["", "iso_container_20ft"])
-def test_a_known_length_is_drawn_and_measured_with(host: Host, thing: str) -> None:
+def test_a_drawn_known_length_is_a_ruler(host: Host, thing: str) -> None:
     host.show("good", tools=True)
     host.answers("rulers")
     host.presses("Draw a known length")
@@ -341,7 +341,7 @@ def test_a_known_length_is_drawn_and_measured_with(host: Host, thing: str) -> No
     host.page.locator(".drawn path.mark").wait_for(state="attached")  # a level line has no height
 
 
-def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arguments(
+def test_measurements_by_clicks_have_the_arguments_of_the_scale(
     host: Host,
 ) -> None:
     told = {
@@ -378,7 +378,7 @@ def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arg
     assert host.page.locator(".drawn path.measured").count() == 1
 
 
-def test_vehicles_are_dropped_added_and_taken_back_after_those_of_the_call(host: Host) -> None:
+def test_corrections_of_vehicles_follow_those_of_the_call(host: Host) -> None:
     vehicles = {each[6]: each for each in host.panel("corrected")["drawing"]["vehicles"]}
     row = [n for n, each in vehicles.items() if each[1] < 95]
     host.show("corrected", tools=True)
@@ -415,7 +415,7 @@ def test_vehicles_are_dropped_added_and_taken_back_after_those_of_the_call(host:
     assert asked == again == {"name": "estimate_gsd", "arguments": host.calls["good"][1]}
 
 
-def test_region_and_height_are_those_of_the_call_until_a_person_states_others(host: Host) -> None:
+def test_facts_are_those_of_the_call_until_a_person_changes_them(host: Host) -> None:
     told = {"region": "europe", "height_m": 70, "height_basis": "measured", "focal_35mm": 24}
     host.show(tools=True)
     host.result("good", told)
@@ -439,7 +439,7 @@ def test_region_and_height_are_those_of_the_call_until_a_person_states_others(ho
     }
 
 
-def test_the_picture_is_moved_and_points_are_set_moved_and_taken_back_by_keys(host: Host) -> None:
+def test_keys_move_the_picture_or_set_points(host: Host) -> None:
     host.show("good", tools=True)
     host.page.get_by_role("button", name="Zoom in").focus()
     host.types("Enter", "Tab", "Tab")
@@ -477,7 +477,7 @@ def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(host: Host) -> No
 
 
 @pytest.mark.parametrize(("theme", "width"), [("light", 340), ("dark", 900)])
-def test_no_state_has_a_fault_and_the_page_is_as_high_as_its_frame(
+def test_no_state_has_a_fault_or_another_height_than_its_frame(
     host: Host, theme: str, width: int
 ) -> None:
     host.tab.set_viewport_size({"width": width, "height": 2400})
@@ -490,7 +490,7 @@ def test_no_state_has_a_fault_and_the_page_is_as_high_as_its_frame(
         host.finds_no_fault(width)
 
 
-def test_the_theme_follows_the_host_and_takes_its_colours(host: Host) -> None:
+def test_the_theme_has_the_colours_of_the_host(host: Host) -> None:
     host.show(
         theme="dark",
         styles={"variables": {"--color-background-primary": "light-dark(#fefefe, #010203)"}},
@@ -520,7 +520,7 @@ def test_words_of_the_server_are_shown_as_words(host: Host) -> None:
     assert host.runs("() => document.title") != "taken"
 
 
-def test_the_page_introduces_itself_answers_its_host_and_listens_to_nobody_else(host: Host) -> None:
+def test_the_page_talks_to_its_host_alone(host: Host) -> None:
     host.show("good")
     first, second, *_ = host.heard()
     assert first["method"] == "ui/initialize"

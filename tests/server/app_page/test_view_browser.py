@@ -67,9 +67,7 @@ def saved(person: Person, name: str, folder: Path) -> Path:
     return path
 
 
-def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(
-    person: Person, tmp_path: Path
-) -> None:
+def test_a_person_exports_measurements(person: Person, tmp_path: Path) -> None:
     person.reads("#count", "3 photographs")
     choose_pool(person)
     person.presses("Distance")
@@ -122,7 +120,7 @@ def test_a_tool_taken_while_something_is_measured_stays_taken(person: Person) ->
     person.tab.unroute("**")
 
 
-def test_a_dropped_photograph_is_measured_and_one_that_cannot_be_read_says_why(
+def test_a_dropped_photograph_is_measured_or_refused_with_a_reason(
     person: Person, tmp_path: Path
 ) -> None:
     person.presses("broken.png")
@@ -153,7 +151,7 @@ def test_what_is_seen_closely_comes_in_all_its_pixels(person: Person) -> None:
     part.wait_for(state="hidden")
 
 
-def test_the_list_has_thumbnails_is_searched_and_is_passed_by_one_tab(person: Person) -> None:
+def test_the_list_can_be_searched_or_passed_by_one_tab(person: Person) -> None:
     listed = person.page.locator("#photographs button")
     assert listed.first.get_attribute("aria-current") == "true"
     for name in ("large.png", "pool.png"):
@@ -170,7 +168,7 @@ def test_the_list_has_thumbnails_is_searched_and_is_passed_by_one_tab(person: Pe
     assert person.runs("document.activeElement.textContent") == "Distance"
 
 
-def test_facts_hold_for_all_photographs_and_corrections_for_their_own(person: Person) -> None:
+def test_facts_hold_for_all_photographs_corrections_for_one(person: Person) -> None:
     choose_pool(person)
     numbers = person.page.locator(".drawn .number")
     assert sorted(map(int, numbers.all_text_contents())) == list(range(1, 25))

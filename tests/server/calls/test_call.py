@@ -31,7 +31,7 @@ async def stop_requested(services: Services) -> None:
 
 
 @pytest.mark.parametrize(("name", "n_reports"), [("small.png", 4), ("large.png", 5)])
-async def test_progress_is_reported_three_to_five_times_and_rises(
+async def test_progress_rises_in_three_to_five_reports(
     server: MCPServer[object], images: Path, name: str, n_reports: int, era: str
 ) -> None:
     reports: list[float] = []
@@ -73,7 +73,7 @@ async def test_over_capacity_a_call_is_refused_at_once(
     assert services.capacity.running == 0
 
 
-async def test_the_deadline_ends_a_call_and_frees_its_place(
+async def test_a_call_at_its_deadline_frees_its_slot(
     settings: Settings, images: Path, tiles: Tiles
 ) -> None:
     tiles.least_s = 0.1
@@ -85,7 +85,7 @@ async def test_the_deadline_ends_a_call_and_frees_its_place(
     assert services.capacity.running == 0
 
 
-async def test_cancelling_stops_the_work_and_frees_its_place(
+async def test_a_cancelled_call_frees_its_slot(
     services: Services, images: Path, tiles: Tiles, era: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "vehanchor_server.calls")
@@ -107,7 +107,7 @@ async def test_cancelling_stops_the_work_and_frees_its_place(
     assert not result.is_error
 
 
-async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
+async def test_lack_of_memory_outside_models_has_its_own_code(
     server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def hungry(*_: object, **__: object) -> None:
@@ -125,7 +125,7 @@ def work_until_stopped(stop: Stop) -> None:
         time.sleep(0.005)
 
 
-async def test_a_place_is_taken_until_the_thread_has_ended() -> None:
+async def test_a_slot_is_taken_until_the_thread_has_ended() -> None:
     capacity = Capacity(1, 5)
     began = threading.Event()
     release = threading.Event()
@@ -164,7 +164,7 @@ async def test_whatever_stopped_work_raises_ends_in_the_cancellation() -> None:
         await capacity.run(lambda stop: capacity.in_thread(stop, lambda: terminated(stop)))
 
 
-async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
+async def test_closing_refuses_running_calls_like_later_ones() -> None:
     capacity = Capacity(2, 5)
     codes: list[str] = []
 

@@ -176,7 +176,7 @@ def size_of(record: Any) -> Limit:
     return Limit(len(data), sum(map(data.count, (b",", b"[", b"{"))))
 
 
-def test_limits_are_above_the_largest_honest_message_and_at_most_twice_as_high(
+def test_limits_are_at_most_twice_the_largest_honest_message(
     images: Path,
 ) -> None:
     rows = tuple((12345.5, 12345.5, 1234.5, 1234.5, -179.5, 1, i, 2) for i in range(MAX_VEHICLES))
@@ -263,7 +263,7 @@ def forwarded(said: bytes, caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @pytest.mark.promise("worker-log")
-def test_a_workers_lines_are_labelled_and_have_no_control_characters(
+def test_a_workers_lines_are_labelled_without_control_characters(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     forged = b'plain\n\x1b[2J{"level": "INFO", "message": "call"}\r\n\xff\xe2\x80\xaeodd\n'
@@ -273,7 +273,7 @@ def test_a_workers_lines_are_labelled_and_have_no_control_characters(
 
 
 @pytest.mark.promise("worker-log")
-def test_a_workers_lines_are_limited_in_length_and_number(
+def test_a_workers_lines_are_limited(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_log, "_MAX_LINES", 3)

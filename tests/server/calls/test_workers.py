@@ -157,7 +157,7 @@ def test_a_worker_is_replaced_before_the_next_call(isolated: Services) -> None:
     assert done(isolated, number) == successor
 
 
-def test_a_stop_kills_and_says_so(isolated: Services) -> None:
+def test_a_stop_kills_the_worker(isolated: Services) -> None:
     stop = Stop()
     before = done(isolated, number)
     started = time.monotonic()
@@ -183,15 +183,13 @@ def allocation_refused(resources: Resources, job: Job, source: Any, _: None) -> 
 
 @pytest.mark.promise("memory")
 @pytest.mark.parametrize("task", [fill, allocation_refused])
-def test_memory_is_limited_and_missing_memory_is_not_the_images_fault(
-    isolated: Services, task: Any
-) -> None:
+def test_a_worker_without_memory_is_ended(isolated: Services, task: Any) -> None:
     with pytest.raises(CallError, match=r"worker_killed: .*memory"):
         done(isolated, task)
     assert done(isolated, number) > 0
 
 
-def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services) -> None:
+def test_a_bug_does_not_end_the_worker(isolated: Services) -> None:
     worker = done(isolated, number)
     with pytest.raises(RuntimeError, match="hunter2"):
         done(isolated, bug)
@@ -291,7 +289,7 @@ def killed() -> Resources:  # as a system does that has no memory left
     ("make_resources", "words"),
     [(not_there, "No module named 'cv2'"), (crashes, "exit code 3"), (killed, "exit code -9")],
 )
-def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
+def test_a_worker_that_never_starts_is_logged_once(
     make_resources: Any, words: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     workers = WorkerPool(make_resources, WorkerLimits(1 << 30, 10))
@@ -305,7 +303,7 @@ def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     assert words in line.getMessage()
 
 
-def test_a_worker_for_which_there_is_no_process_is_not_the_images_fault(
+def test_a_refused_process_is_not_the_images_fault(
     monkeypatch: pytest.MonkeyPatch, isolated: Services
 ) -> None:
     def refused(self: Any) -> None:
@@ -349,7 +347,7 @@ def lost_once(mark: Path, settings: Settings) -> Resources:
 
 
 @pytest.mark.parametrize("is_lost", [True, False])
-def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_is_killed(
+def test_a_call_starts_another_worker_only_if_its_own_is_killed(
     tmp_path: Path, detector_path: Path, is_lost: bool
 ) -> None:
     settings = Settings(
@@ -371,9 +369,7 @@ def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_i
         workers.close()
 
 
-def test_a_worker_whose_server_leaves_without_reading_its_message_ends_without_a_word(
-    tmp_path: Path, detector_path: Path
-) -> None:
+def test_a_worker_ends_silently_with_its_server(tmp_path: Path, detector_path: Path) -> None:
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()

@@ -85,7 +85,7 @@ async def called(server: MCPServer[object], image: dict[str, Any]) -> list[CallT
         ("{root}/fifo.png", "image_not_found"),
     ],
 )
-async def test_the_image_inside_is_measured_and_paths_that_lead_elsewhere_are_refused(
+async def test_only_paths_that_stay_inside_are_measured(
     walled: MCPServer[object], root: Path, outside: Path, named: str, code: str
 ) -> None:
     path = named.format(root=root, outside=outside)
@@ -182,7 +182,7 @@ FORMS: tuple[Callable[[str, str], str], ...] = (
 
 
 @pytest.mark.promise("roots")
-def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path) -> None:
+def test_no_form_of_a_path_leaves_a_root_or_reveals_what_exists(tmp_path: Path) -> None:
     root = (tmp_path / "root").resolve()
     (root / "deep").mkdir(parents=True)
     (root / "a.png").write_bytes(b"inside")
@@ -219,7 +219,7 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path)
 
 
 @pytest.mark.promise("fetch")
-async def test_no_other_host_is_looked_up_and_none_asked() -> None:
+async def test_no_other_host_is_looked_up_or_asked() -> None:
     async def resolve(host: str, port: int) -> list[str]:
         assert (host, port) == ("images.test", 443)
         return ["10.0.0.1"]

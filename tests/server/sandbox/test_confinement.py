@@ -150,7 +150,7 @@ def started(thread: threading.Thread) -> None:
 
 @pytest.mark.promise("confinement")
 @pytest.mark.slow
-def test_a_worker_can_do_its_work_and_nothing_else(
+def test_a_worker_can_do_nothing_but_its_work(
     running: Services, held: tuple[int, bool, str], tmp_path: Path
 ) -> None:
     if not (held[0] and held[1]):
@@ -199,7 +199,7 @@ def test_a_worker_can_do_its_work_and_nothing_else(
         ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
     ],
 )
-def test_what_a_system_lacks_is_told_and_the_rest_is_done(
+def test_missing_confinement_is_stated_beside_the_rest(
     before: str, words: str, landlock: bool, seccomp: bool, held: tuple[int, bool, str]
 ) -> None:
     found = confined(before)

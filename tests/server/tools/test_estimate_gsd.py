@@ -19,7 +19,7 @@ from vehanchor_server.tools.messages import answer_of
 pytestmark = pytest.mark.anyio
 
 
-async def test_a_call_gives_the_librarys_record_and_a_sentence(
+async def test_a_call_gives_the_librarys_record_with_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path, era: str
 ) -> None:
     expected = vehanchor.estimate_gsd(
@@ -85,7 +85,7 @@ async def test_arguments_reach_the_library(
     assert "Region europe: cars of 4.50 m." in text_of(by_region)
 
 
-async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(
+async def test_known_lengths_are_in_the_callers_frame(
     server: MCPServer[object], images: Path
 ) -> None:
     line = {"x1": 10, "y1": 10, "x2": 110, "y2": 10, "metres": 200}
@@ -125,7 +125,7 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
     )
 
 
-async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(
+async def test_a_height_makes_a_scale_without_vehicles(
     server: MCPServer[object], images: Path
 ) -> None:
     height: dict[str, Any] = {"height_m": 100, "height_basis": "measured", "focal_35mm": 24}

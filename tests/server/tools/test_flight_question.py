@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import anyio
 import numpy as np
 import pytest
 from mcp import Client
@@ -78,29 +80,50 @@ def flight(images: Path) -> Path:
     return folder
 
 
-async def test_an_image_without_a_car_has_the_scale_of_those_of_its_flight_that_it_overlaps(
+@pytest.fixture(scope="module")
+def overlapping(server: MCPServer[object], flight: Path) -> dict[str, Any]:
+    """The record of an image without cars, with a linked image and an unlinked one."""
+    arguments = _overlapping_call(flight)
+    return record_of(anyio.run(partial(called, server, "estimate_gsd", **arguments)))
+
+
+def _overlapping_call(flight: Path) -> dict[str, Any]:
+    arguments = _among(flight / "here.png", flight / "elsewhere.png", flight / "near.png")
+    return {**arguments, "frame": {"width_px": 250, "height_px": 250}}
+
+
+async def test_an_image_without_cars_has_no_scale_of_its_own(
     server: MCPServer[object], flight: Path
 ) -> None:
-    asked = {
-        **_among(flight / "here.png", flight / "elsewhere.png", flight / "near.png"),
-        "frame": {"width_px": 250, "height_px": 250},
-    }
     alone = record_of(await called(server, "estimate_gsd", flight / "here.png"))
     assert alone["gsd_m_per_px"] is None
-    record = record_of(await called(server, "estimate_gsd", **asked))
-    assert record["gsd_m_per_px"] == pytest.approx(1.25 * CARS_M / LENGTH_PX, rel=0.03)
-    assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * record["gsd_m_per_px"])
-    assert record["rulers"][0]["gsd_m_per_px"] == pytest.approx(record["gsd_m_per_px"], rel=0.01)
-    assert (
-        record["gsd_ci95_low_m_per_px"] < record["gsd_m_per_px"] < record["gsd_ci95_high_m_per_px"]
-    )
-    assert record["scale"]["gsd_m_per_px"] == record["gsd_m_per_px"]
-    assert record["warnings"] == []
-    drawn = await called(server, "view_image", of={"tool": "estimate_gsd", "arguments": asked})
-    assert picture_of(drawn).shape[0] > 250
 
 
-async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_is_told(
+def test_an_image_without_cars_has_the_scale_of_its_flight(overlapping: dict[str, Any]) -> None:
+    gsd = overlapping["gsd_m_per_px"]
+    assert gsd == pytest.approx(1.25 * CARS_M / LENGTH_PX, rel=0.03)
+    assert overlapping["rulers"][0]["gsd_m_per_px"] == pytest.approx(gsd, rel=0.01)
+    assert overlapping["scale"]["gsd_m_per_px"] == gsd
+    assert overlapping["warnings"] == []
+
+
+def test_a_scale_of_a_flight_has_an_interval(overlapping: dict[str, Any]) -> None:
+    gsd = overlapping["gsd_m_per_px"]
+    assert overlapping["gsd_ci95_low_m_per_px"] < gsd < overlapping["gsd_ci95_high_m_per_px"]
+
+
+def test_a_scale_of_a_flight_is_given_in_the_callers_frame(overlapping: dict[str, Any]) -> None:
+    gsd = overlapping["frame"]["gsd_m_per_px"]
+    assert gsd == pytest.approx(2 * overlapping["gsd_m_per_px"])
+
+
+async def test_a_call_about_a_flight_can_be_shown(server: MCPServer[object], flight: Path) -> None:
+    call = {"tool": "estimate_gsd", "arguments": _overlapping_call(flight)}
+    shown = await called(server, "view_image", of=call)
+    assert picture_of(shown).shape[0] > 250
+
+
+async def test_an_unlinked_image_keeps_its_own_scale_with_a_warning(
     server: MCPServer[object], flight: Path
 ) -> None:
     own = record_of(await called(server, "estimate_gsd", flight / "near.png"))

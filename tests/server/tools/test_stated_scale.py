@@ -50,7 +50,7 @@ def never_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("tool", TOOLS)
 @pytest.mark.parametrize(("more", "half"), [({}, 0.015), ({"gsd_tolerance": 0.003}, 0.003)])
 @pytest.mark.usefixtures("never_searches")
-async def test_a_measured_scale_leads_without_a_search_and_a_detector(
+async def test_a_measured_scale_leads_without_a_search_or_a_detector(
     settings: Settings, images: Path, tool: str, more: dict[str, Any], half: float
 ) -> None:
     server = create_server(
@@ -130,7 +130,7 @@ async def test_an_assumed_scale_that_agrees_is_one_more_witness(
 
 
 @pytest.mark.parametrize("factor", [0.3, 1.5, 4])
-async def test_an_assumed_scale_that_contradicts_the_cars_makes_nothing_surer_and_is_told(
+async def test_an_assumed_scale_against_the_cars_lowers_the_confidence(
     server: MCPServer[object], images: Path, factor: float
 ) -> None:
     alone = await measured(server, images / "pool.png")
@@ -201,7 +201,7 @@ async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
         {"drop": "1", "add": [{"x1": 100, "y1": 480, "x2": 132, "y2": 480}]},
     ],
 )
-async def test_a_measurement_after_an_estimate_with_the_same_arguments_costs_no_second_search(
+async def test_a_measurement_after_an_equal_estimate_costs_no_second_search(
     settings: Settings, images: Path, searches: Callable[[], int], more: dict[str, Any]
 ) -> None:
     server = create_server(create_services(settings))

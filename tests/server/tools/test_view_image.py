@@ -260,9 +260,7 @@ async def test_names_that_are_no_text_are_left_out(tmp_path: Path) -> None:
     assert seen_in(result)["images"] == [str(tmp_path / "good.png")]
 
 
-async def test_a_listing_takes_a_slot_and_has_the_deadline(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_listing_counts_as_a_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listing = threading.Event()
     goes_on = threading.Event()
 

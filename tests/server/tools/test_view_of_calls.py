@@ -104,7 +104,7 @@ async def test_a_distance_is_cut_to_the_line(server: MCPServer[object], images: 
     assert (columns[0], columns[-1]) == pytest.approx((200, 600), abs=12)
 
 
-async def test_the_picture_has_the_requested_side_and_shows_all_targets(
+async def test_the_picture_of_all_targets_has_the_requested_side(
     server: MCPServer[object], images: Path
 ) -> None:
     other = {"x_min": 600, "y_min": 700, "x_max": 660, "y_max": 760}
@@ -131,7 +131,7 @@ async def test_a_part_shows_the_numbered_vehicles_of_that_part(
     assert columns.min() < 280 < columns.max(), "two vehicles of this part, at x 60 and 130"
 
 
-async def test_arguments_come_as_text_and_the_image_may_stand_beside_them(
+async def test_arguments_may_come_as_text_beside_the_image(
     server: MCPServer[object], images: Path
 ) -> None:
     expected = await drawn(server, images / "pool.png", "measure_area")

@@ -32,7 +32,7 @@ AUDIENCE = "https://vehanchor.test/mcp"
 TOKEN = "a-long-enough-token-1234"
 
 
-async def test_a_known_token_is_accepted_and_all_others_are_not(
+async def test_only_a_known_token_is_accepted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     compared: list[int] = []
@@ -171,7 +171,7 @@ def forged(token: str, alg: str, secret: bytes) -> str:
 
 
 @pytest.mark.promise("issuer")
-async def test_other_keys_and_algorithms_are_refused(issuer: Issuer) -> None:
+async def test_other_keys_or_algorithms_are_refused(issuer: Issuer) -> None:
     verifier = issuer.verifier()
     public = issuer.key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     assert (
@@ -259,7 +259,7 @@ async def test_keys_of_a_dead_issuer_end(
 
 
 @pytest.mark.parametrize(("n_bytes", "word"), [(1, "Timeout"), (64 << 10, "bytes")])
-async def test_a_dripping_issuer_has_so_much_time_and_so_many_bytes(
+async def test_a_dripping_issuer_is_limited_in_time_or_bytes(
     issuer: Issuer,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,

@@ -85,7 +85,7 @@ def discover(**headers: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("era", ERAS)
-async def test_tools_are_listed_and_called(base: str, images: Path, era: str) -> None:
+async def test_tools_can_be_called(base: str, images: Path, era: str) -> None:
     reports: list[float] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
@@ -207,7 +207,7 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         ({"Origin": "https://console.test"}, 200),
     ],
 )
-def test_foreign_hosts_and_origins_are_refused(
+def test_foreign_hosts_or_origins_are_refused(
     guarded: str, headers: dict[str, str], status: int
 ) -> None:
     with httpx.Client(timeout=60) as client:

@@ -146,7 +146,7 @@ def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("by_signal", [True, False])
-def test_sigterm_and_the_end_of_stdin_end_it_in_the_middle_of_a_call(
+def test_sigterm_or_the_end_of_stdin_ends_a_running_call(
     start: Starter, images: Path, by_signal: bool
 ) -> None:
     process = start(slow=True)

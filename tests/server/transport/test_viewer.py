@@ -174,9 +174,7 @@ def test_a_photograph_above_the_limit_is_not_kept(
 
 
 @pytest.mark.slow
-def test_the_command_says_where_the_page_is_and_leaves_nothing_behind(
-    images: Path, tmp_path: Path
-) -> None:
+def test_the_command_serves_the_page_until_a_signal(images: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "vehanchor", "view", str(images / "cars.png"), "--no-browser"]
     environment = {"TMPDIR": str(tmp_path), "PATH": "/usr/bin:/bin"}
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
