@@ -245,27 +245,42 @@ def _lives(pid: int) -> bool:
         return False
 
 
-def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(
-    settings: Settings,
-) -> None:
-    services = ready(
-        create_services(
-            replace(
-                settings, roots=(*settings.roots, TESTS), isolation="confined", max_concurrency=3
-            )
-        )
-    )
-    assert services.workers is not None
-    assert len(services.workers.processes) == 1
-    assert done(services, number) == done(services, number)
-    assert len(services.workers.processes) == 1
-    with ThreadPoolExecutor() as threads:
-        first = threads.submit(done, services, a_while)
-        time.sleep(0.1)
-        assert done(services, number) != first.result()
-    processes = services.workers.processes
-    assert len(processes) == 2
+@pytest.fixture
+def roomy(settings: Settings) -> Iterator[Services]:
+    """A server with room for three calls, and one worker so far."""
+    roots = (*settings.roots, TESTS)
+    own = replace(settings, roots=roots, isolation="confined", max_concurrency=3)
+    services = ready(create_services(own))
+    yield services
     services.close()
+
+
+def test_calls_one_after_the_other_share_a_worker(roomy: Services) -> None:
+    assert roomy.workers is not None
+    assert len(roomy.workers.processes) == 1
+    assert done(roomy, number) == done(roomy, number)
+    assert len(roomy.workers.processes) == 1
+
+
+def test_calls_at_the_same_time_have_workers_of_their_own(roomy: Services) -> None:
+    assert roomy.workers is not None
+    with ThreadPoolExecutor() as threads:
+        first = threads.submit(done, roomy, a_while)
+        time.sleep(0.1)
+        assert done(roomy, number) != first.result()
+    assert len(roomy.workers.processes) == 2
+
+
+def test_closing_ends_all_workers(roomy: Services) -> None:
+    assert roomy.workers is not None
+    with ThreadPoolExecutor() as threads:
+        first = threads.submit(done, roomy, a_while)
+        time.sleep(0.1)
+        done(roomy, number)
+        first.result()
+    processes = roomy.workers.processes
+    assert len(processes) == 2
+    roomy.close()
     deadline = time.monotonic() + 5
     while any(map(_lives, processes)):
         assert time.monotonic() < deadline

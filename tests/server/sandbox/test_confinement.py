@@ -216,23 +216,42 @@ def inherited(resources: Resources, job: Job, source: Any, _: None) -> Reply[Val
     return answered({"descriptors": names, "variables": dict(os.environ)})
 
 
+@pytest.fixture(scope="module")
+def inheritance(running: Services) -> dict[str, Any]:
+    """The descriptors and the environment variables of a worker."""
+    answer: dict[str, Any] = done(running, inherited)
+    return answer
+
+
 @pytest.mark.promise("inheritance")
 @pytest.mark.slow
-def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Services) -> None:
-    found = done(running, inherited)
-    # of the C library for terminals
-    assert set(found["variables"]) - {"LINES", "COLUMNS"} <= KEPT | set(SEARCH_PATHS)
-    opened = {int(number): target for number, target in found["descriptors"].items()}
-    assert opened[0] == os.devnull
-    assert opened[1] == opened[2]
-    assert opened[1].startswith("pipe:")
-    assert sum(target.startswith("socket:") for target in opened.values()) == 1
-    rest = [
+def test_a_worker_inherits_no_secret(inheritance: dict[str, Any]) -> None:
+    of_terminals = {"LINES", "COLUMNS"}  # variables of the C library
+    assert set(inheritance["variables"]) - of_terminals <= KEPT | set(SEARCH_PATHS)
+
+
+@pytest.mark.promise("inheritance")
+@pytest.mark.slow
+def test_the_streams_of_a_worker_lead_to_its_log(inheritance: dict[str, Any]) -> None:
+    descriptors = inheritance["descriptors"]
+    assert descriptors["0"] == os.devnull
+    assert descriptors["1"] == descriptors["2"]
+    assert descriptors["1"].startswith("pipe:")
+
+
+@pytest.mark.promise("inheritance")
+@pytest.mark.slow
+def test_a_worker_inherits_no_socket_but_its_own(inheritance: dict[str, Any]) -> None:
+    descriptors = inheritance["descriptors"]
+    sockets = [target for target in descriptors.values() if target.startswith("socket:")]
+    assert len(sockets) == 1
+    others = [
         target
-        for number, target in opened.items()
-        if number > 2 and not target.startswith("socket:")
+        for number, target in descriptors.items()
+        if number not in ("0", "1", "2") and target not in sockets
     ]
-    assert all(target.startswith(("/proc/", "anon_inode:", "pipe:")) for target in rest), rest
+    own = ("/proc/", "anon_inode:", "pipe:")
+    assert all(target.startswith(own) for target in others), others
 
 
 def test_calls_count_from_the_filter_on_with_those_of_later_threads() -> None:
