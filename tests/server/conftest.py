@@ -1,4 +1,4 @@
-"""A real server on a real, tiny detector and segmenter, and images in which they find vehicles and a pool."""
+"""A real server with tiny networks, and images with vehicles and a pool for them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _no_operator_variables(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> np.ndarray:
-    """An RGB image with vehicles of nearly one length, on a ground that looks neither coarse nor fine."""
+    """An RGB image with vehicles of nearly one length on textured ground."""
     image = _ground(width_px, height_px)
     generator = np.random.default_rng(7)
     columns = max(1, (width_px - 100) // 70)
@@ -68,7 +68,7 @@ def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> 
 
 
 def _ground(width_px: int, height_px: int) -> np.ndarray:
-    """Grey squares, which the prior of the scene takes for some 0.25 m/px; an even grey looks like 1 m/px."""
+    """Grey squares: the scene-scale prior takes them for 0.25 m/px, and an even grey for 1 m/px."""
     cells = np.random.default_rng(1).integers(
         40, 110, (height_px // _CELL_PX + 1, width_px // _CELL_PX + 1)
     )
@@ -120,7 +120,7 @@ def _images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def images(_images: Path) -> Path:
-    """The allowed root; tests that change files make a directory of their own."""
+    """The allowed root. Tests that change files use a directory of their own."""
     return _images
 
 
@@ -159,13 +159,13 @@ def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> It
 
 @pytest.fixture(autouse=True)
 def _forgetful(request: pytest.FixtureRequest) -> None:
-    """Forget what earlier tests have asked the server that all share."""
+    """Forget the analyses of earlier tests by the shared server."""
     if "services" in request.fixturenames:
         request.getfixturevalue("services").resources.models.__dict__.pop("memory", None)
 
 
 @pytest.fixture
 def tiles() -> Iterator[Tiles]:
-    """The tiles of every call, to be held and counted."""
+    """The tiles of every call, which a test can hold and count."""
     with watched_tiles() as watched:
         yield watched

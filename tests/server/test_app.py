@@ -1,4 +1,4 @@
-"""What the server says of itself."""
+"""The server as a client sees it: greeting, lengths of answers, skill file, determinism."""
 
 from __future__ import annotations
 
@@ -256,7 +256,10 @@ def calls(images: Path) -> list[tuple[str, dict[str, Any]]]:
         ("page_image", {"image": pool["image"]}),
         ("estimate_gsd", {**cars, "more_images": [pool["image"]], "same_scale": True}),
         *several,
-        *(("view_image", {"of": {"tool": tool, "arguments": asked}}) for tool, asked in several),
+        *(
+            ("view_image", {"of": {"tool": tool, "arguments": arguments}})
+            for tool, arguments in several
+        ),
     ]
 
 

@@ -49,7 +49,7 @@ async def test_tools_with_a_panel_name_a_page_that_can_be_read(
 
 
 class Answers(NamedTuple):
-    """Answers to one call: of a host without pages, and short and full ones of a host with pages."""
+    """Answers to one call: for a host without pages; short and full ones for a host with pages."""
 
     plain: CallToolResult
     shown: CallToolResult

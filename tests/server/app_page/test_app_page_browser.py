@@ -1,4 +1,7 @@
-"""The page in a real browser, inside a host of MCP Apps that the test plays: sandboxed, under the host's own policy."""
+"""The page in a real browser.
+
+The test plays the host of MCP Apps: the page is sandboxed, under the host's own policy.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +102,7 @@ class Host(Person):
         self.tab.evaluate("(message) => tell(message)", message)
 
     def result(self, name: str, more: dict[str, Any] | None = None, **other: Any) -> None:
-        """What a host says once a tool has run, with more arguments or other parts of the result."""
+        """Send a result as a host does, with more arguments or other parts of the result."""
         self.sends(
             method="ui/notifications/tool-input",
             params={"arguments": self.calls[name][1] | (more or {})},
@@ -344,7 +347,7 @@ def test_a_drawn_known_length_is_a_ruler(host: Host, thing: str) -> None:
 def test_measurements_by_clicks_have_the_arguments_of_the_scale(
     host: Host,
 ) -> None:
-    told = {
+    facts = {
         "region": "europe",
         "height_m": 70,
         "focal_35mm": 24,
@@ -353,7 +356,7 @@ def test_measurements_by_clicks_have_the_arguments_of_the_scale(
         "frame": HALF,
     }
     host.show(tools=True)
-    host.result("good", told)
+    host.result("good", facts)
     host.answers("distance")
     host.presses("Distance", "Zoom in")
     host.clicks((200, 200), (400, 300))
@@ -366,7 +369,7 @@ def test_measurements_by_clicks_have_the_arguments_of_the_scale(
     distance, area = (each["arguments"] for each in host.asked())
     (line,) = distance.pop("lines")
     (target,) = area.pop("targets")
-    assert distance == area == {**host.calls["good"][1], **told}
+    assert distance == area == {**host.calls["good"][1], **facts}
     places = [each for point in line["points"] for each in point.values()] + list(
         target["box"].values()
     )
@@ -416,9 +419,9 @@ def test_corrections_of_vehicles_follow_those_of_the_call(host: Host) -> None:
 
 
 def test_facts_are_those_of_the_call_until_a_person_changes_them(host: Host) -> None:
-    told = {"region": "europe", "height_m": 70, "height_basis": "measured", "focal_35mm": 24}
+    facts = {"region": "europe", "height_m": 70, "height_basis": "measured", "focal_35mm": 24}
     host.show(tools=True)
-    host.result("good", told)
+    host.result("good", facts)
     host.page.get_by_text("Region and height").click()
     fields = [host.page.get_by_label(name) for name in ("Region", "Camera height", "Focal length")]
     assert [field.input_value() for field in fields] == ["europe", "70", "24"]

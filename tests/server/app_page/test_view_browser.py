@@ -39,8 +39,8 @@ def address(
         threads=1,
         isolation="in-process",
     )
-    with viewing(settings, tmp_path_factory.mktemp("dropped").resolve()) as found:
-        yield found
+    with viewing(settings, tmp_path_factory.mktemp("dropped").resolve()) as status_of:
+        yield status_of
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_a_person_exports_measurements(person: Person, tmp_path: Path) -> None:
         distance["length_px"] * record["estimate"]["gsd_m_per_px"]
     )
     assert area["area_m2"] > 0
-    assert [each["properties"]["kind"] for each in layer["features"]] == ["vehicle"] * 24 + [
+    assert [feature["properties"]["kind"] for feature in layer["features"]] == ["vehicle"] * 24 + [
         "distance",
         "area",
     ]
@@ -204,8 +204,8 @@ def test_all_photographs_are_measured_into_a_table(person: Person, tmp_path: Pat
     assert "not an image" in person.page.locator(".overview tr", has_text="broken.png").inner_text()
     with saved(person, "Save table", tmp_path).open(newline="") as file:
         rows = list(csv.DictReader(file))
-    found = {Path(row["file"]).name: row["status"] for row in rows}
-    assert (found["broken.png"], found["pool.png"], found["large.png"]) == (
+    status_of = {Path(row["file"]).name: row["status"] for row in rows}
+    assert (status_of["broken.png"], status_of["pool.png"], status_of["large.png"]) == (
         "failed",
         "ok",
         "no_scale",
@@ -231,7 +231,10 @@ def test_no_state_has_a_fault(person: Person, width: int, theme: str) -> None:
         for key in ("Enter", "ArrowRight", "Enter"):
             frame.press(key)
         person.finds_no_fault(width)
-    for name, said in {"broken.png": "^not an image", "Measure all": "with a usable scale"}.items():
+    for name, words in {
+        "broken.png": "^not an image",
+        "Measure all": "with a usable scale",
+    }.items():
         person.presses(name)
-        person.reads("#sentence", re.compile(said))
+        person.reads("#sentence", re.compile(words))
         person.finds_no_fault(width)

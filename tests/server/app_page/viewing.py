@@ -1,4 +1,4 @@
-"""``vehanchor view`` on a port of this machine for as long as a test lasts, and a person in front of a page."""
+"""``vehanchor view`` on a port of this machine during a test, and a person in front of a page."""
 
 from __future__ import annotations
 
@@ -88,8 +88,11 @@ class Person:
         axe = needed_module(
             "axe_playwright_python.sync_playwright", "pip install -e '.[browser]'"
         ).Axe()
-        found = axe.run(self.tab.frames[-1]).response["violations"]
-        assert [(each["id"], [node["html"] for node in each["nodes"]]) for each in found] == []
+        violations = axe.run(self.tab.frames[-1]).response["violations"]
+        assert [
+            (violation["id"], [node["html"] for node in violation["nodes"]])
+            for violation in violations
+        ] == []
         assert self.runs("document.documentElement.scrollWidth") <= width
         assert self.runs(_CUT_OFF) == []
 

@@ -1,4 +1,4 @@
-"""Calls in processes of their own: the same answers, and whatever happens there, the server answers."""
+"""Calls in worker processes: answers are the same, and the server survives any failure."""
 
 from __future__ import annotations
 
@@ -135,9 +135,9 @@ async def test_answers_are_those_of_one_process(
     ):
         answers = []
         progress = []
-        for each in (isolated_server, server):
+        for one_server in (isolated_server, server):
             reports.clear()
-            async with Client(each) as client:
+            async with Client(one_server) as client:
                 answers.append(
                     await client.call_tool(tool, arguments, progress_callback=on_progress)
                 )

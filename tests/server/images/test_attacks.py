@@ -1,4 +1,4 @@
-"""Attacks on what the server may read, sent as calls: whatever the form, nothing outside the root is ever opened."""
+"""Attacks by calls: no form of an image argument opens anything outside the roots."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_no_form_of_a_path_leaves_a_root_or_reveals_what_exists(tmp_path: Path) 
             named = form(str(root), path)
             with pytest.raises(CallError) as caught, PathAccess([root]).open(named) as opened:
                 pytest.fail(f"{named!r} was opened: {opened!r}")
-            told = (
+            message = (
                 str(caught.value)
                 .replace(f"server: {root}.", "server.")
                 .replace(repr(named)[1:-1], "NAMED")
@@ -211,7 +211,7 @@ def test_no_form_of_a_path_leaves_a_root_or_reveals_what_exists(tmp_path: Path) 
             answers.append(
                 caught.value.code
                 if caught.value.code == "image_not_found"
-                else told.replace(path, "PATH")
+                else message.replace(path, "PATH")
             )
             assert caught.value.code in ("path_not_allowed", "image_not_found"), named
         assert answers[0] == answers[1], (form("ROOT", present), answers)

@@ -1,4 +1,4 @@
-"""Nothing outside the roots is ever read, and refusals tell nothing about it."""
+"""Nothing outside the roots is ever read, and refusals reveal nothing about it."""
 
 from __future__ import annotations
 

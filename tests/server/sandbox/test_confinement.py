@@ -1,4 +1,4 @@
-"""What takes over a worker has little to do with it: no file but the images', no network, no other process."""
+"""An attacker in a worker can read images, and reach no other file, network or process."""
 
 from __future__ import annotations
 
@@ -128,14 +128,14 @@ def attempts(resources: Resources, job: Job, source: Any, targets: Targets) -> R
         "open shared memory": lambda: checked(libc.shmget(0, 4096, 0o1600)),
         "name the host": lambda: checked(libc.sethostname(b"mine", 4)),
     }
-    found = {}
+    outcomes = {}
     for name, attempt in tries.items():
         try:
             attempt()
-            found[name] = "done"
+            outcomes[name] = "done"
         except OSError as error:
-            found[name] = errno.errorcode[error.errno or 0]
-    return answered(found)
+            outcomes[name] = errno.errorcode[error.errno or 0]
+    return answered(outcomes)
 
 
 def by_descriptor(path: Path) -> None:
@@ -202,17 +202,17 @@ def test_a_worker_can_do_nothing_but_its_work(
 def test_missing_confinement_is_stated_beside_the_rest(
     before: str, words: str, landlock: bool, seccomp: bool, held: tuple[int, bool, str]
 ) -> None:
-    found = confined(before)
-    assert words in found[2]
-    assert bool(found[0]) == (landlock and bool(held[0]))
-    assert found[1] == (seccomp and held[1])
+    result = confined(before)
+    assert words in result[2]
+    assert bool(result[0]) == (landlock and bool(held[0]))
+    assert result[1] == (seccomp and held[1])
 
 
 @work(Value)
 def inherited(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     """The descriptors and the environment variables of a worker."""
     folder = Path("/proc/self/fd")
-    names = {int(each.name): str(each.readlink()) for each in folder.iterdir() if each.is_symlink()}
+    names = {int(link.name): str(link.readlink()) for link in folder.iterdir() if link.is_symlink()}
     return answered({"descriptors": names, "variables": dict(os.environ)})
 
 

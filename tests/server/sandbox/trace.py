@@ -29,7 +29,7 @@ _NEW_THREAD = re.compile(r"= (\d+)$")
 
 
 def confined_calls(lines: Iterable[str]) -> set[str]:
-    """Return the system calls of processes, with their threads, after each has installed its filter."""
+    """Return the system calls of threads that have installed the filter, or inherited it."""
     confined = set()
     calls = set()
     for line in lines:

@@ -158,13 +158,13 @@ async def test_any_server_can_answer_the_second_call(settings: Settings, images:
     here, elsewhere = (create_server(create_services(settings)) for _ in range(2))
     arguments = by_path(images / "empty.png")
     async with at(here, Person("cancel")) as client:
-        asked = await client.session.call_tool("estimate_gsd", arguments, allow_input_required=True)
-    assert isinstance(asked, mcp.types.InputRequiredResult)
-    assert asked.request_state is None
-    assert asked.input_requests is not None
+        first = await client.session.call_tool("estimate_gsd", arguments, allow_input_required=True)
+    assert isinstance(first, mcp.types.InputRequiredResult)
+    assert first.request_state is None
+    assert first.input_requests is not None
     answers: Any = {
         key: ElicitResult(action="accept", content={"height_m": 30, "focal_35mm": 24})
-        for key in asked.input_requests
+        for key in first.input_requests
     }
     async with Client(elsewhere) as client:
         result = await client.session.call_tool("estimate_gsd", arguments, input_responses=answers)

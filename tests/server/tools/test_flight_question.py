@@ -35,7 +35,7 @@ def _among(first: Path, *others: Path, **more: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A root of our own: others count what is in theirs."""
+    """A root for this module alone, because other tests count the files in theirs."""
     root = tmp_path_factory.mktemp("flights").resolve()
     for name, cars in (("two.png", 2), ("more.png", 9), ("empty.png", 0)):
         write_image(root / name, paint_scene(640, 512, cars))
@@ -60,7 +60,7 @@ def server(settings: Settings) -> MCPServer[object]:
 
 @pytest.fixture(scope="module")
 def flight(images: Path) -> Path:
-    """``here.png`` without a car, ``near.png`` beside it with cars at 0.8 of its scale, ``elsewhere.png``."""
+    """``here.png`` without a car, ``near.png`` with cars that overlaps it, ``elsewhere.png``."""
     folder = images / "flight"
     folder.mkdir()
     world = ground(seed=5)
@@ -132,16 +132,16 @@ async def test_an_unlinked_image_keeps_its_own_scale_with_a_warning(
             server, "estimate_gsd", **_among(flight / "near.png", flight / "elsewhere.png")
         )
     )
-    assert [each["code"] for each in among["warnings"]] == ["not_linked"]
+    assert [warning["code"] for warning in among["warnings"]] == ["not_linked"]
     assert digits({**among, "warnings": []}) == digits(own)
 
 
 def digits(value: Any) -> Any:
-    """A record with twelve digits: a product of several factors depends on their order by its last bit."""
+    """A record with twelve digits: the last bits of a product depend on the order of its factors."""
     if isinstance(value, dict):
-        return {name: digits(each) for name, each in value.items()}
+        return {name: digits(item) for name, item in value.items()}
     if isinstance(value, list):
-        return [digits(each) for each in value]
+        return [digits(item) for item in value]
     return float(f"{value:.12g}") if isinstance(value, float) else value
 
 

@@ -1,4 +1,4 @@
-"""What differs from ``estimate_gsd``: the target, a given scale, the segmenter. The rest is one code path for both."""
+"""``measure_area`` where it differs from ``estimate_gsd``: targets, segmenter, alternatives."""
 
 from __future__ import annotations
 
@@ -239,11 +239,11 @@ async def test_the_longest_answer_about_an_area_stays_short(
         "frame": frame,
         "detail": "full",
     }
-    found = AreaMeasurement.model_validate(record_of(await asked(server, full)))
-    assert found.estimate is not None
-    assert found.bounding_box is not None
+    area = AreaMeasurement.model_validate(record_of(await asked(server, full)))
+    assert area.estimate is not None
+    assert area.bounding_box is not None
     other = OtherObject(
-        area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=found.bounding_box
+        area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=area.bounding_box
     )
     codes = (
         "extent_unknown",
@@ -254,11 +254,11 @@ async def test_the_longest_answer_about_an_area_stays_short(
     )
     notices = tuple(Notice(code=code, message=f"{'A fact ' * 12}. And more.") for code in codes)
     changes = {"reason": "not_cars", "n_vehicles": 24}
-    worst = found.model_copy(
+    worst = area.model_copy(
         update={
             "alternatives": (other, other),
             "warnings": notices,
-            "estimate": found.estimate.model_copy(update=changes),
+            "estimate": area.estimate.model_copy(update=changes),
         }
     )
     answer = answer_of([worst], ["Region europe: cars of 4.85 m."], "short")

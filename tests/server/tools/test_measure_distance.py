@@ -1,4 +1,4 @@
-"""What differs from ``estimate_gsd``: the lines, several answers a call."""
+"""``measure_distance`` where it differs from ``estimate_gsd``: lines, several answers."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ async def test_a_place_that_may_be_one_of_a_copy_is_questioned(
         {"lines": [far]},
         {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}},
     ):
-        told = await called(server, "measure_distance", image, **MEASURED, **more)
-        assert "smaller copy" not in text_of(told)
+        result = await called(server, "measure_distance", image, **MEASURED, **more)
+        assert "smaller copy" not in text_of(result)
 
 
 SMALL = {"points": [{"x": 20, "y": 50}, {"x": 90, "y": 60}]}
@@ -177,9 +177,12 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(
         await called(server, "measure_distance", images / "cars.png", lines=[LINE], **MEASURED)
     )
     for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
-        points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
+        points = [
+            {"x": point["x"] / 640 * reach, "y": point["y"] / 512 * reach}
+            for point in LINE["points"]
+        ]
         lines = [{"points": points}]
-        told = await called(
+        result = await called(
             server,
             "measure_distance",
             images / "cars.png",
@@ -187,4 +190,4 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(
             coordinates=coordinates,
             **MEASURED,
         )
-        assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])
+        assert record_of(result)["distance_m"] == pytest.approx(whole["distance_m"])

@@ -39,17 +39,20 @@ async def drawn(
     arguments: dict[str, Any] | None = None,
     **more: Any,
 ) -> CallToolResult:
-    asked = {"image": by_path(image)["image"], **(CALLS[tool] if arguments is None else arguments)}
+    arguments_of_call = {
+        "image": by_path(image)["image"],
+        **(CALLS[tool] if arguments is None else arguments),
+    }
     async with Client(server) as client:
         return await client.call_tool(
-            "view_image", {"of": {"tool": tool, "arguments": asked}, **more}
+            "view_image", {"of": {"tool": tool, "arguments": arguments_of_call}, **more}
         )
 
 
 def near(picture: np.ndarray, rgb: tuple[int, int, int], within: int) -> np.ndarray:
     """Where a decoded picture has a colour."""
-    found: np.ndarray = np.abs(picture[:, :, ::-1].astype(int) - rgb).max(2) < within
-    return found
+    is_colour: np.ndarray = np.abs(picture[:, :, ::-1].astype(int) - rgb).max(2) < within
+    return is_colour
 
 
 @pytest.mark.parametrize("tool", CALLS)
@@ -73,15 +76,15 @@ async def test_the_words_of_the_call_stand_before_a_picture_with_its_vehicles(
 async def test_a_call_that_is_computed_again_gives_the_same_picture(
     settings: Settings, images: Path
 ) -> None:
-    seen = []
+    contents = []
     tool = "measure_area"
     for is_remembered in (True, False):
         server = create_server(create_services(settings))
         if is_remembered:
             async with Client(server) as client:
                 await client.call_tool(tool, {**by_path(images / "pool.png"), **CALLS[tool]})
-        seen.append((await drawn(server, images / "pool.png", tool)).content)
-    assert seen[0] == seen[1]
+        contents.append((await drawn(server, images / "pool.png", tool)).content)
+    assert contents[0] == contents[1]
 
 
 async def test_an_area_is_cut_to_the_object(server: MCPServer[object], images: Path) -> None:
@@ -108,10 +111,14 @@ async def test_the_picture_of_all_targets_has_the_requested_side(
     server: MCPServer[object], images: Path
 ) -> None:
     other = {"x_min": 600, "y_min": 700, "x_max": 660, "y_max": 760}
-    asked = {"targets": [{"box": POOL_BOX}, {"box": other}], **STATED}
+    arguments_of_call = {"targets": [{"box": POOL_BOX}, {"box": other}], **STATED}
     for side_px in (300, 1568):
         result = await drawn(
-            server, images / "pool_large.png", "measure_area", asked, long_side_px=side_px
+            server,
+            images / "pool_large.png",
+            "measure_area",
+            arguments_of_call,
+            long_side_px=side_px,
         )
         decoded = picture_of(result)
         assert side_px / 2 < max(decoded.shape[:2]) <= side_px

@@ -109,11 +109,11 @@ async def test_requests_need_no_session(base: str) -> None:
     params = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client_info}
     legacy = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": params}
     async with httpx.AsyncClient(timeout=60) as client:
-        for asked in (
+        for request in (
             discover(),
             {"json": legacy, "headers": {"Accept": "application/json, text/event-stream"}},
         ):
-            answer = await client.post(f"{base}/mcp", **asked)
+            answer = await client.post(f"{base}/mcp", **request)
             assert answer.status_code == 200
             assert "mcp-session-id" not in answer.headers
 

@@ -183,7 +183,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float = 60) -> bool:
 
 
 def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
-    """Start a call that takes seconds, and wait until its progress shows that tiles are searched."""
+    """Start a call that takes seconds, and wait until it searches tiles."""
     assert process.stdin is not None
     assert process.stdout is not None
     call = json.loads(
@@ -265,7 +265,8 @@ async def called(server, images, calls):
 
 def main():
     images, detector, encoder, decoder, calls = sys.argv[1:]
-    settings = Settings(roots=(Path(images),), detector=detector, segmenter=(Path(encoder), Path(decoder)), threads=1)
+    segmenter = (Path(encoder), Path(decoder))
+    settings = Settings(roots=(Path(images),), detector=detector, segmenter=segmenter, threads=1)
     services = create_services(settings)
     try:
         listed, answers = anyio.run(called, create_server(services), images, json.loads(calls))

@@ -1,4 +1,4 @@
-"""``vehanchor view``: who gets in, and what the page can ask for."""
+"""``vehanchor view``: access, and the requests of the page."""
 
 from __future__ import annotations
 
