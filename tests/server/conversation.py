@@ -57,7 +57,7 @@ def input_schema(tool: str) -> dict[str, Any]:
 
 
 def check_shape(value: Any, schema: dict[str, Any]) -> None:
-    """Validate by a schema; ``test_schemas`` checks the schema itself, which takes ten times longer."""
+    """Validate by a schema; ``test_schemas`` checks the schema itself, at ten times the cost."""
     validator_for(schema)(schema).validate(value)
 
 

@@ -159,18 +159,60 @@ async def test_names_in_which_a_file_points_to_others_are_not_followed(
 
 
 UP = "../" * 12
+PATTERNS = (
+    "{path}",
+    "/{path}",
+    "//{path}",
+    "/.{path}",
+    "{path}/",
+    "{path}/.",
+    "{path}\x00.png",
+    "{path}%00.png",
+    "~{path}",
+    "file://{path}",
+    "FILE://{path}",
+    "file://localhost{path}",
+    "file:///{path}",
+    "file:{path}",
+    "file://.{path}",
+    "file://[{path}",
+    "file://user@localhost{path}",
+    "file://{path}?a=1",
+    "file://{path}#a",
+    "http://localhost{path}",
+    "{root}/..{path}",
+    "{root}/{up}{path}",
+    "{root}//{up}{path}",
+    "{root}/./{up}{path}",
+    "{root}/deep/{up}{path}",
+    "{root}/a.png/{up}{path}",
+    "{root}/missing/{up}{path}",
+    "file://{root}/{up}{path}",
+    "{root}\x00{path}",
+    "{root}{path}",
+    "{root}/{path}",
+    "file://{root}{path}",
+    "{root}/out{path}",
+    "{root}/up{path}",
+    "{root}/up/up{path}",
+    "/proc/self/root{path}",
+    "/proc/1/root{path}",
+    "/proc/thread-self/root{path}",
+    "/proc/self/cwd/{up}{path}",
+    "/dev/fd/../../..{path}",
+    "{root}/proc{path}",
+    "\\\\?\\{path}",
+    "{root}\\..{path}",
+)
+"""Forms of a path, with a root and a way up from it."""
+
+
+def _from_pattern(pattern: str) -> Callable[[str, str], str]:
+    return lambda root, path: pattern.format(root=root, path=path, up=UP)
+
+
 FORMS: tuple[Callable[[str, str], str], ...] = (
-    *(lambda root, path, form=form: form.format(root=root, path=path, up=UP) for form in (
-        "{path}", "/{path}", "//{path}", "/.{path}", "{path}/", "{path}/.", "{path}\0.png", "{path}%00.png", "~{path}",
-        "file://{path}", "FILE://{path}", "file://localhost{path}", "file:///{path}", "file:{path}", "file://.{path}",
-        "file://[{path}", "file://user@localhost{path}", "file://{path}?a=1", "file://{path}#a", "http://localhost{path}",
-        "{root}/..{path}", "{root}/{up}{path}", "{root}//{up}{path}", "{root}/./{up}{path}", "{root}/deep/{up}{path}",
-        "{root}/a.png/{up}{path}", "{root}/missing/{up}{path}", "file://{root}/{up}{path}", "{root}\0{path}",
-        "{root}{path}", "{root}/{path}", "file://{root}{path}", "{root}/out{path}", "{root}/up{path}",
-        "{root}/up/up{path}",
-        "/proc/self/root{path}", "/proc/1/root{path}", "/proc/thread-self/root{path}", "/proc/self/cwd/{up}{path}",
-        "/dev/fd/../../..{path}", "{root}/proc{path}", "\\\\?\\{path}", "{root}\\..{path}",
-    )),
+    *map(_from_pattern, PATTERNS),
     lambda root, path: quote(path),
     lambda root, path: f"file://{quote(path, safe='')}",
     lambda root, path: f"{root}/{quote(UP + path, safe='')}",
@@ -178,7 +220,7 @@ FORMS: tuple[Callable[[str, str], str], ...] = (
     lambda root, path: f"file://{root}/{quote(quote(UP + path, safe=''), safe='')}",
     lambda root, path: f"file://{root}/{UP.replace('.', '%2e')}{path}",
     lambda root, path: f"{root}/{UP.replace('.', chr(0x2024))}{path}",
-)  # fmt: skip
+)
 
 
 @pytest.mark.promise("roots")
@@ -226,14 +268,33 @@ async def test_no_other_host_is_looked_up_or_asked() -> None:
 
     fetcher = Fetcher(("images.test",), 1000, 5.0, resolve=resolve)
     hosts = (
-        "127.0.0.1", "localhost", "[::1]", "2130706433", "0x7f.1", "0177.0.0.1", "169.254.169.254",
+        "127.0.0.1",
+        "localhost",
+        "[::1]",
+        "2130706433",
+        "0x7f.1",
+        "0177.0.0.1",
+        "169.254.169.254",
         "[::ffff:127.0.0.1]",
-        "images.test.", "images.test.evil.test", "evil.test", "images.test@evil.test", "images.test:80",
+        "images.test.",
+        "images.test.evil.test",
+        "evil.test",
+        "images.test@evil.test",
+        "images.test:80",
         "images.test:0",
-        "images.test:99999", "images.test:22", "images.test:0x1BB", "[::1",
-        "evil.test\\@images.test", "imag\u0435s.test", "user@images.test",
-        "user:pw@images.test", "[images.test]", "images.test%00.evil.test", "images.test%2eevil.test", "",
-    )  # fmt: skip
+        "images.test:99999",
+        "images.test:22",
+        "images.test:0x1BB",
+        "[::1",
+        "evil.test\\@images.test",
+        "imag\u0435s.test",
+        "user@images.test",
+        "user:pw@images.test",
+        "[images.test]",
+        "images.test%00.evil.test",
+        "images.test%2eevil.test",
+        "",
+    )
     urls = [
         f"{scheme}{host}/a.png"
         for scheme, host in product(("https://", "http://", "HTTPS:", "ftp://", "//"), hosts)

@@ -137,7 +137,7 @@ async def test_an_unlinked_image_keeps_its_own_scale_with_a_warning(
 
 
 def digits(value: Any) -> Any:
-    """A record with twelve digits: the last bits of a product depend on the order of its factors."""
+    """A record with twelve digits; the last bits of a product depend on its factors' order."""
     if isinstance(value, dict):
         return {name: digits(item) for name, item in value.items()}
     if isinstance(value, list):

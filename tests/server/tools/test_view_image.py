@@ -211,9 +211,17 @@ async def test_without_an_image_those_below_the_roots_are_named(
 ) -> None:
     named = facts_in(await asked(server))["images"]
     assert [Path(name).relative_to(images).as_posix() for name in named] == [
-        "cars.png", "empty.png", "large.png", "pool.png", "pool_alone.png", "pool_large.png", "pool_two.png",
-        "small.png", "two.png", "sub dir/cars é.png",
-    ]  # fmt: skip
+        "cars.png",
+        "empty.png",
+        "large.png",
+        "pool.png",
+        "pool_alone.png",
+        "pool_large.png",
+        "pool_two.png",
+        "small.png",
+        "two.png",
+        "sub dir/cars é.png",
+    ]
     assert facts_in(await asked(server, Path(named[-1])))["image_width_px"] == 640
 
 
