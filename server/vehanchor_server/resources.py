@@ -48,6 +48,8 @@ class Resources:
 
 def create_resources(settings: Settings) -> Resources:
     """Create the resources of a server or a worker without loading a model."""
-    paths = PathAccess(settings.roots, settings.spelled_roots)
-    fetcher = Fetcher(settings.image_hosts, settings.image_limits.max_bytes)
-    return Resources(settings, Models(settings), ImageSources(paths, fetcher))
+    sources = ImageSources(
+        paths=PathAccess(settings.roots, settings.spelled_roots),
+        fetcher=Fetcher(settings.image_hosts, settings.image_limits.max_bytes),
+    )
+    return Resources(settings, Models(settings), sources)

@@ -120,9 +120,11 @@ class Settings:
 
     def __post_init__(self) -> None:
         spelled = tuple(Path(os.path.abspath(root)) for root in self.roots)  # noqa: PTH100
+        resolved = tuple(_checked_root(root) for root in self.roots)
+        hosts = tuple(host.strip().lower() for host in self.image_hosts)
         set_frozen(self, "_spelled", spelled)
-        set_frozen(self, "roots", tuple(map(_checked_root, self.roots)))
-        set_frozen(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
+        set_frozen(self, "roots", resolved)
+        set_frozen(self, "image_hosts", hosts)
         for host in self.image_hosts:
             _check_image_host(host)
         self._check_authentication()

@@ -112,7 +112,8 @@ def drawing_of(analysis: ScaleEvidence) -> Drawing:
 
     detections = analysis.detections
     boxes = detections.boxes[:MAX_VEHICLES]
-    rows = np.round(np.column_stack([boxes[:, :4], np.rad2deg(boxes[:, 4])]), 1)
+    angles_deg = np.rad2deg(boxes[:, 4])
+    rows = np.round(np.column_stack([boxes[:, :4], angles_deg]), 1)
     vehicles = []
     for row, kept, number, added in zip(
         rows.tolist(), analysis.kept, detections.numbers, detections.stated, strict=False

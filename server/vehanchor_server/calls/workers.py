@@ -78,7 +78,7 @@ class WorkerPool:
         limits: limits on the memory and processor time of each worker.
 
     Attributes:
-        closed: whether all workers were ended, and no other may start.
+        closed: whether ``close`` was called; a worker that starts later is killed at once.
         failure: error code of the last failed load of the models, or None.
     """
 
@@ -87,6 +87,7 @@ class WorkerPool:
         self.failure: str | None = None
         self._make_resources = make_resources
         self._limits = limits
+        # Held where a change of a list depends on its content; an append needs no lock.
         self._lock = threading.RLock()
         self._workers: list[_Worker] = []  # all that have not ended
         self._idle: list[_Worker] = []  # those without a call; some may still be starting
@@ -235,8 +236,9 @@ class _Worker:
     """One worker process, as the server sees it; the process starts at once.
 
     The process runs ``serve_tasks``. It first sends ``Loaded``, or ``Refused`` for a bug at the
-    start. The server sends it one task at a time. For each task it sends any number of
-    ``Progressed``, and at last ``Replied`` or ``Refused``.
+    start. The server sends it one ``Task`` at a time: a function, its arguments and the caller's
+    images, which the worker opens. For each task it sends any number of ``Progressed``, and at
+    last ``Replied``, followed by the records, or ``Refused``.
 
     Args:
         make_resources: creates the resources of the worker.

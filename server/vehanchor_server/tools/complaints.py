@@ -228,7 +228,7 @@ def _in_words(kind: str, message: str, location: _Location) -> str:
         name = location.position[-1]
         close = get_close_matches(name[:_SHOWN_CHARS], _field_names(location.parent), n=1)
         if close and close[0] != name:
-            return f"there is no such argument, but {close[0]}"
+            return f"there is no such argument; the nearest is {close[0]}"
         return "there is no such argument"
     expected = expectation(location.schema)
     if kind in _UNCHANGED or not expected:

@@ -36,7 +36,7 @@ async def run_measuring_call(
     more: Sequence[AnyImage] = (),
     detail: Detail,
 ) -> tuple[Reply[Any], Answer]:
-    """Run the work of a call, and say its records in words.
+    """Run the work of a call, and describe its records in words.
 
     Args:
         services: the server's parts.
@@ -64,9 +64,12 @@ async def run_measuring_call(
 
 def _points_of_options(options: CallerOptions) -> list[tuple[float, float]]:
     """Return both ends of the lines and vehicles among the options."""
+    known_lengths = options.get("known_lengths", ())
+    added_vehicles = options.get("add", ())
     points = []
-    for line in (*options.get("known_lengths", ()), *options.get("add", ())):
-        points += [(line.x1, line.y1), (line.x2, line.y2)]
+    for line in (*known_lengths, *added_vehicles):
+        points.append((line.x1, line.y1))
+        points.append((line.x2, line.y2))
     return points
 
 

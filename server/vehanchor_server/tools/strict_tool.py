@@ -21,7 +21,8 @@ from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
 from vehanchor_server.tools.portable_schema import listed, portable_schema
 
-# The last three are the SDK's: a tool imports all that it needs from here, and only when created.
+# All but StrictTool are the SDK's. Tools import them from here when they are created, because the
+# SDK loads slowly.
 __all__ = ["CallToolResult", "Context", "InputRequiredResult", "StrictTool"]
 
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120

@@ -171,7 +171,8 @@ class _OwnPageOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         if scope["type"] == "http" and not self._is_own(scope):
-            await PlainTextResponse("not found", 404)(scope, receive, send)  # reveal nothing
+            refusal = PlainTextResponse("not found", 404)  # reveals nothing
+            await refusal(scope, receive, send)
         elif scope["type"] in ("http", "lifespan"):
             await self._app(scope, receive, send)
 
