@@ -52,4 +52,4 @@ def create_resources(settings: Settings) -> Resources:
         paths=PathAccess(settings.roots, settings.spelled_roots),
         fetcher=Fetcher(settings.image_hosts, settings.image_limits.max_bytes),
     )
-    return Resources(settings, Models(settings), sources)
+    return Resources(settings, Models(settings), sources=sources)

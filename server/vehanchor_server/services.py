@@ -103,7 +103,7 @@ class Services:
         async def call(stop: Stop) -> Reply[Record]:
             await ctx.report_progress(0, PERCENT_DONE, "reading the image")
             images = await self.resources.sources.fetched((image, *more))
-            task = Task(work, question, images)
+            task = Task(work, question, images=images)
             in_thread = partial(self._run_blocking, task, stop, report)
             reply = await self.capacity.in_thread(stop, in_thread)
             await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")

@@ -162,7 +162,7 @@ def receive_reply(connection: Connection, header: Replied, record: type[BaseMode
     picture = None
     if header.picture:
         picture = connection.recv_bytes(MAX_PICTURE_BYTES)
-    return Reply(tuple(records), picture, drawing)
+    return Reply(tuple(records), picture=picture, drawing=drawing)
 
 
 def _receive_json(

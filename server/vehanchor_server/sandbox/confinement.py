@@ -79,7 +79,7 @@ def confine(readable: Iterable[Path]) -> Confinement:
         )
     if lacks:
         lacks.append(f"kernel {platform.release()}")
-    return Confinement(landlock, seccomp, "; ".join(lacks))
+    return Confinement(landlock, seccomp, lacks="; ".join(lacks))
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:

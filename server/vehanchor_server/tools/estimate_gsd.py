@@ -99,9 +99,9 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
         reply, answer = await run_measuring_call(
             services,
             ctx,
-            image,
+            image=image,
             work=estimate_with_flight if more_images else _estimate,
-            question=Question(options, picture, same_scale),
+            question=Question(options, picture, subject=same_scale),
             more=more_images or (),
             detail=detail,
         )
@@ -132,7 +132,7 @@ def _estimate(
     from vehanchor.imagery.sources.opening import open_raster
 
     detector = resources.models.detector(job.runtime)
-    options = scale_options(question.options, resources.settings, resources.models)
+    options = scale_options(question.options, resources.settings, models=resources.models)
     checked_detector(detector, options)
     job.stop.check()
     with open_raster(source, options.reading) as raster:

@@ -82,7 +82,7 @@ def estimate_with_flight(
 
     runtime = replace(job.runtime, progress=searched)
     detector = resources.models.detector(runtime)
-    caller_options = scale_options(question.options, resources.settings, resources.models)
+    caller_options = scale_options(question.options, resources.settings, models=resources.models)
     # The caller's frame is about the first image; the search is about all of them.
     options = replace(caller_options, frame=Frame())
     checked_detector(detector, options)

@@ -70,9 +70,9 @@ def measure_area_tool(services: Services) -> "StrictTool":
         reply, answer = await run_measuring_call(
             services,
             ctx,
-            image,
+            image=image,
             work=_measure,
-            question=Question(caller_options, picture, targets),
+            question=Question(caller_options, picture, subject=targets),
             points=[point for target in targets for point in target.coordinates],
             detail=detail,
         )
@@ -132,7 +132,7 @@ def _measure(
     if question.picture.kind == "plain" and evidence is not None:
         drawing = drawing_of(evidence)
     measurements = tuple(analysed.measurement for analysed in objects)
-    return Reply(measurements, picture, drawing)
+    return Reply(measurements, picture=picture, drawing=drawing)
 
 
 def _prompt(target: Target) -> "Prompt":

@@ -86,9 +86,9 @@ def measure_distance_tool(services: Services) -> "StrictTool":
         reply, answer = await run_measuring_call(
             services,
             ctx,
-            image,
+            image=image,
             work=_measure,
-            question=Question(caller_options, picture, lines),
+            question=Question(caller_options, picture, subject=lines),
             points=[point for line in lines for point in line.coordinates],
             detail=detail,
         )
@@ -137,4 +137,4 @@ def _measure(
             scale=analyses[0].scale,
             usual=cut_to_lines(measurements).part,
         )
-    return Reply(measurements, picture)
+    return Reply(measurements, picture=picture)

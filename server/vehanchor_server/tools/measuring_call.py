@@ -28,8 +28,8 @@ _PER_CENT = 100
 async def run_measuring_call(
     services: Services,
     ctx: Context[Any, Any],
-    image: AnyImage,
     *,
+    image: AnyImage,
     work: Work[Any],
     question: Question[Any],
     points: Sequence[tuple[float, float]] = (),

@@ -74,12 +74,12 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
     else:
         max_chars = _MEASUREMENT_CHARS * len(records)
     n_chars = len(" ".join([*words, *hints]))
-    warnings = _warnings(records, detail, max_chars - n_chars)
+    warnings = _warnings(records, detail, max_chars=max_chars - n_chars)
     prefixed = [f"{_PREFIX}{warning}" for warning in warnings]
     return Answer(" ".join([*words, *prefixed, *hints]), (*warnings, *hints))
 
 
-def _warnings(records: Sequence[AnyRecord], detail: Detail, max_chars: int) -> list[str]:
+def _warnings(records: Sequence[AnyRecord], detail: Detail, *, max_chars: int) -> list[str]:
     """List each warning of the records once, with the targets that have it.
 
     A short answer explains warnings while there is room, in their order; its last entry has the

@@ -98,7 +98,7 @@ def scale_reply(
     drawing = None
     if request.kind == "plain":
         drawing = drawing_of(analysis)
-    return Reply((analysis.estimate,), picture, drawing)
+    return Reply((analysis.estimate,), picture=picture, drawing=drawing)
 
 
 def part_window(raster: Raster, request: PictureRequest) -> Window:

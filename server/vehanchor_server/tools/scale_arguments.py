@@ -175,10 +175,10 @@ def resolve_source(
     from vehanchor.measure.scale_source import given_scale
 
     if caller_options.get("gsd_basis") == "measured":
-        options = scale_options(caller_options, resources.settings, None)
+        options = scale_options(caller_options, resources.settings, models=None)
         scale = given_scale(options.rulers.gsd_m_per_px, None, options)
         assert scale is not None
         return options, scale
-    options = scale_options(caller_options, resources.settings, resources.models)
+    options = scale_options(caller_options, resources.settings, models=resources.models)
     detector = checked_detector(resources.models.detector(job.runtime), options)
     return options, functools.partial(resources.models.memory.analyse, detector)

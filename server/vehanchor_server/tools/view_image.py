@@ -158,7 +158,7 @@ def page_image_tool(services: Services) -> "StrictTool":
             reply = await services.run_call(ctx, image, work=_view, question=request)
             record = PageImages()
             picture = reply.picture
-        return _with_picture("For the page.", picture, record.model_dump(mode="json"))
+        return _with_picture("For the page.", picture, data=record.model_dump(mode="json"))
 
     return StrictTool.read_only(
         page_image,

@@ -97,7 +97,7 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
         return HTMLResponse(view_html(), headers=_HEADERS)
 
     async def photographs(request: Request) -> Response:
-        return await _store_dropped(request, dropped, settings.image_limits)
+        return await _store_dropped(request, dropped, limits=settings.image_limits)
 
     below = f"/{address.token}"
     app = create_server(services).streamable_http_app(

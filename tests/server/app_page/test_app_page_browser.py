@@ -34,11 +34,12 @@ pytestmark = pytest.mark.browser
 # what a host must enforce where a page declares no domains (MCP Apps, 2026-01-26, "Host Behavior")
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data:; "
-    "media-src 'self' data:; connect-src 'none'; frame-src 'self'; object-src 'none'; base-uri "
-    "'self'"
+    "img-src 'self' data:; media-src 'self' data:; connect-src 'none'; frame-src 'self'; "
+    "object-src 'none'; base-uri 'self'"
 )
-_HOST = """<!doctype html><title>host</title><style>body { margin: 0 } iframe { border: 0; width: 100%; display: block }
+_HOST = """<!doctype html><title>host</title><style>
+body { margin: 0 }
+iframe { border: 0; width: 100%; display: block }
 </style><body><script>
 const heard = [];
 let offered = {}, answer = null;
@@ -47,7 +48,9 @@ const tell = (message) => view().postMessage({ jsonrpc: "2.0", ...message }, "*"
 addEventListener("message", ({ source, data }) => {
   if (source !== view()) return;
   heard.push(data);
-  if (data.method === "ui/initialize") tell({ id: data.id, result: { protocolVersion: "2026-01-26", ...offered } });
+  if (data.method === "ui/initialize") {
+    tell({ id: data.id, result: { protocolVersion: "2026-01-26", ...offered } });
+  }
   if (data.method === "tools/call") tell({ id: data.id, ...answer });
   if (data.method === "ui/notifications/size-changed") {
     document.querySelector("iframe").style.height = `${data.params.height}px`;

@@ -98,5 +98,6 @@ class Person:
 
 
 _CUT_OFF = """[...document.querySelectorAll("section, section *, dl *")]
-  .filter((each) => each instanceof HTMLElement && each.clientWidth && each.scrollWidth > each.clientWidth + 1)
-  .map((each) => each.outerHTML.slice(0, 80))"""
+  .filter((element) => element instanceof HTMLElement && element.clientWidth)
+  .filter((element) => element.scrollWidth > element.clientWidth + 1)
+  .map((element) => element.outerHTML.slice(0, 80))"""
