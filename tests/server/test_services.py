@@ -1,8 +1,8 @@
+"""Calls within the capacity of a server: progress, slots, deadline and cancellation."""
+
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +15,6 @@ from tests.server.conftest import N_TILES_LARGE
 from tests.server.conversation import by_path, error_of, reported
 from tests.tiles import Tiles
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.capacity import Capacity, Stop
-from vehanchor_server.errors import CallError
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
@@ -100,9 +98,8 @@ async def test_a_cancelled_call_frees_its_slot(
         while services.capacity.running:
             await anyio.sleep(0.01)
         assert tiles.n_begun == 1
-        assert [getattr(record, "fields", {}).get("status") for record in caplog.records][
-            -1
-        ] == "cancelled"
+        last_line = caplog.records[-1]
+        assert getattr(last_line, "fields", {})["status"] == "cancelled"
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert not result.is_error
 
@@ -117,75 +114,3 @@ async def test_lack_of_memory_outside_models_has_its_own_code(
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert error_of(result) == "out_of_memory"
-
-
-def work_until_stopped(stop: Stop) -> None:
-    while True:
-        stop.check()
-        time.sleep(0.005)
-
-
-async def test_a_slot_is_taken_until_the_thread_has_ended() -> None:
-    capacity = Capacity(1, 5)
-    began = threading.Event()
-    release = threading.Event()
-
-    def work() -> None:  # does not listen to stop requests
-        began.set()
-        release.wait()
-
-    async with anyio.create_task_group() as group:
-
-        async def deaf() -> None:
-            await capacity.run(lambda stop: capacity.in_thread(stop, work))
-
-        group.start_soon(deaf)
-        while not began.is_set():
-            await anyio.sleep(0.001)
-        group.cancel_scope.cancel()
-        with anyio.CancelScope(shield=True):
-            await anyio.sleep(0.05)
-            assert capacity.running == 1
-            with pytest.raises(CallError, match="busy"):
-                await capacity.run(lambda stop: capacity.in_thread(stop, lambda: None))
-            release.set()
-    assert capacity.running == 0
-
-
-async def test_whatever_stopped_work_raises_ends_in_the_cancellation() -> None:
-    capacity = Capacity(1, 0.1)
-
-    def terminated(stop: Stop) -> None:
-        while not stop.requested:
-            time.sleep(0.005)
-        raise RuntimeError("Exiting due to terminate flag being set to true.")
-
-    with pytest.raises(CallError, match="deadline_exceeded"):
-        await capacity.run(lambda stop: capacity.in_thread(stop, lambda: terminated(stop)))
-
-
-async def test_closing_refuses_running_calls_like_later_ones() -> None:
-    capacity = Capacity(2, 5)
-    codes: list[str] = []
-
-    async def call() -> None:
-        try:
-            await capacity.run(
-                lambda stop: capacity.in_thread(stop, lambda: work_until_stopped(stop))
-            )
-        except CallError as error:
-            codes.append(error.code)
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(call)
-        while not capacity.running:
-            await anyio.sleep(0.001)
-        capacity.close()
-    await call()
-    assert codes == ["server_stopping", "server_stopping"]
-
-
-async def test_the_deadline_counts_before_the_thread_as_well() -> None:
-    capacity = Capacity(1, 0.1)
-    with pytest.raises(CallError, match="deadline_exceeded"):
-        await capacity.run(lambda _: anyio.sleep(5))
