@@ -52,16 +52,13 @@ def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> 
     image = _ground(width_px, height_px)
     generator = np.random.default_rng(7)
     columns = max(1, (width_px - 100) // 70)
-    boxes = [
-        (
-            60 + 70 * (i % columns),
-            60 + 70 * (i // columns),
-            LENGTH_PX + generator.normal(0, 0.8),
-            14,
-            generator.uniform(0, 3),
-        )
-        for i in range(n_vehicles)
-    ]
+    boxes = []
+    for i in range(n_vehicles):
+        x = 60 + 70 * (i % columns)
+        y = 60 + 70 * (i // columns)
+        length = LENGTH_PX + generator.normal(0, 0.8)
+        angle = generator.uniform(0, 3)
+        boxes.append((x, y, length, 14, angle))
     if boxes:
         paint_vehicles(image, boxes)
     return image
@@ -69,11 +66,11 @@ def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> 
 
 def _ground(width_px: int, height_px: int) -> np.ndarray:
     """Grey squares: the scene-scale prior takes them for 0.25 m/px, and an even grey for 1 m/px."""
-    cells = np.random.default_rng(1).integers(
-        40, 110, (height_px // _CELL_PX + 1, width_px // _CELL_PX + 1)
-    )
-    grey = cells.astype(np.uint8).repeat(_CELL_PX, 0).repeat(_CELL_PX, 1)[:height_px, :width_px]
-    return np.repeat(grey[:, :, None], 3, 2)
+    n_rows = height_px // _CELL_PX + 1
+    n_columns = width_px // _CELL_PX + 1
+    cells = np.random.default_rng(1).integers(40, 110, (n_rows, n_columns)).astype(np.uint8)
+    grey = cells.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)
+    return np.repeat(grey[:height_px, :width_px, None], 3, axis=2)
 
 
 def with_pool(image: np.ndarray) -> np.ndarray:

@@ -118,7 +118,9 @@ def part_window(raster: Raster, request: PictureRequest) -> Window:
         numbers = ", ".join(f"{value:g}" for corner in corners for value in corner)
         hint = coordinates.other_reading(corners)
         raise PromptError(f"part {numbers} is not inside the {coordinates.name}{hint}")
-    (left, top), (right, bottom) = (coordinates.in_image(*corner) for corner in corners)
+    upper_left, lower_right = corners
+    left, top = coordinates.in_image(*upper_left)
+    right, bottom = coordinates.in_image(*lower_right)
     x = int(left)
     y = int(top)
     width = round(right) - x

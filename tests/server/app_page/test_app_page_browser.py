@@ -369,13 +369,12 @@ def test_measurements_by_clicks_have_the_arguments_of_the_scale(
     host.presses("Area")
     host.drags((300, 180), (420, 330))
     host.reads("ol.measured li:last-child .number", f"{host.record('area')['area_m2']:.3g} m²")
-    distance, area = (each["arguments"] for each in host.asked())
+    distance, area = [call["arguments"] for call in host.asked()]
     (line,) = distance.pop("lines")
     (target,) = area.pop("targets")
     assert distance == area == {**host.calls["good"][1], **facts}
-    places = [each for point in line["points"] for each in point.values()] + list(
-        target["box"].values()
-    )
+    places = [value for point in line["points"] for value in point.values()]
+    places += target["box"].values()
     assert places == pytest.approx([100, 100, 200, 150, 150, 90, 210, 165], abs=1), (
         "in pixels of the copy"
     )

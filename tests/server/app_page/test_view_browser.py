@@ -76,9 +76,8 @@ def test_a_person_exports_measurements(person: Person, tmp_path: Path) -> None:
     person.presses("Area")
     person.drags((POOL_BOX["x_min"], POOL_BOX["y_min"]), (POOL_BOX["x_max"], POOL_BOX["y_max"]))
     person.reads("ol.measured li:last-child .number", re.compile(r"^[\d.,]+ m²$"))
-    record, layer = (
-        json.loads(saved(person, name, tmp_path).read_text()) for name in ("Record", "GeoJSON")
-    )
+    record = json.loads(saved(person, "Record", tmp_path).read_text())
+    layer = json.loads(saved(person, "GeoJSON", tmp_path).read_text())
     distance, area = record["measured"]
     assert distance["length_px"] == pytest.approx(200, abs=3)
     assert distance["distance_m"] == pytest.approx(

@@ -65,15 +65,17 @@ class Person:
             self.tab.keyboard.press(key)
 
     def drags(self, start: Place, end: Place) -> None:
-        """Between two places of an image, or click where they are the same."""
+        """Drag between two points of an image, or click a point that is both."""
+        self.tab.mouse.move(*self._on_screen(start))
+        self.tab.mouse.down()
+        if end != start:
+            self.tab.mouse.move(*self._on_screen(end), steps=3)
+        self.tab.mouse.up()
+
+    def _on_screen(self, point: Place) -> Place:
         sheet = self.page.locator(".sheet").bounding_box()
         scale = sheet["width"] / WIDTH_PX
-        first, last = ((sheet["x"] + scale * x, sheet["y"] + scale * y) for x, y in (start, end))
-        self.tab.mouse.move(*first)
-        self.tab.mouse.down()
-        if last != first:
-            self.tab.mouse.move(*last, steps=3)
-        self.tab.mouse.up()
+        return sheet["x"] + scale * point[0], sheet["y"] + scale * point[1]
 
     def clicks(self, *places: Place) -> None:
         for place in places:

@@ -218,13 +218,13 @@ def test_special_files_are_not_images(root: Path) -> None:
 def test_outside_the_roots_existing_files_are_refused_like_missing_ones(
     root: Path, outside: Path
 ) -> None:
-    there, missing = (refusal(root, str(outside / name)) for name in ("secret.png", "missing.png"))
+    there = refusal(root, str(outside / "secret.png"))
+    missing = refusal(root, str(outside / "missing.png"))
     assert str(there) == str(missing)
     (root / "to_there.png").symlink_to(outside / "secret.png")
     (root / "to_nowhere.png").symlink_to(outside / "missing.png")
-    there, missing = (
-        refusal(root, str(root / name)) for name in ("to_there.png", "to_nowhere.png")
-    )
+    there = refusal(root, str(root / "to_there.png"))
+    missing = refusal(root, str(root / "to_nowhere.png"))
     assert str(there) == str(missing)
     assert "to_there" not in str(there)
     assert str(outside) not in str(there)

@@ -155,7 +155,8 @@ async def test_clients_without_forms_get_the_low_result_at_once(
 
 
 async def test_any_server_can_answer_the_second_call(settings: Settings, images: Path) -> None:
-    here, elsewhere = (create_server(create_services(settings)) for _ in range(2))
+    here = create_server(create_services(settings))
+    elsewhere = create_server(create_services(settings))
     arguments = by_path(images / "empty.png")
     async with at(here, Person("cancel")) as client:
         first = await client.session.call_tool("estimate_gsd", arguments, allow_input_required=True)

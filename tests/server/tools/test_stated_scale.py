@@ -115,8 +115,8 @@ async def test_a_tolerance_as_large_as_the_scale_is_refused(
 
 
 def chance_of(record: dict[str, Any], kind: str) -> float:
-    (chance,) = (each["p_right"] for each in record["estimate"]["rulers"] if each["kind"] == kind)
-    return float(chance)
+    (ruler,) = [ruler for ruler in record["estimate"]["rulers"] if ruler["kind"] == kind]
+    return float(ruler["p_right"])
 
 
 @pytest.mark.parametrize("tool", TOOLS)

@@ -92,9 +92,9 @@ async def test_what_is_pointed_at_in_the_picture_is_there_in_the_image(
     viewed = facts_in(result)
     picture = picture_of(result)[:, :, ::-1].astype(int)
     pool = np.argwhere(np.abs(picture - [40, 140, 210]).max(2) < 40)
-    (top, left) = pool.min(0)
-    (bottom, right) = pool.max(0) + 1
-    box = {
+    top, left = pool.min(0)
+    bottom, right = pool.max(0) + 1
+    target = {
         "x_min": float(left) - 2,
         "y_min": float(top) - 2,
         "x_max": float(right) + 2,
@@ -103,7 +103,7 @@ async def test_what_is_pointed_at_in_the_picture_is_there_in_the_image(
     frame = {"width_px": viewed["picture_width_px"], "height_px": viewed["picture_height_px"]}
     arguments = {
         "image": {"kind": "path", "path": str(images / "pool.png")},
-        "targets": [{"box": box}],
+        "targets": [{"box": target}],
         "frame": frame,
         "detail": "full",
     }
@@ -111,12 +111,8 @@ async def test_what_is_pointed_at_in_the_picture_is_there_in_the_image(
         area = await client.call_tool("measure_area", arguments)
     assert area.structured_content is not None
     box = area.structured_content["bounding_box"]
-    assert [box[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")] == pytest.approx(
-        POOL_CORNERS, abs=2
-    )
-
-
-POOL_CORNERS = [POOL[0], POOL[1], POOL[2], POOL[3]]
+    corners = [box[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")]
+    assert corners == pytest.approx(list(POOL), abs=2)
 
 
 async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(
@@ -129,31 +125,41 @@ async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(
     assert max(picture.shape) == 400
     assert "shows x 294 to 354, y 324 to 432: in the image, x = 294 + " in text_of(result)
     factor = (POOL_BOX["x_max"] - POOL_BOX["x_min"]) / viewed["picture_width_px"]
-    middle = picture[round((378 - 324) / factor) + 3, round((324 - 294) / factor) + 3, ::-1].astype(
-        int
-    )
+    row = round((378 - 324) / factor) + 3
+    column = round((324 - 294) / factor) + 3
+    middle = picture[row, column, ::-1].astype(int)
     assert np.abs(middle - [40, 140, 210]).max() < 30
-    share = {name: value / (640 if name[0] == "x" else 512) for name, value in POOL_BOX.items()}
-    again = facts_in(
-        await asked(
-            server, images / "pool.png", part=share, coordinates="fraction", long_side_px=400
-        )
+
+
+async def test_a_part_may_be_given_in_fractions(server: MCPServer[object], images: Path) -> None:
+    in_pixels = await asked(server, images / "pool.png", part=POOL_BOX, long_side_px=400)
+    fractions = {
+        "x_min": POOL_BOX["x_min"] / 640,
+        "y_min": POOL_BOX["y_min"] / 512,
+        "x_max": POOL_BOX["x_max"] / 640,
+        "y_max": POOL_BOX["y_max"] / 512,
+    }
+    in_fractions = await asked(
+        server, images / "pool.png", part=fractions, coordinates="fraction", long_side_px=400
     )
-    assert again == viewed
+    assert facts_in(in_fractions) == facts_in(in_pixels)
 
 
 async def test_the_grids_lines_lie_where_their_numbers_say(tmp_path: Path) -> None:
     image = write_image(tmp_path / "even.png", blank_image(640, 512))
-    server = create_server(
-        create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process"))
-    )
-    result = await asked(server, image, long_side_px=640)
-    step = facts_in(result)["grid_px"]
-    assert step == 100
-    grey = picture_of(result).astype(int).mean(2)[300:380]  # between the numbers along the edges
-    lighter = [x for x in range(2, 638) if grey[:, x].mean() > grey[:, [x - 2, x + 2]].mean() + 5]
-    assert {round(x / step) * step for x in lighter} == {100, 200, 300, 400, 500, 600}
-    assert all(abs(x - round(x / step) * step) <= 1 for x in lighter)
+    result = await asked(_served(tmp_path), image, long_side_px=640)
+    assert facts_in(result)["grid_px"] == 100
+    grey = picture_of(result).astype(int).mean(2)
+    # Mean of each column between the numbers along the edges.
+    columns = grey[300:380].mean(axis=0)
+    lines = set()
+    for x in range(2, 638):
+        beside = (columns[x - 2] + columns[x + 2]) / 2
+        if columns[x] > beside + 5:
+            number = round(x / 100) * 100
+            lines.add(number)
+            assert abs(x - number) <= 1
+    assert lines == {100, 200, 300, 400, 500, 600}
 
 
 @pytest.mark.parametrize(

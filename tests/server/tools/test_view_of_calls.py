@@ -88,11 +88,10 @@ async def test_a_call_that_is_computed_again_gives_the_same_picture(
 
 
 async def test_an_area_is_cut_to_the_object(server: MCPServer[object], images: Path) -> None:
-    decoded = picture_of(
-        await drawn(server, images / "pool_alone.png", "measure_area", {**TARGETS, **STATED})
-    )
-    # box of 60 x 108 px with a margin of 54 px: 168 x 216 px, four times enlarged
-    pool = near(decoded, (97, 134, 195), 12)
+    arguments = {**TARGETS, **STATED}
+    result = await drawn(server, images / "pool_alone.png", "measure_area", arguments)
+    # A box of 60 x 108 px with a margin of 54 px: 168 x 216 px, four times enlarged.
+    pool = near(picture_of(result), (97, 134, 195), 12)
     assert pool.sum() > 0.1 * 4 * 168 * 4 * 216, "the pool is small in its picture"
     rows, columns = np.nonzero(pool)
     shape = (POOL[3] - POOL[1]) / (POOL[2] - POOL[0])
@@ -100,10 +99,12 @@ async def test_an_area_is_cut_to_the_object(server: MCPServer[object], images: P
 
 
 async def test_a_distance_is_cut_to_the_line(server: MCPServer[object], images: Path) -> None:
-    picture = picture_of(await drawn(server, images / "empty.png", "measure_distance"))
-    # 200 x 100 px of the image, four times enlarged, with the line of 100 px in the middle
-    blue, green, red = picture[190:210].astype(int).transpose(2, 0, 1)
-    columns = np.nonzero(((red - green > 25) & (blue - green > 10)).any(axis=0))[0]
+    result = await drawn(server, images / "empty.png", "measure_distance")
+    # 200 x 100 px of the image, four times enlarged, with the line of 100 px in the middle.
+    rows = picture_of(result)[190:210].astype(int)
+    blue, green, red = rows.transpose(2, 0, 1)
+    is_line = (red - green > 25) & (blue - green > 10)
+    columns = np.nonzero(is_line.any(axis=0))[0]
     assert (columns[0], columns[-1]) == pytest.approx((200, 600), abs=12)
 
 
@@ -130,11 +131,10 @@ async def test_a_part_shows_the_numbered_vehicles_of_that_part(
     server: MCPServer[object], images: Path
 ) -> None:
     part = {"x_min": 20, "y_min": 20, "x_max": 160, "y_max": 120}
-    decoded = picture_of(
-        await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560)
-    )
+    result = await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560)
+    decoded = picture_of(result)
     assert decoded.shape[1] == 560
-    (_, columns) = np.nonzero(near(decoded[:400], KEPT_RGB, 60))
+    _, columns = np.nonzero(near(decoded[:400], KEPT_RGB, 60))
     assert columns.min() < 280 < columns.max(), "two vehicles of this part, at x 60 and 130"
 
 
@@ -142,10 +142,11 @@ async def test_arguments_may_come_as_text_beside_the_image(
     server: MCPServer[object], images: Path
 ) -> None:
     expected = await drawn(server, images / "pool.png", "measure_area")
-    of = {"tool": "measure_area", "arguments": json.dumps(TARGETS)}
+    call = {"tool": "measure_area", "arguments": json.dumps(TARGETS)}
+    image = by_path(images / "pool.png")["image"]
     async with Client(server) as client:
-        named = {"of": of, "image": by_path(images / "pool.png")["image"]}
-        assert (await client.call_tool("view_image", named)).content == expected.content
+        result = await client.call_tool("view_image", {"of": call, "image": image})
+    assert result.content == expected.content
 
 
 @pytest.mark.parametrize(

@@ -162,12 +162,17 @@ async def test_claims_that_do_not_fit_are_refused(issuer: Issuer, claims: dict[s
 
 def forged(token: str, alg: str, secret: bytes) -> str:
     """The token's claims under another algorithm, as no honest library would sign them."""
-    head = base64.urlsafe_b64encode(
-        json.dumps({"alg": alg, "kid": "key-1", "typ": "JWT"}).encode()
-    ).rstrip(b"=")
-    signed = head.decode() + "." + token.split(".")[1]
-    signature = hmac.new(secret, signed.encode(), "sha256").digest() if secret else b""
-    return signed + "." + base64.urlsafe_b64encode(signature).rstrip(b"=").decode()
+    header = json.dumps({"alg": alg, "kid": "key-1", "typ": "JWT"})
+    claims = token.split(".")[1]
+    signed = f"{_base64url(header.encode())}.{claims}"
+    signature = b""
+    if secret:
+        signature = hmac.new(secret, signed.encode(), "sha256").digest()
+    return f"{signed}.{_base64url(signature)}"
+
+
+def _base64url(data: bytes) -> str:
+    return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
 
 
 @pytest.mark.promise("issuer")

@@ -288,7 +288,8 @@ def test_no_decoder_is_imported_after_every_tool_was_called(
     root.mkdir()
     for name in ("cars.png", "pool.png", "notes.txt"):
         shutil.copy(images / name, root)
-    cars, pool = ({"kind": "path", "path": str(root / name)} for name in ("cars.png", "pool.png"))
+    cars = {"kind": "path", "path": str(root / "cars.png")}
+    pool = {"kind": "path", "path": str(root / "pool.png")}
     box = {"box": {"x_min": 294, "y_min": 324, "x_max": 354, "y_max": 432}}
     calls = [
         ("view_image", {}),
