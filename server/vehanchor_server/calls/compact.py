@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _DIGITS = 3
 _LONG_CHARS = 100  # a longer sentence is cut to its first clause
 
-ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
+SHORT_FIELDS: Mapping[type[BaseModel], tuple[str, ...]] = {
     GsdEstimate: (
         "status",
         "gsd_m_per_px",
@@ -101,10 +101,10 @@ def brief(message: str) -> str:
 def _short(record: BaseModel) -> dict[str, Any]:
     """Return the deciding fields of a record; a record of another type stays whole."""
     values = record.model_dump(mode="json")
-    if type(record) not in ANSWERED:
+    if type(record) not in SHORT_FIELDS:
         return values
     short: dict[str, Any] = {}
-    for name in ANSWERED[type(record)]:
+    for name in SHORT_FIELDS[type(record)]:
         if name in _ONLY_IF_OK and values["status"] != "ok":
             continue
         value = values[name]

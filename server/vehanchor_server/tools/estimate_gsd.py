@@ -118,8 +118,8 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
         description=_DESCRIPTION,
         meta=APP_META,
         record=GsdEstimate,
-        answered=("status", "gsd_m_per_px", "confidence"),
-        kinds=settings.image_kinds,
+        listed_fields=("status", "gsd_m_per_px", "confidence"),
+        image_kinds=settings.image_kinds,
     )
 
 

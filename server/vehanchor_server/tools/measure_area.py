@@ -84,8 +84,8 @@ def measure_area_tool(services: Services) -> "StrictTool":
         description=_DESCRIPTION,
         meta=APP_META,
         record=AreaMeasurement,
-        answered=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
-        kinds=services.resources.settings.image_kinds,
+        listed_fields=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
+        image_kinds=services.resources.settings.image_kinds,
     )
 
 

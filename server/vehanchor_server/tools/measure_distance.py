@@ -99,8 +99,8 @@ def measure_distance_tool(services: Services) -> "StrictTool":
         title="Measure distances in an aerial image",
         description=_DESCRIPTION,
         record=DistanceMeasurement,
-        answered=("status", "distance_m", "scale_confidence"),
-        kinds=services.resources.settings.image_kinds,
+        listed_fields=("status", "distance_m", "scale_confidence"),
+        image_kinds=services.resources.settings.image_kinds,
     )
 
 

@@ -57,8 +57,8 @@ class StrictTool(Tool):
         description: str,
         meta: dict[str, Any] | None = None,
         record: type[BaseModel] | None = None,
-        answered: Sequence[str] = (),
-        kinds: Sequence[str] = (),
+        listed_fields: Sequence[str] = (),
+        image_kinds: Sequence[str] = (),
     ) -> StrictTool:
         """Create a read-only, idempotent tool.
 
@@ -69,9 +69,9 @@ class StrictTool(Tool):
             description: description for planners; clients keep 2 KB of it.
             meta: the tool's ``_meta``.
             record: type of the record in the structured content; None without any.
-            answered: fields of the record in the listed schema; other fields need full detail.
-                Default: all fields.
-            kinds: kinds of images in the listed schema; default: all.
+            listed_fields: fields of the record in the listed schema; other fields need full
+                detail. Default: all fields.
+            image_kinds: kinds of images in the listed schema; default: all.
         """
         annotations = ToolAnnotations(
             read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
@@ -91,10 +91,10 @@ class StrictTool(Tool):
             arguments.__name__, (arguments,), {"extra": "forbid"}
         )
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
-        tool.parameters = listed(tool.full_parameters, kinds)
+        tool.parameters = listed(tool.full_parameters, image_kinds)
         if record is not None:
             tool.record = record
-            tool.fn_metadata.output_schema = _answer_schema(record, answered)
+            tool.fn_metadata.output_schema = _answer_schema(record, listed_fields)
         return tool
 
     async def run(

@@ -133,7 +133,7 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         view_image,
         title="View an aerial image",
         description=_DESCRIPTION,
-        kinds=services.resources.settings.image_kinds,
+        image_kinds=services.resources.settings.image_kinds,
     )
 
 
@@ -166,8 +166,8 @@ def page_image_tool(services: Services) -> "StrictTool":
         description="For the page of this server; models use view_image.",
         meta=PAGE_ONLY_META,
         record=PageImages,
-        answered=("images",),
-        kinds=services.resources.settings.image_kinds,
+        listed_fields=("images",),
+        image_kinds=services.resources.settings.image_kinds,
     )
 
 
