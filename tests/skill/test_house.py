@@ -1,4 +1,4 @@
-"""The house rules: who may import whom and how deep, what can be taken away, and how long things may be.
+"""The house rules: imports between rooms, parts that can be taken away, and lengths.
 
 Product and laboratory stay apart: what a user installs imports no research.
 """
