@@ -31,8 +31,9 @@ from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import ReportedError, StrictTool
 from vehanchor_server.tools.view_image import page_image_tool
 
-_FIXED: tuple[CacheableMethod, ...] = ("tools/list", "resources/list", "resources/read")
-_LIST_TTL_MS = 3_600_000  # lists change only with the server's version
+# Their answers change only with the server's version.
+_CACHEABLE: tuple[CacheableMethod, ...] = ("tools/list", "resources/list", "resources/read")
+_CACHE_TTL_MS = 3_600_000
 
 
 def create_server(
@@ -49,17 +50,18 @@ def create_server(
         token_verifier: verifies bearer tokens.
     """
     tools = create_tools(services)
+    cache_hint = CacheHint(ttl_ms=_CACHE_TTL_MS, scope="public")
     return _Server(
         "vehanchor",
         title="VehAnchor",
         description="Metric scale, distances and areas from aerial images without metadata. "
         "Cars are the ruler.",
-        instructions=_instructions(tools, services.settings),
+        instructions=_instructions(tools, services.resources.settings),
         version=version("vehanchor"),
         icons=[_icon()],
         tools=[*tools, page_image_tool(services)],
         extensions=[app_extension()],
-        cache_hints=dict.fromkeys(_FIXED, CacheHint(ttl_ms=_LIST_TTL_MS, scope="public")),
+        cache_hints=dict.fromkeys(_CACHEABLE, cache_hint),
         subscriptions=False,
         auth=auth,
         token_verifier=token_verifier,
@@ -74,7 +76,10 @@ def _icon() -> Icon:
 
 
 class _Server(MCPServer[object]):
-    """The SDK's server, with short errors for unknown tools; only clients with pages see the tool of the page."""
+    """The SDK's server with short errors for unknown tools.
+
+    Only clients with pages see the page's tool.
+    """
 
     async def _handle_list_tools(
         self, ctx: ServerRequestContext[Any, Any], params: PaginatedRequestParams | None
@@ -93,23 +98,24 @@ class _Server(MCPServer[object]):
         Raises:
             CallError: the call failed, or there is no such tool.
         """
-        known = {tool.name: tool.meta != PAGE_ONLY_META for tool in self._tool_manager.list_tools()}
-        if name not in known:
-            names = ", ".join(each for each, is_listed in known.items() if is_listed)
-            raise ReportedError(
-                "unknown_tool", f"there is no tool {shortened(name)!r}. Tools: {names}."
-            )
+        tools = self._tool_manager.list_tools()
+        if name not in {tool.name for tool in tools}:
+            listed = ", ".join(tool.name for tool in tools if tool.meta != PAGE_ONLY_META)
+            message = f"there is no tool {shortened(name)!r}. Tools: {listed}."
+            raise ReportedError("unknown_tool", message)
         return await super().call_tool(name, arguments, context)
 
 
 def _instructions(tools: Sequence[StrictTool], settings: Settings) -> str:
-    kinds = ["base64 (from programs)"]
+    """Return the instructions for models: the tools, and the images that this server accepts."""
+    kinds = []
     if settings.roots:
-        kinds.insert(0, "path, below " + " or ".join(map(str, settings.roots)))
+        kinds.append("path, below " + " or ".join(map(str, settings.roots)))
+    kinds.append("base64 (from programs)")
     if settings.image_hosts:
         kinds.append("url, on " + " or ".join(settings.image_hosts))
+    names = " ".join(f"{tool.title}: {tool.name}." for tool in tools)
     return (
-        "VehAnchor uses the cars in aerial images as a ruler. "
-        f"{' '.join(f'{tool.title}: {tool.name}.' for tool in tools)} "
+        f"VehAnchor uses the cars in aerial images as a ruler. {names} "
         f"Act only on results with status ok. Images are accepted by {'; '.join(kinds)}."
     )

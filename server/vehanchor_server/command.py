@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 _VIEW_SETTINGS = ("detector", "segmenter", "calibration", "threads", "providers", "max_megapixels")
-# each begins at this setting
+# Headings of the help; each begins at this setting.
 _PANELS = {"roots": "Image sources", "detector": "Models and limits", "host": "HTTP"}
 _VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 
@@ -26,45 +26,68 @@ _VIEW_DEADLINE_S = 600.0  # people see the progress and can leave
 def _with_settings(
     names: Collection[str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the options of settings, in place of its ``**options``; None for every setting."""
+    """Give a command the options of settings, in place of its ``**options``.
+
+    Args:
+        names: names of the settings; None for all.
+    """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        kinds = typing.get_type_hints(command, include_extras=True)
-        own = [
-            each
-            for each in inspect.signature(command).parameters.values()
-            if each.kind is not each.VAR_KEYWORD
-        ]
-        parameters = [each.replace(annotation=kinds[each.name]) for each in own]
+        annotations = typing.get_type_hints(command, include_extras=True)
+        parameters = []
+        for parameter in inspect.signature(command).parameters.values():
+            if parameter.kind is not parameter.VAR_KEYWORD:
+                parameters.append(parameter.replace(annotation=annotations[parameter.name]))
         panel = ""
-        for each in fields(Settings):
-            panel = _PANELS.get(each.name, panel)
-            if names is None or each.name in names:
-                parameters.append(_parameter(each.name, each.default, panel))
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what Typer reads
-        command.__annotations__ = {each.name: each.annotation for each in parameters}
+        for setting in fields(Settings):
+            panel = _PANELS.get(setting.name, panel)
+            if names is None or setting.name in names:
+                parameters.append(_parameter(setting.name, setting.default, panel))
+        # Typer reads these two.
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return command
 
     return decorate
 
 
 def _parameter(name: str, default: Any, panel: str) -> inspect.Parameter:
-    """Convert a setting to a Typer option; the default None (flags: False) lets the environment variable apply."""
+    """Convert a setting to a Typer option.
+
+    Its default None (flags: False) lets the environment variable apply.
+    """
     declared = typing.get_type_hints(Settings, include_extras=True)[name].__metadata__[-1]
+    flag = declared.flag or name.replace("_", "-")
     option = typer.Option(
-        f"--{declared.flag or name.replace('_', '-')}",
+        f"--{flag}",
         help=declared.help,
         metavar=declared.metavar or None,
         rich_help_panel=panel,
-        show_default=f"{default:g}" if isinstance(default, float) else str(default or "") or False,
+        show_default=_shown_default(default),
     )
     kind = typing.get_type_hints(Settings)[name]
-    if Ellipsis in typing.get_args(kind):
-        kind = types.GenericAlias(list, typing.get_args(kind)[:1])
-    no_value, kind = (False, bool) if kind is bool else (None, kind | None)
+    if kind is bool:
+        annotation: Any = bool
+        no_value = False
+    else:
+        # Typer takes a repeatable option for a list.
+        if Ellipsis in typing.get_args(kind):
+            kind = types.GenericAlias(list, typing.get_args(kind)[:1])
+        annotation = kind | None
+        no_value = None
     return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=no_value, annotation=Annotated[kind, option]
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=no_value,
+        annotation=Annotated[annotation, option],
     )
+
+
+def _shown_default(default: Any) -> str | bool:
+    """Return a default for the help; False shows none."""
+    if isinstance(default, float):
+        return f"{default:g}"
+    return str(default) if default else False
 
 
 @_with_settings()
@@ -93,7 +116,8 @@ def serve(
         _print_definitions(schemas, skill=skill)
         return
     with exit_on_error():
-        settings = Settings.from_environment(**_given(options))
+        settings = Settings.from_environment(**_set_options(options))
+        # Late, and before the transports: it makes their import of the SDK quicker.
         from vehanchor_server.transport.quick_import import import_sdk
 
         import_sdk()
@@ -116,21 +140,19 @@ def _print_definitions(schemas: Path | None, *, skill: bool) -> None:
             (schemas / name).write_text(text, encoding="utf-8")
             typer.echo(schemas / name)
     if skill:
-        typer.echo(
-            files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8"), nl=False
-        )
+        text = files("vehanchor_server").joinpath("SKILL.md").read_text(encoding="utf-8")
+        typer.echo(text, nl=False)
 
 
-def _given(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options that were given; 0 is a value."""
-    given = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
-    }
-    return {
-        name: value
-        for name, value in given.items()
-        if value is not None and value is not False and value != ()
-    }
+def _set_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that the command line sets, with tuples for lists; 0 is a value."""
+    values = {}
+    for name, value in options.items():
+        is_empty = isinstance(value, list | tuple) and not value
+        if value is None or value is False or is_empty:
+            continue
+        values[name] = tuple(value) if isinstance(value, list) else value
+    return values
 
 
 @_with_settings(_VIEW_SETTINGS)
@@ -149,7 +171,7 @@ def view(
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     **options: Any,
 ) -> None:
-    """Show photographs in your browser with scale, vehicles and rulers; measure distances and areas by clicks.
+    """Show photographs in your browser with scale, vehicles and rulers; measure by clicks.
 
     Only this machine can reach the page, at an address with a random token. Ctrl-C ends it.
     """
@@ -163,13 +185,17 @@ def view(
             webbrowser.open(url)
 
     with exit_on_error():
-        selected = (
-            photographs.resolve() if photographs is not None and photographs.is_file() else None
-        )
-        roots = (
-            () if photographs is None else (photographs if selected is None else selected.parent,)
-        )
+        selected = None
+        roots: tuple[Path, ...] = ()
+        if photographs is not None and photographs.is_file():
+            selected = photographs.resolve()
+            roots = (selected.parent,)
+        elif photographs is not None:
+            roots = (photographs,)
         settings = Settings(
-            roots=roots, deadline_s=_VIEW_DEADLINE_S, isolation="in-process", **_given(options)
+            roots=roots,
+            deadline_s=_VIEW_DEADLINE_S,
+            isolation="in-process",
+            **_set_options(options),
         )
         serve_viewer(settings, selected, port=port, opened=opened)

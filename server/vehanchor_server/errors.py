@@ -31,7 +31,9 @@ _SHOWN_CHARS = 80
 def shortened(name: str) -> str:
     """Shorten a name from a request to its end, on one line, for use in a message."""
     name = on_one_line(name)
-    return name if len(name) <= _SHOWN_CHARS else f"...{name[-_SHOWN_CHARS:]}"
+    if len(name) > _SHOWN_CHARS:
+        return f"...{name[-_SHOWN_CHARS:]}"
+    return name
 
 
 class CallError(Exception):

@@ -1,4 +1,7 @@
-"""The operator's models, loaded once and on demand, so that the server answers its first requests at once."""
+"""The operator's models.
+
+They are loaded once and on demand, so that the server answers its first requests at once.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ SLOW_IMPORTS = (
     "vehanchor.engine",
     "vehanchor.pictures.measurement",
 )
-"""Modules that a first call would wait for."""
+"""Modules that a first call would wait for; by name, because some of them import this one."""
 
 _logger = logging.getLogger(__name__)
 
@@ -50,7 +53,7 @@ class Models:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._lock = threading.Lock()
-        self._made: Engine | None = None
+        self._created_engine: Engine | None = None
         self._calibration: Calibration | None = None
         self._failures: dict[str, str | None] = {}  # error code of each last load; None for success
         self._required = ["detector", "segmenter"]
@@ -70,24 +73,24 @@ class Models:
     def files(self) -> tuple[Path, ...]:
         """List all existing files that loading reads."""
         settings = self._settings
-        found: list[Path] = []
-        for resolve in (
-            lambda: (resolve_model(settings.detector),),
-            lambda: resolve_segmenter(settings.segmenter),
-        ):
-            with contextlib.suppress(VehAnchorError):  # loading will report a missing file
-                found += resolve()
-        auxiliary = (
-            auxiliary_model(path, kind) for path in found[:1] for kind in ("verifier", "chips")
-        )
-        found += [
-            *filter(None, auxiliary),
-            *([settings.calibration] if settings.calibration is not None else []),
-        ]
-        for path in [path for path in found if path.suffix == ".onnx"]:
-            with contextlib.suppress(VehAnchorError):
-                found += read_model(path).weights
-        return tuple(found)
+        paths: list[Path] = []
+        # Loading will report a missing file.
+        with contextlib.suppress(VehAnchorError):
+            paths.append(resolve_model(settings.detector))
+        with contextlib.suppress(VehAnchorError):
+            paths += resolve_segmenter(settings.segmenter)
+        if paths:
+            verifier = auxiliary_model(paths[0], "verifier")
+            chips = auxiliary_model(paths[0], "chips")
+            paths += [path for path in (verifier, chips) if path is not None]
+        if settings.calibration is not None:
+            paths.append(settings.calibration)
+        # Large models keep their weights in files of their own.
+        for path in tuple(paths):
+            if path.suffix == ".onnx":
+                with contextlib.suppress(VehAnchorError):
+                    paths += read_model(path).weights
+        return tuple(paths)
 
     def detector(self, call: Runtime | None = None) -> Detector:
         """Return the detector for a call; block while it loads.
@@ -95,7 +98,8 @@ class Models:
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._load("detector", lambda: self._engine.detector).under(call or Runtime())
+        detector = self._load("detector", lambda: self._engine.detector)
+        return detector.under(call or Runtime())
 
     def segmenter(self, call: Runtime | None = None) -> Segmenter:
         """Return the segmenter for a call; block while it loads.
@@ -103,7 +107,8 @@ class Models:
         Raises:
             CallError: ``model_unavailable``.
         """
-        return self._load("segmenter", lambda: self._engine.segmenter).under(call or Runtime())
+        segmenter = self._load("segmenter", lambda: self._engine.segmenter)
+        return segmenter.under(call or Runtime())
 
     def calibration(self) -> Calibration | None:
         """Return the operator's calibration of the detector, or None.
@@ -118,7 +123,7 @@ class Models:
     def load_all(self) -> None:
         """Load all models and the slow modules; log failures."""
         for load in (self.detector, self.calibration, self.segmenter, self._engine.load):
-            with contextlib.suppress(CallError, VehAnchorError):  # logged where it was raised
+            with contextlib.suppress(CallError, VehAnchorError):  # ``_load`` has logged it
                 load()
         for module in SLOW_IMPORTS:
             importlib.import_module(module)
@@ -137,16 +142,21 @@ class Models:
 
         settings = self._settings
         with self._lock:
-            if self._made is None:
-                # an explicit number: ONNX Runtime's own default binds threads to processors, which
-                # workers may not
+            if self._created_engine is None:
+                # An explicit number: ONNX Runtime's own default binds threads to processors, which
+                # workers may not do.
                 threads = settings.threads or os.cpu_count()
                 runtime = Runtime(threads, settings.providers or DEFAULT_PROVIDERS)
-                self._made = Engine(settings.detector, settings.segmenter, runtime=runtime)
-            return self._made
+                self._created_engine = Engine(
+                    settings.detector, settings.segmenter, runtime=runtime
+                )
+            return self._created_engine
 
     def _load(self, name: str, load: Callable[[], T]) -> T:
-        """Load a model of the operator's; only the log has the paths."""
+        """Load one of the operator's models, and note its failure.
+
+        Only the log has the paths; the caller gets the code.
+        """
         try:
             model = load()
         except VehAnchorError as error:

@@ -48,24 +48,28 @@ class RepeatLimit(logging.Filter):
         super().__init__()
         self._n_lines = n_lines
         self._period_s = period_s
-        self._seen: dict[tuple[str, str, int], tuple[float, int]] = {}
+        # By place in the code: begin of its period, and number of lines in it. The number of
+        # places bounds the memory.
+        self._periods: dict[tuple[str, str, int], tuple[float, int]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether the line passes; the first line of a period has the number dropped in the previous one."""
+        """Return whether the line passes.
+
+        The first line of a period has the number of lines that the previous one dropped.
+        """
         if record.name == _logger.name:
             return True
-        place = record.name, record.pathname, record.lineno
-        began, n = self._seen.get(place, (-math.inf, 0))
+        place = (record.name, record.pathname, record.lineno)
+        began, n_lines = self._periods.get(place, (-math.inf, 0))
         if record.created - began >= self._period_s:
-            if n > self._n_lines:
-                record.__dict__["fields"] = {
-                    **getattr(record, "fields", {}),
-                    "not_shown_before": n - self._n_lines,
-                }
+            n_dropped = n_lines - self._n_lines
+            if n_dropped > 0:
+                fields = getattr(record, "fields", {})
+                record.__dict__["fields"] = {**fields, "not_shown_before": n_dropped}
             began = record.created
-            n = 0
-        self._seen[place] = began, n + 1  # bounded by the number of logging calls in the code
-        return n < self._n_lines
+            n_lines = 0
+        self._periods[place] = (began, n_lines + 1)
+        return n_lines < self._n_lines
 
 
 class JsonFormatter(logging.Formatter):
@@ -86,7 +90,10 @@ class JsonFormatter(logging.Formatter):
 
 
 def configure_logging() -> None:
-    """Log everything to stderr as JSON, because stdout belongs to the protocol; call it before the SDK starts."""
+    """Log everything to stderr as JSON, because stdout belongs to the protocol.
+
+    Call it before the SDK starts.
+    """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter())
     handler.addFilter(RepeatLimit())

@@ -34,19 +34,17 @@ _NOT_IN_STRICT_MODE = (
 
 def schema_files(tools: Collection[str] = PUBLISHED) -> dict[str, str]:
     """Return the name and text of every file, with the JSON Schemas of these tools."""
-    contract = create_tools(create_services(Settings()))
+    all_tools = create_tools(create_services(Settings()))
     documents: dict[str, Any] = {}
-    for tool in contract:
+    for tool in all_tools:
         if tool.name not in tools:
             continue
         documents[f"{tool.name}.input.json"] = {**_DIALECT, **tool.full_parameters}
         if tool.record is not None:
-            documents[f"{tool.name}.output.json"] = {
-                **_DIALECT,
-                **portable_schema(tool.record.model_json_schema()),
-            }
-    documents["anthropic.json"] = [anthropic_definition(tool) for tool in contract]
-    documents["openai.json"] = [openai_definition(tool) for tool in contract]
+            schema = portable_schema(tool.record.model_json_schema())
+            documents[f"{tool.name}.output.json"] = {**_DIALECT, **schema}
+    documents["anthropic.json"] = [anthropic_definition(tool) for tool in all_tools]
+    documents["openai.json"] = [openai_definition(tool) for tool in all_tools]
     return {
         name: json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         for name, document in documents.items()
@@ -59,7 +57,10 @@ def anthropic_definition(tool: StrictTool) -> dict[str, Any]:
 
 
 def openai_definition(tool: StrictTool) -> dict[str, Any]:
-    """Return the tool's definition for OpenAI's Responses API in strict mode: all listed arguments, some nullable."""
+    """Return the tool's definition for OpenAI's Responses API in strict mode.
+
+    It has all listed arguments; the optional ones are nullable.
+    """
     return {
         "type": "function",
         "name": tool.name,
@@ -70,22 +71,23 @@ def openai_definition(tool: StrictTool) -> dict[str, Any]:
 
 
 def _strict(node: Any) -> Any:
-    """Close every object and require all its fields; null stands for one that is left out."""
+    """Close every object and require all its fields; null stands for a field that is left out."""
     if isinstance(node, list):
         return [_strict(item) for item in node]
     if not isinstance(node, dict):
         return node
-    # any object, which strict mode has not
+    # An object with any fields: strict mode has no such type.
     if node.get("type") == "object" and "properties" not in node:
         return {"type": "string", "description": "A JSON object."}
     result = {key: _strict(value) for key, value in node.items() if key not in _NOT_IN_STRICT_MODE}
     if "properties" in node:
-        required = node.get("required", ())
-        fields = node["properties"]
-        whole = {name: _strict(field) for name, field in fields.items()}
-        result["properties"] = {
-            name: field if name in required else {"anyOf": [field, {"type": "null"}]}
-            for name, field in whole.items()
-        }
-        result |= {"required": list(fields), "additionalProperties": False}
+        properties = {}
+        for name, field in node["properties"].items():
+            strict_field = _strict(field)
+            if name not in node.get("required", ()):
+                strict_field = {"anyOf": [strict_field, {"type": "null"}]}
+            properties[name] = strict_field
+        result["properties"] = properties
+        result["required"] = list(properties)
+        result["additionalProperties"] = False
     return result

@@ -29,10 +29,10 @@ MAX_BODY_BYTES = 32 << 20  # of an HTTP request; examples/deploy/nginx.conf has 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _EVERYWHERE = ("0.0.0.0", "::")
 _MEGAPIXEL = 1_000_000
-# memory for decoding 8-bit RGB, with a reserve; 1 GiB for 100 megapixels
+# Memory for decoding 8-bit RGB, with a reserve: 1 GiB for 100 megapixels.
 _DECODED_BYTES_PER_PIXEL = 11
 _NETWORKS_BYTES = 150 << 20  # memory of the networks during a call (research/results)
-# OpenID Connect: an issuer has no fragment
+# In OpenID Connect an issuer has no fragment, so that the fragment is free for the age of its keys.
 _ISSUER = re.compile(r"(https://[^#\s]+)(?:#max-age=([1-9]\d*))?")
 _DAY_S = 86400.0
 
@@ -64,7 +64,7 @@ class Settings:
     ] = ()
     detector: Annotated[str | None, models.DETECTOR] = None
     segmenter: Annotated[tuple[Path, Path] | None, models.SEGMENTER] = None
-    # for callers who give no region or reference length
+    # For callers who give no region or reference length.
     calibration: Annotated[Path | None, models.CALIBRATION] = None
     threads: Annotated[_Count | None, models.THREADS] = None
     providers: Annotated[tuple[str, ...], models.PROVIDERS] = ()
@@ -78,15 +78,14 @@ class Settings:
         _Count | None,
         Option("Concurrent calls, each in a worker of its own. Default: one per CPU, at least 2."),
     ] = None
-    # clients give up after 60 s
+    # Clients give up after 60 s.
     deadline_s: Annotated[_Positive, Option("Seconds after which a call ends.")] = 55.0
     isolation: Annotated[
         Isolation,
         Option(
             "Place of decoding and models: 'confined' processes, which can be killed and on "
-            "Linux have few rights; "
-            "'unconfined' ones with all rights of this user; 'in-process', for your own images "
-            "only."
+            "Linux have few rights; 'unconfined' ones with all rights of this user; "
+            "'in-process', for your own images only."
         ),
     ] = "confined"
     never_ask: Annotated[
@@ -112,8 +111,8 @@ class Settings:
         tuple[str, str] | None,
         Option(
             "Issuer of accepted JWTs, and their required audience. The issuer's keys end a day "
-            "after their last fetch, "
-            "or after the seconds that follow it, as in https://example.org#max-age=3600.",
+            "after their last fetch, or after the seconds that follow it, as in "
+            "https://example.org#max-age=3600.",
             metavar="ISSUER AUDIENCE",
         ),
     ] = None
@@ -121,19 +120,17 @@ class Settings:
 
     def __post_init__(self) -> None:
         spelled = tuple(Path(os.path.abspath(root)) for root in self.roots)  # noqa: PTH100
+        resolved = tuple(_checked_root(root) for root in self.roots)
+        hosts = tuple(host.strip().lower() for host in self.image_hosts)
         set_frozen(self, "_spelled", spelled)
-        set_frozen(self, "roots", tuple(map(_checked_root, self.roots)))
-        set_frozen(self, "image_hosts", tuple(host.strip().lower() for host in self.image_hosts))
+        set_frozen(self, "roots", resolved)
+        set_frozen(self, "image_hosts", hosts)
         for host in self.image_hosts:
-            name, _, port = host.partition(":")
-            if not name or set(name) & set("/*@[]") or (":" in host and not port.isdigit()):
-                raise SettingsError(
-                    f"image host {host!r}: give a plain host name or name:port, without "
-                    "https:// or *"
-                )
+            _check_image_host(host)
         self._check_authentication()
 
     def _check_authentication(self) -> None:
+        """Refuse incomplete addresses, and contradictions between the ways to authenticate."""
         for url in self.public_urls:
             if not _is_web_address(url):
                 raise SettingsError(
@@ -144,8 +141,7 @@ class Settings:
         if not _ISSUER.fullmatch(self.oidc[0]):
             raise SettingsError(
                 f"oidc is {' '.join(self.oidc)!r}: give the issuer's https:// URL and the "
-                "audience; "
-                "#max-age=SECONDS may follow the URL"
+                "audience; #max-age=SECONDS may follow the URL"
             )
         if self.token_file is not None:
             raise SettingsError(
@@ -160,14 +156,20 @@ class Settings:
     @property
     def issuer(self) -> tuple[str, float]:
         """URL of the issuer, and seconds from their last fetch after which its keys end."""
-        found = _ISSUER.fullmatch(self.oidc[0]) if self.oidc is not None else None
-        assert found is not None
-        return found[1], float(found[2] or _DAY_S)
+        assert self.oidc is not None
+        parts = _ISSUER.fullmatch(self.oidc[0])
+        assert parts is not None
+        return parts[1], float(parts[2] or _DAY_S)
 
     @property
     def image_kinds(self) -> tuple[str, ...]:
-        """Kinds of images that models can name: by path and by URL, if allowed; models cannot write base64."""
-        return (*(["path"] if self.roots else []), *(["url"] if self.image_hosts else []))
+        """Kinds of images that models can name, as far as they are allowed; base64 is too long."""
+        kinds = []
+        if self.roots:
+            kinds.append("path")
+        if self.image_hosts:
+            kinds.append("url")
+        return tuple(kinds)
 
     @property
     def spelled_roots(self) -> tuple[Path, ...]:
@@ -185,7 +187,7 @@ class Settings:
 
     @property
     def max_worker_bytes(self) -> int:
-        """Memory limit of a worker in addition to its models: twice that of decoding, and the networks."""
+        """Memory limit of a worker beside its models: two decoded images and running networks."""
         return 2 * self.image_limits.max_decoded_bytes + _NETWORKS_BYTES
 
     def check_exposure(self) -> None:
@@ -194,38 +196,49 @@ class Settings:
         Raises:
             SettingsError: a public address without authentication and without ``insecure``.
         """
-        if (
-            self.host not in _LOOPBACK
-            and self.token_file is None
-            and self.oidc is None
-            and not self.insecure
-        ):
+        is_public = self.host not in _LOOPBACK
+        has_authentication = self.token_file is not None or self.oidc is not None
+        if is_public and not has_authentication and not self.insecure:
             raise SettingsError(
                 f"refusing to listen on {self.host} without authentication: everyone could use "
-                "the server. "
-                "Give --token-file or --oidc, listen on 127.0.0.1, or pass --insecure"
+                "the server. Give --token-file or --oidc, listen on 127.0.0.1, or pass --insecure"
             )
 
     @classmethod
     def from_environment(
-        cls, environ: Mapping[str, str] | None = None, /, **given: Any
+        cls, environ: Mapping[str, str] | None = None, /, **options: Any
     ) -> Settings:
-        """Read settings from ``VEHANCHOR_*`` variables; ``given`` values other than None take precedence.
+        """Read settings from options and from ``VEHANCHOR_*`` variables.
 
         The system's path separator separates paths, commas separate other lists. An empty variable
         counts as unset.
+
+        Args:
+            environ: the variables; None for those of this process.
+            options: settings that take precedence over variables; None counts as unset.
 
         Raises:
             SettingsError: a variable is malformed or invalid.
         """
         environ = os.environ if environ is None else environ
-        chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        values = {name: value for name, value in options.items() if value is not None}
         kinds = typing.get_type_hints(cls, include_extras=True)
-        for each in fields(cls):
-            text = environ.get(variable_name(each.name))
-            if each.name not in chosen and text:
-                chosen[each.name] = _from_text(variable_name(each.name), text, kinds[each.name])
-        return cls(**chosen)
+        for setting in fields(cls):
+            name = setting.name
+            variable = variable_name(name)
+            text = environ.get(variable)
+            if name not in values and text:
+                values[name] = _from_text(variable, text, kinds[name])
+        return cls(**values)
+
+
+def _check_image_host(host: str) -> None:
+    name, _, port = host.partition(":")
+    has_invalid_port = ":" in host and not port.isdigit()
+    if not name or set(name) & set("/*@[]") or has_invalid_port:
+        raise SettingsError(
+            f"image host {host!r}: give a plain host name or name:port, without https:// or *"
+        )
 
 
 def _is_web_address(text: str) -> bool:
@@ -260,9 +273,10 @@ def _from_text(variable: str, text: str, kind: Any) -> Any:
     """Convert a variable's text to the field's type."""
     value: Any = text
     if "tuple[" in str(kind):
-        parts = text.split(os.pathsep if "Path" in str(kind) else ",")
-        value = [part.strip() for part in parts if part.strip()]
+        separator = os.pathsep if "Path" in str(kind) else ","
+        value = [part.strip() for part in text.split(separator) if part.strip()]
     try:
         return TypeAdapter(kind).validate_python(value)
     except ValidationError as error:
-        raise SettingsError(f"{variable} is {text!r}: {error.errors()[0]['msg'].lower()}") from None
+        reason = error.errors()[0]["msg"].lower()
+        raise SettingsError(f"{variable} is {text!r}: {reason}") from None

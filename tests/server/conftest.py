@@ -1,4 +1,4 @@
-"""A real server on a real, tiny detector and segmenter, and images in which they find vehicles and a pool."""
+"""A real server with tiny networks, and images with vehicles and a pool for them."""
 
 from __future__ import annotations
 
@@ -48,32 +48,29 @@ def _no_operator_variables(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> np.ndarray:
-    """An RGB image with vehicles of nearly one length, on a ground that looks neither coarse nor fine."""
+    """An RGB image with vehicles of nearly one length on textured ground."""
     image = _ground(width_px, height_px)
     generator = np.random.default_rng(7)
     columns = max(1, (width_px - 100) // 70)
-    boxes = [
-        (
-            60 + 70 * (i % columns),
-            60 + 70 * (i // columns),
-            LENGTH_PX + generator.normal(0, 0.8),
-            14,
-            generator.uniform(0, 3),
-        )
-        for i in range(n_vehicles)
-    ]
+    boxes = []
+    for i in range(n_vehicles):
+        x = 60 + 70 * (i % columns)
+        y = 60 + 70 * (i // columns)
+        length = LENGTH_PX + generator.normal(0, 0.8)
+        angle = generator.uniform(0, 3)
+        boxes.append((x, y, length, 14, angle))
     if boxes:
         paint_vehicles(image, boxes)
     return image
 
 
 def _ground(width_px: int, height_px: int) -> np.ndarray:
-    """Grey squares, which the prior of the scene takes for some 0.25 m/px; an even grey looks like 1 m/px."""
-    cells = np.random.default_rng(1).integers(
-        40, 110, (height_px // _CELL_PX + 1, width_px // _CELL_PX + 1)
-    )
-    grey = cells.astype(np.uint8).repeat(_CELL_PX, 0).repeat(_CELL_PX, 1)[:height_px, :width_px]
-    return np.repeat(grey[:, :, None], 3, 2)
+    """Grey squares: the scene-scale prior takes them for 0.25 m/px, and an even grey for 1 m/px."""
+    n_rows = height_px // _CELL_PX + 1
+    n_columns = width_px // _CELL_PX + 1
+    cells = np.random.default_rng(1).integers(40, 110, (n_rows, n_columns)).astype(np.uint8)
+    grey = cells.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)
+    return np.repeat(grey[:height_px, :width_px, None], 3, axis=2)
 
 
 def with_pool(image: np.ndarray) -> np.ndarray:
@@ -120,7 +117,7 @@ def _images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def images(_images: Path) -> Path:
-    """The allowed root; tests that change files make a directory of their own."""
+    """The allowed root. Tests that change files use a directory of their own."""
     return _images
 
 
@@ -159,13 +156,13 @@ def running(detector_path: Path, tmp_path_factory: pytest.TempPathFactory) -> It
 
 @pytest.fixture(autouse=True)
 def _forgetful(request: pytest.FixtureRequest) -> None:
-    """Forget what earlier tests have asked the server that all share."""
+    """Forget the analyses of earlier tests by the shared server."""
     if "services" in request.fixturenames:
-        request.getfixturevalue("services").models.__dict__.pop("memory", None)
+        request.getfixturevalue("services").resources.models.__dict__.pop("memory", None)
 
 
 @pytest.fixture
 def tiles() -> Iterator[Tiles]:
-    """The tiles of every call, to be held and counted."""
+    """The tiles of every call, which a test can hold and count."""
     with watched_tiles() as watched:
         yield watched

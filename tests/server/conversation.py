@@ -1,4 +1,4 @@
-"""Words for talking with the server: arguments, and what an answer holds."""
+"""Helpers for calls: arguments, and parts of answers."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def input_schema(tool: str) -> dict[str, Any]:
 
 
 def check_shape(value: Any, schema: dict[str, Any]) -> None:
-    """Validate by a schema; that it is one itself, at ten times the cost, is the business of ``test_schemas``."""
+    """Validate by a schema; ``test_schemas`` checks the schema itself, at ten times the cost."""
     validator_for(schema)(schema).validate(value)
 
 

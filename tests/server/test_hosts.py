@@ -1,20 +1,20 @@
-"""Hosts that show a model only one of text and structured content: both tell a planner everything."""
+"""Some hosts show a model only the text, others only the structured content: both are complete."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import anyio
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
+from mcp.types import CallToolResult
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
 from vehanchor.records.text import significant
-
-pytestmark = pytest.mark.anyio
 
 AREA: dict[str, Any] = {"targets": [{"box": POOL_BOX}]}
 POINT: dict[str, Any] = {"targets": [{"points": [{"x": 324, "y": 378}]}]}
@@ -42,59 +42,99 @@ VALUES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("image", "tool", "asked"),
-    [
-        *(("pool", tool, asked) for tool, asked in TOOLS.items()),
-        ("pool", "measure_area", POINT),
-        *(("pool_two", tool, asked) for tool, asked in TOOLS.items()),
-        ("pool_alone", "estimate_gsd", {}),
-        ("pool_alone", "measure_distance", LINE),
-    ],
-)
-async def test_text_and_structured_content_say_the_same(
-    server: MCPServer[object], images: Path, image: str, tool: str, asked: dict[str, Any]
-) -> None:
-    contradiction = {"known_lengths": [{"x1": 10, "y1": 500, "x2": 400, "y2": 500, "metres": 300}]}
-    more = contradiction if image == "pool" and tool == "estimate_gsd" else {}
-    arguments = {"image": by_path(images / f"{image}.png")["image"], **asked, **more}
-    async with Client(server) as client:
-        result = await client.call_tool(tool, arguments)
-        full = await client.call_tool(tool, {**arguments, "detail": "full"})
-    record = result.structured_content
-    text = text_of(result)
-    assert record is not None
+CALLS: list[tuple[str, str, dict[str, Any]]] = [
+    *(("pool", tool, arguments) for tool, arguments in TOOLS.items()),
+    ("pool", "measure_area", POINT),
+    *(("pool_two", tool, arguments) for tool, arguments in TOOLS.items()),
+    ("pool_alone", "estimate_gsd", {}),
+    ("pool_alone", "measure_distance", LINE),
+]
+
+
+class Answer(NamedTuple):
+    """The text and the structured content of a call's short answer, and its full record."""
+
+    tool: str
+    text: str
+    record: dict[str, Any]
+    full: dict[str, Any]
+
+
+@pytest.fixture(scope="module", params=CALLS, ids=lambda call: f"{call[0]}-{call[1]}")
+def answer(request: pytest.FixtureRequest, server: MCPServer[object], images: Path) -> Answer:
+    image, tool, more = request.param
+    arguments = {"image": by_path(images / f"{image}.png")["image"], **more}
+    if (image, tool) == ("pool", "estimate_gsd"):
+        # A line that contradicts the vehicles: the answer has a warning.
+        line = {"x1": 10, "y1": 500, "x2": 400, "y2": 500, "metres": 300}
+        arguments["known_lengths"] = [line]
+
+    async def ask() -> tuple[CallToolResult, CallToolResult]:
+        async with Client(server) as client:
+            short = await client.call_tool(tool, arguments)
+            full = await client.call_tool(tool, {**arguments, "detail": "full"})
+        return short, full
+
+    short, full = anyio.run(ask)
+    assert short.structured_content is not None
     assert full.structured_content is not None
-    assert VERDICTS[record["status"]].casefold() in text.casefold()
-    value, low, high, confidence = VALUES[tool]
+    return Answer(tool, text_of(short), short.structured_content, full.structured_content)
+
+
+def test_the_text_states_the_verdict(answer: Answer) -> None:
+    assert VERDICTS[answer.record["status"]].casefold() in answer.text.casefold()
+
+
+def test_the_text_states_the_value_with_its_interval(answer: Answer) -> None:
+    record = answer.record
+    value, low, high, _ = VALUES[answer.tool]
     if record["status"] == "no_scale":
         assert record[value] is None
-        assert record[confidence] == 0
-        assert "confidence 0" in text
-    else:
-        assert f"{significant(record[value])} m" in text
-        told = re.search(r"\(95 % interval ([\d.]+) to ([\d.]+)\)", text)
-        assert told is not None
-        assert [float(end) for end in told.groups()] == pytest.approx(
-            [record[low], record[high]], rel=0.005
-        )
-        assert (
-            f"confidence {record[confidence]:.2f}" in text
-            or f"confidence {record[confidence] + 0.005:.2f}" in text
-        )
-    if record["status"] != "ok":
-        assert record["advice"] in text
-    estimate = full.structured_content.get("estimate", full.structured_content)
-    assert record.get("reason") == estimate["reason"]
-    codes = [notice["code"] for notice in full.structured_content["warnings"]]
-    named = [words.rstrip(".").partition(":")[0] for words in record.get("warnings", ())]
+        return
+    assert f"{significant(record[value])} m" in answer.text
+    interval = re.search(r"\(95 % interval ([\d.]+) to ([\d.]+)\)", answer.text)
+    assert interval is not None
+    ends = [float(end) for end in interval.groups()]
+    assert ends == pytest.approx([record[low], record[high]], rel=0.005)
+
+
+def test_the_text_states_the_confidence(answer: Answer) -> None:
+    confidence = answer.record[VALUES[answer.tool][-1]]
+    if answer.record["status"] == "no_scale":
+        assert confidence == 0
+        assert "confidence 0" in answer.text
+        return
+    # The record rounds downward, the text to the nearest.
+    shown = (f"confidence {confidence:.2f}", f"confidence {confidence + 0.005:.2f}")
+    assert any(words in answer.text for words in shown)
+
+
+def test_the_text_has_the_advice(answer: Answer) -> None:
+    if answer.record["status"] != "ok":
+        assert answer.record["advice"] in answer.text
+
+
+def test_the_record_has_the_reason(answer: Answer) -> None:
+    estimate = answer.full.get("estimate", answer.full)
+    assert answer.record.get("reason") == estimate["reason"]
+
+
+def test_the_record_names_all_warnings(answer: Answer) -> None:
+    codes = [notice["code"] for notice in answer.full["warnings"]]
+    warnings = answer.record.get("warnings", ())
+    named = [words.rstrip(".").partition(":")[0] for words in warnings]
     assert ", ".join(named) == ", ".join(codes)
-    for words in record.get("warnings", ()):
-        assert f"Warning {words}" in text
-    for choice in record.get("alternatives", ()):
-        size = (
-            f"{significant(choice['area_m2'])} m2"
-            if "area_m2" in choice
-            else f"{choice['mask_area_px']} px"
-        )
-        assert size in text
+
+
+def test_the_text_has_the_warnings(answer: Answer) -> None:
+    for words in answer.record.get("warnings", ()):
+        assert f"Warning {words}" in answer.text
+
+
+def test_the_text_has_the_alternatives(answer: Answer) -> None:
+    for alternative in answer.record.get("alternatives", ()):
+        if "area_m2" in alternative:
+            size = f"{significant(alternative['area_m2'])} m2"
+        else:
+            size = f"{alternative['mask_area_px']} px"
+        assert size in answer.text

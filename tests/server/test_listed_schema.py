@@ -96,8 +96,8 @@ async def test_the_list_is_short_for_every_operator(operator: dict[str, Any]) ->
 async def test_an_example_call_of_an_error_works(server: MCPServer[object], images: Path) -> None:
     async with Client(server) as client:
         for tool in (await client.list_tools()).tools:
-            told = text_of(await client.call_tool(tool.name, {"imag": 1}))
-            example = json.loads(told.partition("Example: ")[2])
+            text = text_of(await client.call_tool(tool.name, {"imag": 1}))
+            example = json.loads(text.partition("Example: ")[2])
             check_shape(example, tool.input_schema)
             result = await client.call_tool(tool.name, example)
             assert not result.is_error, text_of(result)

@@ -60,7 +60,7 @@ def test_a_model_that_appears_later_is_found(tmp_path: Path, detector_path: Path
     assert models.failure is None
 
 
-def test_the_calibration_sets_the_reference_length_of_callers_who_know_nothing_better(
+def test_the_calibration_is_for_callers_who_know_no_fleet(
     settings: Settings, tmp_path: Path
 ) -> None:
     settings = replace(settings, calibration=calibration_file(tmp_path / "c.json"))
@@ -110,7 +110,7 @@ def test_a_segmenter_that_cannot_be_loaded_is_not_ready(
 
 
 def test_workers_do_without_the_sdk() -> None:
-    modules = ["vehanchor_server.calls.worker_process", "vehanchor_server.services", *SLOW_IMPORTS]
+    modules = ["vehanchor_server.calls.worker_process", "vehanchor_server.resources", *SLOW_IMPORTS]
     script = f"import sys\nfor name in {modules}: __import__(name)\nprint('mcp' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", script], text=True) == "False\n", (
         "30 MB, and 0.3 s"

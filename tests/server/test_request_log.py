@@ -26,7 +26,7 @@ def lines_of(caplog: pytest.LogCaptureFixture) -> list[dict[str, Any]]:
 
 @pytest.mark.promise("log")
 @pytest.mark.anyio
-async def test_every_call_is_a_line_with_its_outcome_and_nothing_of_the_image(
+async def test_a_call_is_logged_by_its_outcome_without_its_image(
     server: MCPServer[object], images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -85,7 +85,7 @@ def test_logs_go_to_stderr_only(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.promise("log")
-def test_a_line_that_is_repeated_is_shown_a_few_times_and_then_counted() -> None:
+def test_repeated_lines_are_counted_after_the_first_few() -> None:
     limit = RepeatLimit(n_lines=3, period_s=10)
 
     def passes(name: str, created: float, line: int = 1) -> logging.LogRecord | None:

@@ -37,8 +37,8 @@ def files() -> dict[str, Any]:
 
 def test_the_published_files_are_current() -> None:
     expected = schema_files()
-    found = {path.name: path.read_text(encoding="utf-8") for path in PUBLISHED.glob("*.json")}
-    assert found == expected, "run: vehanchor serve --schemas schemas"
+    published = {path.name: path.read_text(encoding="utf-8") for path in PUBLISHED.glob("*.json")}
+    assert published == expected, "run: vehanchor serve --schemas schemas"
 
 
 def test_the_schemas_are_valid_2020_12_that_every_host_reads(files: dict[str, Any]) -> None:
@@ -97,8 +97,8 @@ async def test_what_strict_mode_makes_a_model_send_is_accepted(
     server: MCPServer[object], images: Path, files: dict[str, Any], tool: str, more: dict[str, Any]
 ) -> None:
     definition = files["openai.json"][TOOLS.index(tool)]["parameters"]
-    given = {"image": by_path(images / "pool.png")["image"], **more}
-    arguments = {**dict.fromkeys(definition["required"]), **given}
+    arguments_of_call = {"image": by_path(images / "pool.png")["image"], **more}
+    arguments = {**dict.fromkeys(definition["required"]), **arguments_of_call}
     jsonschema.validate(arguments, definition)
     async with Client(server) as client:
         assert not (await client.call_tool(tool, arguments)).is_error

@@ -19,7 +19,7 @@ from vehanchor_server.settings import Settings, SettingsError, variable_name
 ISSUER = ("https://a.test", "x")
 
 
-def test_the_defaults_read_nothing_and_listen_to_this_machine_only() -> None:
+def test_the_defaults_expose_nothing() -> None:
     settings = Settings()
     assert (settings.roots, settings.image_hosts, settings.host) == ((), (), "127.0.0.1")
     assert settings.deadline_s < 60
@@ -73,7 +73,7 @@ def test_options_without_meaning_are_refused(options: dict[str, Any], words: str
         Settings(**options)
 
 
-def test_the_memory_of_decoding_and_of_workers_follows_the_pixels() -> None:
+def test_memory_limits_follow_the_pixels() -> None:
     small = Settings(max_megapixels=25)
     large = Settings(max_megapixels=500)
     assert (
@@ -169,7 +169,7 @@ def sample(field: Field[Any], folder: Path) -> Any:
     return bare(7 if bare in (int, float) else "name")
 
 
-def test_every_setting_is_in_the_help_with_its_words_and_its_default(shown: list[str]) -> None:
+def test_the_help_has_every_setting_with_its_default(shown: list[str]) -> None:
     for field in fields(Settings):
         (line,) = [
             line for line in shown if f"\N{BOX DRAWINGS LIGHT VERTICAL} {flag_of(field)} " in line
@@ -183,7 +183,7 @@ def test_every_setting_is_in_the_help_with_its_words_and_its_default(shown: list
 
 
 @pytest.mark.parametrize("field", fields(Settings), ids=lambda field: str(field.name))
-def test_every_setting_is_a_flag_and_a_variable(
+def test_every_setting_can_be_a_flag_or_a_variable(
     app: typer.Typer, served: list[Settings], tmp_path: Path, field: Field[Any]
 ) -> None:
     value = sample(field, tmp_path)
@@ -226,14 +226,14 @@ def test_flags_come_before_variables(app: typer.Typer, served: list[Settings]) -
     assert served == [Settings(port=9001, threads=2, deadline_s=9.0)]
 
 
-def test_a_wrong_setting_is_a_line_on_stderr_and_status_2(app: typer.Typer) -> None:
+def test_a_wrong_setting_is_one_line_on_stderr(app: typer.Typer) -> None:
     result = CliRunner().invoke(app, ["serve", "--deadline-s", "-1"])
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr == "error[invalid_settings]: deadline_s is -1: use a finite number > 0\n"
 
 
-def test_schemas_are_written_and_named(app: typer.Typer, tmp_path: Path) -> None:
+def test_the_written_schemas_are_named(app: typer.Typer, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["serve", "--schemas", str(tmp_path)])
     assert result.exit_code == 0
     assert {Path(line).name for line in result.stdout.splitlines()} == set(schema_files())

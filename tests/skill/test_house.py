@@ -1,4 +1,4 @@
-"""The house rules: who may import whom and how deep, what can be taken away, and how long things may be.
+"""The house rules: imports between rooms, parts that can be taken away, and lengths.
 
 Product and laboratory stay apart: what a user installs imports no research.
 """
@@ -8,10 +8,11 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from graphlib import CycleError, TopologicalSorter
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import hypothesis
 import pytest
@@ -20,11 +21,39 @@ from tests.conftest import ROOT
 
 MODULE_LINES = 600
 FUNCTION_LINES = 80
-# of vehanchor, at most: a new import between packages needs a reason
-ROOT_MODULES = 3
-ARROWS = 112
-FLOORS = 13
-LABORATORY = ("benchmarks", "paper", "results", "training")  # scenes are for tests, too
+
+
+class Shape(NamedTuple):
+    """Limits on the rooms of a package: its subpackages, and its modules outside of these.
+
+    Attributes:
+        floors: longest chain of rooms that import each other.
+        arrows: imports from one room to another; a new one needs a reason.
+        root_modules: modules outside subpackages.
+    """
+
+    floors: int
+    arrows: int
+    root_modules: int
+
+
+SHAPES = {
+    "vehanchor": Shape(floors=13, arrows=112, root_modules=3),
+    "vehanchor_server": Shape(floors=9, arrows=48, root_modules=10),
+}
+# The rooms of the server, from the ground up: a room imports only rooms of lower floors.
+SERVER_FLOORS = (
+    ("errors", "base_model", "settings", "request_log"),
+    ("images", "sandbox", "app_page", "models"),
+    ("resources",),
+    ("calls",),
+    ("services",),
+    ("tools",),
+    ("app", "schemas"),
+    ("transport",),
+    ("command",),
+)
+LABORATORY = ("benchmarks", "paper", "results", "training")  # tests may use the scenes
 FOLDERS = (ROOT / "skill", ROOT / "server")
 COMMANDS = (
     "vehanchor.cli",
@@ -32,7 +61,8 @@ COMMANDS = (
     "vehanchor_flight.commands",
     "vehanchor_server.command",
 )
-FORBIDDEN = {  # what the modules of a package never import, not even inside a function
+# Modules that a package never imports, not even inside a function.
+FORBIDDEN = {
     "vehanchor": (
         "vehanchor_flight",
         "vehanchor_evaluation",
@@ -47,12 +77,15 @@ FORBIDDEN = {  # what the modules of a package never import, not even inside a f
 
 
 def _modules() -> dict[str, Path]:
-    found = {}
+    """The modules of library and server, by name."""
+    modules = {}
     for folder in FOLDERS:
         for path in sorted(folder.rglob("*.py")):
-            *parts, last = path.relative_to(folder).with_suffix("").parts
-            found[".".join(parts if last == "__init__" else [*parts, last])] = path
-    return found
+            parts = path.relative_to(folder).with_suffix("").parts
+            if parts[-1] == "__init__":
+                parts = parts[:-1]
+            modules[".".join(parts)] = path
+    return modules
 
 
 MODULES = _modules()
@@ -69,38 +102,39 @@ def _below(name: str, package: str) -> bool:
     return name == package or name.startswith(f"{package}.")
 
 
+def _is_below_any(name: str, packages: Iterable[str]) -> bool:
+    return any(_below(name, package) for package in packages)
+
+
 def _imported(tree: ast.Module) -> set[str]:
     """What a module imports anywhere: at its top, for types only, or inside a function."""
-    found = set()
+    names = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             source = node.module or ""
-            inside = {f"{source}.{alias.name}" for alias in node.names}
-            found |= {each if each in MODULES else source for each in inside}
-    return found
+            for alias in node.names:
+                member = f"{source}.{alias.name}"
+                names.add(member if member in MODULES else source)
+    return names
 
 
 IMPORTS = {name: _imported(tree) for name, tree in TREES.items()}
 
 
 def _room(name: str) -> str:
-    """Package or module below ``vehanchor`` to which a module belongs."""
+    """Subpackage, or module outside of these, to which a module belongs."""
     return ".".join(name.split(".")[:2])
 
 
-def _rooms() -> dict[str, set[str]]:
-    """The rooms of the library, each with those that it imports."""
-    rooms: dict[str, set[str]] = {
-        _room(name): set() for name in MODULES if _below(name, "vehanchor")
-    }
-    for name, imported in IMPORTS.items():
-        if _room(name) in rooms:
-            found = {
-                _room(each) for each in imported if each in MODULES and _below(each, "vehanchor")
-            }
-            rooms[_room(name)] |= found - {_room(name)}
+def _rooms(package: str) -> dict[str, set[str]]:
+    """The rooms of a package, each with those that it imports."""
+    members = [name for name in MODULES if _below(name, package)]
+    rooms: dict[str, set[str]] = {_room(name): set() for name in members}
+    for name in members:
+        imported = {_room(module) for module in IMPORTS[name] if module in members}
+        rooms[_room(name)] |= imported - {_room(name)}
     return rooms
 
 
@@ -121,88 +155,104 @@ def test_no_import_is_relative() -> None:
 
 
 def test_no_import_comes_back_to_where_it_began() -> None:
-    graph = {
-        name: {each for each in imported if each in MODULES} for name, imported in IMPORTS.items()
-    }
+    graph = {name: imported & MODULES.keys() for name, imported in IMPORTS.items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" <- ".join(error.args[1]))
 
 
-def test_the_packages_of_the_library_form_no_circle_and_few_floors() -> None:
-    rooms = _rooms()
+def _floors(package: str) -> dict[str, int]:
+    """The floor of each room: one above the highest that it imports; fail on a circle."""
+    rooms = _rooms(package)
     floors: dict[str, int] = {}
     try:
         for room in TopologicalSorter(rooms).static_order():
-            floors[room] = 1 + max((floors[each] for each in rooms[room]), default=0)
+            floors[room] = 1 + max((floors[imported] for imported in rooms[room]), default=0)
     except CycleError as error:
         pytest.fail(" <- ".join(error.args[1]))
-    assert max(floors.values()) <= FLOORS, sorted(floors.items(), key=lambda item: item[1])
+    return floors
 
 
-def test_few_packages_of_the_library_import_each_other() -> None:
-    arrows = sorted((room, each) for room, imported in _rooms().items() for each in imported)
-    assert len(arrows) <= ARROWS, arrows
+@pytest.mark.parametrize("package", SHAPES)
+def test_rooms_form_no_circle_and_few_floors(package: str) -> None:
+    floors = _floors(package)
+    highest_first = sorted(floors.items(), key=lambda room: room[1], reverse=True)
+    assert max(floors.values()) <= SHAPES[package].floors, highest_first
 
 
-def test_few_modules_lie_outside_packages() -> None:
+@pytest.mark.parametrize("package", SHAPES)
+def test_few_rooms_import_each_other(package: str) -> None:
+    arrows = sorted((room, other) for room, others in _rooms(package).items() for other in others)
+    assert len(arrows) <= SHAPES[package].arrows, arrows
+
+
+@pytest.mark.parametrize("package", SHAPES)
+def test_few_modules_lie_outside_subpackages(package: str) -> None:
     loose = [
-        room for room in _rooms() if room != "vehanchor" and MODULES[room].name != "__init__.py"
+        room for room in _rooms(package) if room != package and MODULES[room].name != "__init__.py"
     ]
-    assert len(loose) <= ROOT_MODULES, loose
+    assert len(loose) <= SHAPES[package].root_modules, loose
+
+
+def test_no_import_of_the_server_points_upward() -> None:
+    floors = {
+        f"vehanchor_server.{room}": floor
+        for floor, rooms in enumerate(SERVER_FLOORS)
+        for room in rooms
+    }
+    rooms = _rooms("vehanchor_server")
+    assert rooms.keys() - {"vehanchor_server"} == floors.keys()
+    upward = [
+        f"{room} imports {imported}"
+        for room, floor in floors.items()
+        for imported in rooms[room]
+        if floors[imported] >= floor
+    ]
+    assert not upward
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)
 def test_a_package_imports_only_what_it_may(package: str) -> None:
-    found = [
-        f"{name} imports {imported}"
-        for name in MODULES
-        if _below(name, package) and not any(_below(name, command) for command in COMMANDS[1:])
-        for imported in IMPORTS[name]
-        if any(_below(imported, forbidden) for forbidden in FORBIDDEN[package])
-    ]
-    assert not found
+    offences = []
+    for name in MODULES:
+        if not _below(name, package) or _is_below_any(name, COMMANDS[1:]):
+            continue
+        for imported in IMPORTS[name]:
+            if _is_below_any(imported, FORBIDDEN[package]):
+                offences.append(f"{name} imports {imported}")
+    assert not offences
 
 
 def test_only_commands_import_the_command_line() -> None:
-    found = [
-        name
-        for name in MODULES
-        if any(
-            _below(imported, "vehanchor.cli") or _below(imported, "typer")
-            for imported in IMPORTS[name]
-        )
-        and not any(_below(name, command) for command in (*COMMANDS, "vehanchor.__main__"))
-    ]
-    assert not found
+    offences = []
+    for name in MODULES:
+        if _is_below_any(name, (*COMMANDS, "vehanchor.__main__")):
+            continue
+        if any(_is_below_any(module, ("vehanchor.cli", "typer")) for module in IMPORTS[name]):
+            offences.append(name)
+    assert not offences
 
 
 @pytest.mark.parametrize(
     ("folder", "laboratories"),
     [
         *product(("skill", "server", "examples"), (("research",),)),
-        *product(("docs", ".ci", "tests"), (tuple(f"research.{each}" for each in LABORATORY),)),
+        *product(("docs", ".ci", "tests"), (tuple(f"research.{name}" for name in LABORATORY),)),
         ("research/training", ("research.benchmarks",)),
     ],
 )
 def test_the_product_imports_no_research_and_its_tests_only_scenes(
     folder: str, laboratories: tuple[str, ...]
 ) -> None:
-    known = {path: IMPORTS[name] for name, path in MODULES.items()}
-    paths = [
-        path
-        for path in (ROOT / folder).rglob("*.py")
-        if ROOT / "tests/research" not in path.parents
-    ]
-    imports = {
-        path: known.get(path) or _imported(ast.parse(path.read_text(encoding="utf-8")))
-        for path in paths
-    }
-    found = product(imports.items(), laboratories)
-    assert not [
-        path for (path, imported), kind in found if any(_below(each, kind) for each in imported)
-    ]
+    offences = []
+    for path in (ROOT / folder).rglob("*.py"):
+        if ROOT / "tests/research" in path.parents:
+            continue
+        imported = _imported(ast.parse(path.read_text(encoding="utf-8")))
+        if any(_is_below_any(module, laboratories) for module in imported):
+            offences.append(path)
+    assert not offences
 
 
 def test_no_module_is_too_long_to_be_read_at_once() -> None:
@@ -244,7 +294,7 @@ def test_importing_the_library_loads_nothing_else() -> None:
         "mcp",
         "numpy",
     )
-    assert not [name for name in loaded if any(_below(name, other) for other in others)]
+    assert not [name for name in loaded if _is_below_any(name, others)]
 
 
 TAKE_AWAY = """
@@ -279,11 +329,7 @@ if away != "vehanchor.cli":
 )
 def test_the_rest_works_without(away: str) -> None:
     gone = COMMANDS if away == "vehanchor.cli" else (away,)
-    rest = [
-        name
-        for name in MODULES
-        if not any(_below(name, each) for each in (*gone, "vehanchor.__main__"))
-    ]
+    rest = [name for name in MODULES if not _is_below_any(name, (*gone, "vehanchor.__main__"))]
     assert len(rest) > 50
     done = subprocess.run(
         [sys.executable, "-c", TAKE_AWAY, away, *rest],

@@ -42,12 +42,16 @@ _SHARED = (
     "facts",
     "panel",
 )
-_HOST_PARTS = ("call", "host", *_SHARED, "embedded")  # in this order
+# The scripts of each page, in this order.
+_HOST_PARTS = ("call", "host", *_SHARED, "embedded")
 _VIEW_PARTS = ("call", "local", *_SHARED, "exporting", "thumbnails", "overview", "chooser")
 
 
 def app_extension() -> Apps:
-    """Create the MCP Apps extension with the page as its only resource; tools refer to it by ``APP_META``."""
+    """Create the MCP Apps extension with the page as its only resource.
+
+    Tools refer to it by ``APP_META``.
+    """
     from mcp.server.apps import Apps, ResourceCsp
 
     apps = Apps()
@@ -72,24 +76,41 @@ def page_html() -> str:
 @cache
 def view_html() -> str:
     """Return the page of ``vehanchor view``: the shared parts and a list of photographs."""
-    styles = ("panel.css", "view.css")
-    places = ("img-src data:", "connect-src 'self'")
-    return _assembled(styles, _VIEW_PARTS, *places, before=_part("list.html"))
+    return _assembled(
+        ("panel.css", "view.css"),
+        _VIEW_PARTS,
+        "img-src data:",
+        "connect-src 'self'",
+        photograph_list=_part("list.html"),
+    )
 
 
 def _options(names: Iterable[str]) -> str:
-    return "".join(f'<option value="{name}">{name.replace("_", " ")}</option>' for name in names)
+    """Return the entries of a drop-down list."""
+    entries = [f'<option value="{name}">{name.replace("_", " ")}</option>' for name in names]
+    return "".join(entries)
 
 
 def _assembled(
-    styles: tuple[str, ...], scripts: tuple[str, ...], *allowed: str, before: str = ""
+    styles: tuple[str, ...],
+    scripts: tuple[str, ...],
+    *sources: str,
+    photograph_list: str = "",
 ) -> str:
+    """Assemble a page.
+
+    Args:
+        styles: names of its style sheets.
+        scripts: names of its scripts, in order, without suffix.
+        sources: directives of the content security policy that allow sources.
+        photograph_list: HTML of a list of photographs before the rest.
+    """
     style = "\n".join(map(_part, styles))
     script = _in_one_function(scripts)
     policy = "; ".join(
         [
             "default-src 'none'",
-            *allowed,
+            *sources,
             f"style-src {_hash_source(style)}",
             f"script-src {_hash_source(script)}",
             "base-uri 'none'",
@@ -97,15 +118,15 @@ def _assembled(
         ]
     )
     page = _part("page.html")
-    parts = {
-        "list": before,
+    values = {
+        "list": photograph_list,
         "regions": _options((*REGIONS, *COUNTRY_LENGTHS_M)),
         "known_sizes": _options(standards()),
         "policy": policy,
         "style": style,
         "script": script,
     }
-    for name, text in parts.items():
+    for name, text in values.items():
         page = page.replace(f"{{{{{name}}}}}", text)
     return page
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PANEL_KEY = "vehanchor/panel"
 
-# limits of what is drawn
+# Largest drawing: more shapes would delay the page.
 MAX_VEHICLES = 2000
 MAX_LINES = 500
 
@@ -63,22 +63,24 @@ def panel_meta(
 
     Args:
         picture: the reduced image as JPEG.
-        drawing: shapes over the image; None for a given scale.
+        drawing: shapes over the image; None for a stated scale.
         record: the whole record, if the result is compact.
-        shown: the record that the page shows; a sentence says for people what its scale rests on or
-            what it lacks.
+        shown: the record that the page shows; a sentence for people states the basis of its scale,
+            or what the scale lacks.
     """
-    data = {
-        "picture_jpeg": None if picture is None else base64.b64encode(picture).decode(),
-        "drawing": None if drawing is None else drawing.model_dump(mode="json"),
-        "record": record,
-        "sentence": None if shown is None else _sentence_for_people(shown),
-    }
+    data: dict[str, Any] = dict.fromkeys(("picture_jpeg", "drawing", "record", "sentence"))
+    data["record"] = record
+    if picture is not None:
+        data["picture_jpeg"] = base64.b64encode(picture).decode()
+    if drawing is not None:
+        data["drawing"] = drawing.model_dump(mode="json")
+    if shown is not None:
+        data["sentence"] = _sentence_for_people(shown)
     return {PANEL_KEY: data}
 
 
 def _sentence_for_people(record: BaseModel) -> str | None:
-    """Say what a scale rests on, or what it lacks; None for a record without one."""
+    """State the basis of a scale, or what it lacks; None for a record without a scale."""
     if isinstance(record, AreaMeasurement):
         estimate = record.estimate
         if not record.mask_area_px:
@@ -88,7 +90,7 @@ def _sentence_for_people(record: BaseModel) -> str | None:
         advice = advice_for(estimate)
     elif isinstance(record, GsdEstimate):
         estimate = record
-        advice = advice_for(record, "drop the boxes that are no cars")
+        advice = advice_for(record, "drop the boxes that are not cars")
     else:
         return None
     if estimate is None:
@@ -97,9 +99,11 @@ def _sentence_for_people(record: BaseModel) -> str | None:
         words = f"measured from {', '.join(ruler.label for ruler in estimate.probable_rulers)}"
     else:
         words = f"{advice.why}; {advice.helps}"
-    by_hand = by_hand_text(estimate)
-    corrected = f" Vehicles corrected {by_hand}." if by_hand else ""
-    return f"{words[0].upper()}{words[1:]}.{corrected}"
+    sentence = f"{words[0].upper()}{words[1:]}."
+    corrections = by_hand_text(estimate)
+    if corrections:
+        sentence += f" Vehicles corrected {corrections}."
+    return sentence
 
 
 def drawing_of(analysis: ScaleEvidence) -> Drawing:
@@ -108,20 +112,20 @@ def drawing_of(analysis: ScaleEvidence) -> Drawing:
 
     detections = analysis.detections
     boxes = detections.boxes[:MAX_VEHICLES]
-    rows = np.round(np.column_stack([boxes[:, :4], np.rad2deg(boxes[:, 4])]), 1)
-    facts = zip(rows.tolist(), analysis.kept, detections.numbers, detections.stated, strict=False)
+    angles_deg = np.rad2deg(boxes[:, 4])
+    rows = np.round(np.column_stack([boxes[:, :4], angles_deg]), 1)
+    vehicles = []
+    for row, kept, number, added in zip(
+        rows.tolist(), analysis.kept, detections.numbers, detections.stated, strict=False
+    ):
+        x, y, length, width, angle = row
+        vehicles.append((x, y, length, width, angle, int(kept), int(number), int(added)))
+    lines = []
+    for mark in analysis.marks[:MAX_LINES]:
+        points = tuple((round(float(x), 1), round(float(y), 1)) for x, y in mark.points)
+        lines.append(DrawnLine(points=points, label=mark.label, closed=mark.closed))
     return Drawing(
-        vehicles=tuple(
-            (x, y, length, width, angle, int(kept), int(number), int(added))
-            for (x, y, length, width, angle), kept, number, added in facts
-        ),
+        vehicles=tuple(vehicles),
         vehicles_left_out=len(detections.boxes) - len(boxes),
-        lines=tuple(
-            DrawnLine(
-                points=tuple((round(float(x), 1), round(float(y), 1)) for x, y in mark.points),
-                label=mark.label,
-                closed=mark.closed,
-            )
-            for mark in analysis.marks[:MAX_LINES]
-        ),
+        lines=tuple(lines),
     )

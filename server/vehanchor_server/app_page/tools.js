@@ -8,7 +8,7 @@ const TOOLS = {
   distance: { words: "Distance", first: "Click two points, or drag a line.", then: "Click the other end." },
   area: { words: "Area", first: "Draw a tight box around one object.", then: "Click the opposite corner." },
   known: { words: "Draw a known length", first: "Click both ends of a known length on the ground.", then: "Click the other end." },
-  drop: { words: "Drop", first: "Click boxes that are no cars, or draw a box around several.", then: "Release after the last box." },
+  drop: { words: "Drop", first: "Click boxes that are not cars, or draw a box around several.", then: "Release after the last box." },
   add: { words: "Add", first: "Click both bumpers of a car without a box, or drag along it.", then: "Click the other bumper." },
 };
 const picks = (tool) => tool === "drop"; // vehicles, not points

@@ -25,14 +25,18 @@ class CallStoppedError(Exception):
 
 
 class Stop(Cancellation):
-    """Cancellation of a call, requested by the event loop and checked by the call's thread."""
+    """Stop of a call: the event loop requests it, and the call's thread obeys.
+
+    The thread checks for it between tiles, a running model ends within a layer, and a worker is
+    killed by an action.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self._actions: list[Callable[[], None]] = []
 
     def cancel(self) -> None:
-        """End running models and do the actions, once."""
+        """Request the stop: end running models and do the actions, once."""
         super().cancel()
         with self._lock:
             while self._actions:
@@ -48,8 +52,8 @@ class Stop(Cancellation):
             raise CallStoppedError
 
     @contextmanager
-    def calling(self, action: Callable[[], None]) -> Iterator[None]:
-        """Run an action if a stop is requested within the context, or was before; never after it."""
+    def on_request(self, action: Callable[[], None]) -> Iterator[None]:
+        """Do an action if a stop is requested within the context, or was before; never after it."""
         with self._lock:
             if self.requested:
                 action()
@@ -58,7 +62,7 @@ class Stop(Cancellation):
         try:
             yield
         finally:
-            with self._lock, suppress(ValueError):  # it was done
+            with self._lock, suppress(ValueError):  # the action was done
                 self._actions.remove(action)
 
 
@@ -91,7 +95,7 @@ class Capacity:
             CallError: ``busy``, ``deadline_exceeded`` or ``server_stopping``.
         """
         if self._closed:
-            raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
+            raise _server_stopping()
         if self.running >= self.max_concurrency:
             raise CallError(
                 "busy",
@@ -118,7 +122,7 @@ class Capacity:
             CallError: ``server_stopping``, if the work was stopped by ``close``.
         """
 
-        # as a value: it must not collide with a cancellation
+        # The error is a value: raised in the task group, it could collide with a cancellation.
         def guarded() -> tuple[T | None, Exception | None]:
             try:
                 return work(), None
@@ -131,12 +135,13 @@ class Capacity:
             was_stopped = stop.requested
             group.cancel_scope.cancel()
         await anyio.lowlevel.checkpoint_if_cancelled()
-        # CallStoppedError, or the error of a terminated model
-        if error is not None and was_stopped:
-            raise CallError("server_stopping", "the server is shutting down. Try again in a while.")
-        if error is not None:
-            raise error
-        return value  # type: ignore[return-value] # there is one where there is no error
+        if error is None:
+            return value  # type: ignore[return-value] # without an error there is a value
+        # A stop of a call that was not cancelled came from ``close``. The error is then
+        # CallStoppedError, or that of a terminated model.
+        if was_stopped:
+            raise _server_stopping()
+        raise error
 
     def close(self) -> None:
         """Refuse new calls and stop the running ones."""
@@ -145,8 +150,13 @@ class Capacity:
             stop.cancel()
 
 
+def _server_stopping() -> CallError:
+    return CallError("server_stopping", "the server is shutting down. Try again in a while.")
+
+
 async def _request_when_cancelled(stop: Stop) -> None:
+    """Request the stop when this task is cancelled: with its call, or after the work."""
     try:
         await anyio.sleep_forever()
     finally:
-        stop.cancel()  # changes nothing after the work
+        stop.cancel()  # without effect after the work

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 _DIGITS = 3
-_LONG_CHARS = 100  # of a sentence; a choice
+_LONG_CHARS = 100  # a longer sentence is cut to its first clause
 
-ANSWERED: Mapping[type[BaseModel], tuple[str, ...]] = {
+SHORT_FIELDS: Mapping[type[BaseModel], tuple[str, ...]] = {
     GsdEstimate: (
         "status",
         "gsd_m_per_px",
@@ -65,45 +65,51 @@ _ONLY_IF_OK = (
     "inscribed_diameter_ci95_low_m",
     "inscribed_center",
 )
-# null means "no scale"
+# Null states that there is no scale.
 _KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m", "scale_confidence")
 _OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
 
 def short_record(records: Sequence[BaseModel], warnings: Sequence[str] = ()) -> dict[str, Any]:
-    """Return one record, or several below ``measurements``, with their common advice, and the warnings in words.
+    """Return one record, or several below ``measurements``, with advice and warnings.
 
     Args:
         records: records of one image.
-        warnings: theirs and those about the call.
+        warnings: those of the records and those about the call, in words.
     """
     parts = [_short(record) for record in records]
-    whole: dict[str, Any] = parts[0] if len(parts) == 1 else {"measurements": parts}
-    advice = "; ".join(dict.fromkeys(filter(None, map(advice_on, records))))
-    return (
-        whole
-        | ({"advice": advice} if advice else {})
-        | ({"warnings": list(warnings)} if warnings else {})
-    )
+    short: dict[str, Any] = {"measurements": parts}
+    if len(parts) == 1:
+        short = parts[0]
+    advice = [advice_on(record) for record in records]
+    advice = [text for text in dict.fromkeys(advice) if text]
+    if advice:
+        short["advice"] = "; ".join(advice)
+    if warnings:
+        short["warnings"] = list(warnings)
+    return short
 
 
 def brief(message: str) -> str:
     """Return the first sentence of a message; of a long one, the clause that states the fact."""
     sentence = message.partition(". ")[0].rstrip(".")
-    return (sentence if len(sentence) <= _LONG_CHARS else sentence.partition(": ")[0]) + "."
+    if len(sentence) > _LONG_CHARS:
+        sentence = sentence.partition(": ")[0]
+    return f"{sentence}."
 
 
 def _short(record: BaseModel) -> dict[str, Any]:
+    """Return the deciding fields of a record; a record of another type stays whole."""
     values = record.model_dump(mode="json")
-    if type(record) not in ANSWERED:
+    if type(record) not in SHORT_FIELDS:
         return values
     short: dict[str, Any] = {}
-    for name in ANSWERED[type(record)]:
+    for name in SHORT_FIELDS[type(record)]:
         if name in _ONLY_IF_OK and values["status"] != "ok":
             continue
         value = values[name]
-        if isinstance(value, dict) and name == "frame":
-            value = {key: each for key, each in value.items() if key not in _OMITTED_IN_FRAME}
+        if name == "frame" and value is not None:
+            value = {key: item for key, item in value.items() if key not in _OMITTED_IN_FRAME}
         if value is not None or name in _KEPT_WHEN_NULL:
             short[name] = _rounded(name, value)
     if isinstance(record, GsdEstimate) and record.details.by_hand is not None:
@@ -111,25 +117,30 @@ def _short(record: BaseModel) -> dict[str, Any]:
     reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason
-    if isinstance(record, AreaMeasurement) and record.alternatives:
-        short["alternatives"] = [_size(other) for other in record.alternatives]
-    frame = short.get("frame") or {}
-    if has_unknown_extent(record):
-        frame.pop("bounding_box", None)
-        short.pop("bounding_box", None)
-    elif frame.get("bounding_box"):
-        short.pop("bounding_box", None)  # the frame already has it in the caller's pixels
+    if isinstance(record, AreaMeasurement):
+        if record.alternatives:
+            short["alternatives"] = [_size(other) for other in record.alternatives]
+        _drop_superfluous_box(short, record)
     return short
 
 
-def has_unknown_extent(record: BaseModel) -> bool:
-    """Tell whether the mask may be a part of the object, or more.
+def _drop_superfluous_box(short: dict[str, Any], area: AreaMeasurement) -> None:
+    """Keep one box of the mask: the one in the caller's pixels; none if the extent is unknown."""
+    frame = short.get("frame", {})
+    if has_unknown_extent(area):
+        frame.pop("bounding_box", None)
+        short.pop("bounding_box", None)
+    elif frame.get("bounding_box"):
+        short.pop("bounding_box", None)
 
-    Its box is not told: given back, it would pass for one that somebody drew
+
+def has_unknown_extent(area: AreaMeasurement) -> bool:
+    """Return whether the mask may be a part of the object, or more than the object.
+
+    Answers omit the box of such a mask: given back, it would pass for one that somebody drew
     (``research/results/notes.md``).
     """
-    notices = record.warnings if isinstance(record, AreaMeasurement) else ()
-    return any(notice.code == NoticeCode.EXTENT_UNKNOWN for notice in notices)
+    return any(notice.code == NoticeCode.EXTENT_UNKNOWN for notice in area.warnings)
 
 
 def _size(other: OtherObject) -> dict[str, Any]:
@@ -139,12 +150,14 @@ def _size(other: OtherObject) -> dict[str, Any]:
 
 
 def _rounded(name: str, value: Any) -> Any:
+    """Round the numbers of a field: to the precision of its unit, and chances downward."""
     if isinstance(value, dict):
-        return {key: each if each is None else _rounded(key, each) for key, each in value.items()}
+        return {key: _rounded(key, item) for key, item in value.items()}
     if not isinstance(value, float):
         return value
     if name in ("confidence", "scale_confidence", "mask_score"):
-        return math.floor(value * 10**_DIGITS) / 10**_DIGITS  # round down, never above a limit
+        # Downward, so that no rounded chance passes a limit that the chance itself misses.
+        return math.floor(value * 10**_DIGITS) / 10**_DIGITS
     if name.endswith("_px") and not name.endswith("_per_px"):
         return round(value, 1)
     return float(f"{value:.{_DIGITS}g}")

@@ -28,7 +28,7 @@ class Job:
     def __init__(self, stop: Stop, report: Callable[[float, str], None]) -> None:
         self.stop = stop
         self._report = report
-        self._reported = -1
+        self._reported_halves = -1  # of the search: none yet
 
     @cached_property
     def runtime(self) -> Runtime:
@@ -42,18 +42,22 @@ class Job:
             CallStoppedError: a stop was requested.
         """
         self.stop.check()
-        self._reported = 0
+        self._reported_halves = 0
         self._report(PERCENT_READ, "segmenting the object")
 
     def searched(self, done: int, total: int) -> None:
         """Report searched tiles at the start, in the middle and at the end.
 
+        Args:
+            done: number of searched tiles.
+            total: number of tiles.
+
         Raises:
             CallStoppedError: a stop was requested.
         """
         self.stop.check()
-        half = 2 * done // total
-        if half > self._reported:
-            self._reported = half
+        n_halves = 2 * done // total
+        if n_halves > self._reported_halves:
+            self._reported_halves = n_halves
             percent = PERCENT_READ + (PERCENT_SEARCHED - PERCENT_READ) * done / total
             self._report(percent, f"searched {done} of {total} tiles")

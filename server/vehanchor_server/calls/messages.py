@@ -27,11 +27,13 @@ Parsed = TypeVar("Parsed")
 
 
 class Limit(NamedTuple):
-    """Limit on JSON: at most twice the largest honest one (``tests/server/calls/test_messages.py``).
+    """Limit on JSON: at most twice the largest honest message.
+
+    ``tests/server/calls/test_messages.py`` makes that message.
 
     Attributes:
-        n_bytes: its size.
-        n_marks: commas and opening brackets and braces in it.
+        n_bytes: size of the JSON.
+        n_marks: number of commas, opening brackets and opening braces.
     """
 
     n_bytes: int
@@ -52,7 +54,12 @@ class MessageError(Exception):
 
 
 class Loaded(FrozenModel):
-    """The worker has loaded its models, or failed to; its confinement."""
+    """The worker has started.
+
+    Attributes:
+        failure: error code of a model that cannot be loaded, or None.
+        confinement: rights that the worker has dropped.
+    """
 
     kind: Literal["loaded"] = "loaded"
     failure: str | None = Field(max_length=80)
@@ -68,7 +75,12 @@ class Progressed(FrozenModel):
 
 
 class Refused(FrozenModel):
-    """The call failed with a remedy for the caller; or with ``BUG`` and a traceback, also at the start."""
+    """The call failed.
+
+    Attributes:
+        code: error code; ``BUG`` for a bug of the work or of the start.
+        message: problem and remedy for the caller; the traceback of a bug.
+    """
 
     kind: Literal["refused"] = "refused"
     code: str = Field(max_length=40, pattern=r"^[a-z0-9_]+$")
@@ -76,7 +88,13 @@ class Refused(FrozenModel):
 
 
 class Replied(FrozenModel):
-    """The work is done; records, drawing and picture follow."""
+    """The work is done; records, drawing and picture follow.
+
+    Attributes:
+        n_records: number of records.
+        drawing: whether a drawing follows.
+        picture: whether a picture follows.
+    """
 
     kind: Literal["replied"] = "replied"
     n_records: int = Field(ge=1, le=MAX_RECORDS)
@@ -97,14 +115,18 @@ def send(connection: Connection, message: BaseModel) -> None:
 
 def send_reply(connection: Connection, reply: Reply[BaseModel]) -> None:
     """Send the reply of a call."""
-    picture = reply.picture
     header = Replied(
-        n_records=len(reply.records), drawing=reply.drawing is not None, picture=picture is not None
+        n_records=len(reply.records),
+        drawing=reply.drawing is not None,
+        picture=reply.picture is not None,
     )
-    for part in (header, *reply.records, *([reply.drawing] if reply.drawing else [])):
-        send(connection, part)
-    if picture is not None:
-        connection.send_bytes(picture)
+    send(connection, header)
+    for record in reply.records:
+        send(connection, record)
+    if reply.drawing is not None:
+        send(connection, reply.drawing)
+    if reply.picture is not None:
+        connection.send_bytes(reply.picture)
 
 
 def receive(connection: Connection) -> WorkerMessage:
@@ -115,7 +137,7 @@ def receive(connection: Connection) -> WorkerMessage:
         OSError: the pipe broke, or the message is too large.
         MessageError: the bytes are not a message.
     """
-    return _parsed(connection, HEADER, _WORKER_MESSAGE.validate_json)
+    return _receive_json(connection, HEADER, _WORKER_MESSAGE.validate_json)
 
 
 def receive_reply(connection: Connection, header: Replied, record: type[BaseModel]) -> Reply[Any]:
@@ -131,26 +153,30 @@ def receive_reply(connection: Connection, header: Replied, record: type[BaseMode
         OSError: the pipe broke, or a part is too large.
         MessageError: a part is not of its type.
     """
-    return Reply(
-        records=tuple(
-            _parsed(connection, RECORD, record.model_validate_json) for _ in range(header.n_records)
-        ),
-        drawing=_parsed(connection, DRAWING, Drawing.model_validate_json)
-        if header.drawing
-        else None,
-        picture=connection.recv_bytes(MAX_PICTURE_BYTES) if header.picture else None,
-    )
+    records = []
+    for _ in range(header.n_records):
+        records.append(_receive_json(connection, RECORD, record.model_validate_json))
+    drawing = None
+    if header.drawing:
+        drawing = _receive_json(connection, DRAWING, Drawing.model_validate_json)
+    picture = None
+    if header.picture:
+        picture = connection.recv_bytes(MAX_PICTURE_BYTES)
+    return Reply(tuple(records), picture=picture, drawing=drawing)
 
 
-def _parsed(connection: Connection, limit: Limit, parse: Callable[[bytes], Parsed]) -> Parsed:
+def _receive_json(
+    connection: Connection, limit: Limit, validate: Callable[[bytes], Parsed]
+) -> Parsed:
+    """Receive and validate one part; check its size and structure before it is parsed."""
     data = connection.recv_bytes(limit.n_bytes)
-    n_marks = sum(map(data.count, (b",", b"[", b"{")))
+    n_marks = data.count(b",") + data.count(b"[") + data.count(b"{")
     if n_marks > limit.n_marks:
-        raise MessageError(f"{n_marks} separators where {limit.n_marks} are the most")
+        raise MessageError(f"{n_marks} separators, more than {limit.n_marks}")
     try:
-        return parse(data)
+        return validate(data)
     except ValidationError as error:
-        # without the possibly hostile input
+        # One fault is enough, and the log gets none of the possibly hostile input.
         first = error.errors(include_input=False, include_url=False)[0]
         where = ".".join(map(str, first["loc"]))[:200]
         raise MessageError(f"{error.title}: {where}: {first['type']}") from None

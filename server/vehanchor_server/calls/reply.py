@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 from pydantic import BaseModel
 
@@ -32,9 +32,8 @@ class PictureRequest(NamedTuple):
     Attributes:
         kind: none; ``plain``, the image for a page; or ``evidence``, what the call saw, for
             ``view_image``.
-        long_side_px: longer side of the evidence, at most.
-        part: corners of the part that the evidence shows, in the units of ``frame``; None for the
-            usual view.
+        long_side_px: longest side of the evidence.
+        part: corners of the displayed part, in the units of ``frame``; None for the usual view.
         frame: coordinate system of the part.
     """
 
@@ -71,36 +70,33 @@ class Reply(Generic[Record]):
         detail: Detail = "full",
         shown: PictureRequest | None = None,
     ) -> CallToolResult:
-        """Convert to a tool result: text and structured content that say the same, and page data.
+        """Convert to a tool result.
+
+        Text and structured content have the same facts; hosts with a page also get its data.
 
         Args:
             text: the records in words.
-            warnings: those in the text, for short structured content.
+            warnings: the warnings in the text, for short structured content.
             detail: extent of the records.
             shown: the requested picture; the evidence follows the text, without structured content.
         """
         from mcp.server.mcpserver import Image
         from mcp.types import CallToolResult, TextContent
 
-        content: list[Any] = [TextContent(type="text", text=text)]
+        words = TextContent(type="text", text=text)
         kind = "" if shown is None else shown.kind
         if kind == "evidence":
             assert self.picture is not None
-            return CallToolResult(
-                content=[*content, Image(data=self.picture, format="jpeg").to_image_content()]
-            )
-        whole = [record.model_dump(mode="json") for record in self.records]
-        full = whole[0] if len(whole) == 1 else {"measurements": whole}
-        short = None if detail == "full" else short_record(self.records, warnings)
+            picture = Image(data=self.picture, format="jpeg").to_image_content()
+            return CallToolResult(content=[words, picture])
+        records = [record.model_dump(mode="json") for record in self.records]
+        full = records[0] if len(records) == 1 else {"measurements": records}
+        structured = full
+        hidden = None  # the whole record for the page, if models get the short one
+        if detail == "short":
+            structured = short_record(self.records, warnings)
+            hidden = records[0]
+        page = panel_meta()
         if kind:
-            page = panel_meta(
-                self.picture,
-                self.drawing,
-                record=None if short is None else whole[0],
-                shown=self.record,
-            )
-        else:
-            page = panel_meta()
-        return CallToolResult(
-            content=content, structured_content=full if short is None else short, _meta=page
-        )
+            page = panel_meta(self.picture, self.drawing, record=hidden, shown=self.record)
+        return CallToolResult(content=[words], structured_content=structured, _meta=page)

@@ -15,13 +15,15 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import Reply
     from vehanchor_server.images.argument import AnyImage
-    from vehanchor_server.parts import Parts
+    from vehanchor_server.resources import Resources
 
 Record = TypeVar("Record", bound=BaseModel)
 
 
 class Work(Protocol[Record]):
-    """Function of services, job, opened image and question; other images are a fifth argument.
+    """Work of a call: a function of resources, job, opened image and question.
+
+    Other images are a fifth argument.
 
     Attributes:
         record: type of the records in the reply.
@@ -70,12 +72,14 @@ class Task(Generic[Record]):
     images: tuple[tuple[AnyImage, bytes | None], ...]
 
 
-def perform(services: Parts, task: Task[Record], job: Job) -> Reply[Record]:
+def perform(resources: Resources, task: Task[Record], job: Job) -> Reply[Record]:
     """Open the first image and do the work in this thread.
 
     Raises:
         CallError: the work failed with a remedy for the caller.
     """
-    first, *more = task.images
-    with services.sources.open(*first) as source, library_errors(source):
-        return task.work(services, job, source, task.question, *((more,) if more else ()))
+    (image, fetched), *more = task.images
+    with resources.sources.open(image, fetched) as source, library_errors(source):
+        if more:
+            return task.work(resources, job, source, task.question, more)
+        return task.work(resources, job, source, task.question)

@@ -1,4 +1,7 @@
-"""Forward a worker's log lines to the server's log, labelled, limited and without control characters."""
+"""Forward a worker's log lines to the server's log: labelled, limited, without control characters.
+
+A compromised worker can write anything, such as forged lines or commands to a terminal.
+"""
 
 from __future__ import annotations
 
@@ -37,13 +40,13 @@ def _forward(log: Connection, pid: int) -> None:
         while line := stream.readline(_READ_BYTES):
             n_lines += 1
             if n_lines <= _MAX_LINES:
-                shown = on_one_line(
-                    line[:_MAX_LINE_BYTES].decode("utf-8", "replace").rstrip("\r\n")
-                )
-                _logger.warning(
-                    "worker %d: %s%s", pid, shown, " [cut]" if len(line) > _MAX_LINE_BYTES else ""
-                )
+                text = line[:_MAX_LINE_BYTES].decode("utf-8", "replace")
+                shown = on_one_line(text.rstrip("\r\n"))
+                if len(line) > _MAX_LINE_BYTES:
+                    shown += " [cut]"
+                _logger.warning("worker %d: %s", pid, shown)
             elif n_lines == _MAX_LINES + 1:
+                # Later lines are read, so that the worker does not block, and dropped.
                 _logger.warning(
                     "worker %d: more than %d lines; the rest is omitted", pid, _MAX_LINES
                 )

@@ -36,19 +36,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.connection import Connection
 
-    from vehanchor_server.calls.messages import WorkerMessage
     from vehanchor_server.calls.task import Task
-    from vehanchor_server.parts import Parts
+    from vehanchor_server.resources import Resources
 
-# idle time before freed memory is returned; a call after that maps it again, for some 25 ms
+# Idle time before freed memory is returned; the next call maps it again, which takes some 25 ms.
 _IDLE_S = 5.0
-# of malloc.h
+# From malloc.h. One heap, from which freed large blocks return to the system.
 _M_ARENA_MAX = -8
 _M_MMAP_THRESHOLD = -3
-# one heap; freed large blocks leave the process
 _MEMORY_OPTIONS = ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 8 << 20))
-# OpenCV's, C++'s, ONNX's
+# Errors of OpenCV, C++ and ONNX Runtime.
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")
+_DATA_PAGES = 5  # position of the size of the data in /proc/self/statm
 _logger = logging.getLogger(__name__)
 
 
@@ -68,55 +67,68 @@ class WorkerLimits:
 def serve_tasks(
     connection: Connection,
     log: Connection,
-    make_services: Callable[[], Parts],
+    make_resources: Callable[[], Resources],
     limits: WorkerLimits,
 ) -> None:
-    """Confine this process, load the models and run tasks until the server ends: the main function of a worker.
+    """Confine this process, load the models and run tasks until the server ends.
+
+    This is the main function of a worker.
 
     Args:
         connection: connection to the server, for messages.
         log: pipe for log lines, which the server labels and limits.
-        make_services: creates the worker's parts.
+        make_resources: creates the resources of the worker.
         limits: resource limits of the worker.
     """
-    from vehanchor_server.request_log import configure_logging
-
-    # collections would write to what the fork server made, and so copy the memory that is shared
-    # with it
-    gc.freeze()
-    for option, value in _MEMORY_OPTIONS:
-        _glibc("mallopt", option, value)
-    # Ctrl-C reaches all processes; the server ends its workers
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _keep_streams(connection, log)
-    configure_logging()
+    _prepare_process(connection, log)
     try:
-        services = make_services()
-        readable = services.readable
-        confinement = (
-            Confinement(lacks="the operator's settings") if readable is None else confine(readable)
-        )
+        resources = make_resources()
+        confinement = _confine(resources)
+        # After the confinement: Landlock holds for threads that start later.
         threading.Thread(
             target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True
         ).start()
-        services.models.load_all()
+        resources.models.load_all()
         _glibc("malloc_trim", 0)
     except Exception:
         send(connection, _bug())
         return
     _limit_memory(limits.memory_bytes)
-    send(connection, Loaded(failure=services.models.failure, confinement=confinement))
-    # the server ended, or released this worker
+    send(connection, Loaded(failure=resources.models.failure, confinement=confinement))
+    # The connection ends with the server, or when the server releases this worker.
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
             if not connection.poll(_IDLE_S):
                 _glibc("malloc_trim", 0)
             task = connection.recv()
             _limit_cpu(limits.cpu_s)
-            failure = _outcome(services, task, connection)
+            failure = _run_task(resources, task, connection)
             if failure is not None:
                 send(connection, failure)
-            del task
+            del task  # its image, while the worker waits
+
+
+def _prepare_process(connection: Connection, log: Connection) -> None:
+    """Set up memory, signals, descriptors and logging of a new process."""
+    from vehanchor_server.request_log import configure_logging
+
+    # A worker shares memory with the fork server. Garbage collections would write to it, and so
+    # copy it.
+    gc.freeze()
+    for option, value in _MEMORY_OPTIONS:
+        _glibc("mallopt", option, value)
+    # Ctrl-C reaches all processes; the server ends its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _keep_streams(connection, log)
+    configure_logging()
+
+
+def _confine(resources: Resources) -> Confinement:
+    """Confine this process, unless the settings forbid it."""
+    readable = resources.readable
+    if readable is None:
+        return Confinement(lacks="the operator's settings")
+    return confine(readable)
 
 
 def _keep_streams(connection: Connection, log: Connection) -> None:
@@ -129,36 +141,47 @@ def _keep_streams(connection: Connection, log: Connection) -> None:
     for stream in (1, 2):
         os.dup2(log.fileno(), stream)
     log.close()
-    # elsewhere ``multiprocessing`` watches the server by its own descriptor
+    # Elsewhere ``multiprocessing`` watches the server by a descriptor of its own.
     if sys.platform != "linux":
         return
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    kept = connection.fileno()
-    os.closerange(3, kept)
-    os.closerange(kept + 1, os.sysconf("SC_OPEN_MAX"))
+    empty_input = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(empty_input, 0)
+    descriptor = connection.fileno()
+    os.closerange(3, descriptor)
+    os.closerange(descriptor + 1, os.sysconf("SC_OPEN_MAX"))
 
 
-def _outcome(services: Parts, task: Task[Any], connection: Connection) -> WorkerMessage | None:
+def _run_task(resources: Resources, task: Task[Any], connection: Connection) -> Refused | None:
     """Run a task and send its reply; otherwise return the message for the failure."""
 
     def report(percent: float, message: str) -> None:
         send(connection, Progressed(percent=percent, message=message))
 
     try:
-        send_reply(connection, perform(services, task, Job(Stop(), report)))
+        reply = perform(resources, task, Job(Stop(), report))
+        send_reply(connection, reply)
         return None
     except Exception as error:
-        if isinstance(error, MemoryError) or any(words in str(error) for words in _OUT_OF_MEMORY):
+        if _is_out_of_memory(error):
             _logger.warning("a worker ran out of memory", exc_info=True)
-            needs = "the image needs more memory than this server allows. Send a smaller image."
-            return Refused(code=WORKER_KILLED, message=needs)
+            return Refused(
+                code=WORKER_KILLED,
+                message="the image needs more memory than this server allows. Send a smaller "
+                "image.",
+            )
         if isinstance(error, CallError):
             return Refused(code=error.code, message=error.explanation[:MAX_WORDS])
         return _bug()
 
 
+def _is_out_of_memory(error: Exception) -> bool:
+    """Return whether an error is for lack of memory; libraries state it in various ways."""
+    message = str(error)
+    return isinstance(error, MemoryError) or any(words in message for words in _OUT_OF_MEMORY)
+
+
 def _bug() -> Refused:
+    """Return the message for the exception that is being handled."""
     return Refused(code=BUG, message=traceback.format_exc()[-MAX_WORDS:])
 
 
@@ -176,7 +199,7 @@ def _end_with_server(connection: Connection) -> None:
 
 
 def _limit_memory(n_bytes: int) -> None:
-    """Limit the data that this process can add; only on Linux, as other systems do not count all data.
+    """Limit the data that this process can add, on Linux: other systems do not count all data.
 
     The limit is relative to the current data, because threads reserve 8 MiB each and their number
     varies.
@@ -184,11 +207,10 @@ def _limit_memory(n_bytes: int) -> None:
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 
-        has = (
-            int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5])
-            * resource.getpagesize()
-        )
-        resource.setrlimit(resource.RLIMIT_DATA, (has + n_bytes, has + n_bytes))
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()
+        current_bytes = int(pages[_DATA_PAGES]) * resource.getpagesize()
+        limit = current_bytes + n_bytes
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
 def _glibc(function: str, *arguments: int) -> None:
@@ -203,5 +225,7 @@ def _limit_cpu(seconds: float) -> None:
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 
-        used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-        resource.setrlimit(resource.RLIMIT_CPU, (int(used + seconds) + 1, resource.RLIM_INFINITY))
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        used = usage.ru_utime + usage.ru_stime
+        limit = int(used + seconds) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))

@@ -25,18 +25,14 @@ if TYPE_CHECKING:
 MAX_REDIRECTS = 3
 _REDIRECTS = (301, 302, 303, 307, 308)
 _HTTPS_PORT = 443
-_NOT_PUBLIC = tuple(
-    map(
-        ipaddress.ip_network,
-        (
-            "64:ff9b::/96",  # NAT64: embeds an IPv4 address and routes to it
-            "fec0::/10",  # site-local, deprecated; private
-            "3fff::/20",  # documentation, RFC 9637
-            "192.0.0.0/24",  # protocol assignments, RFC 6890; some Python versions exempt parts
-            "192.88.99.0/24",  # 6to4 relays, deprecated
-            "168.63.129.16/32",  # Azure's internal services
-        ),
-    )
+# Networks that ``ipaddress`` calls public, at least in some versions of Python.
+_NOT_PUBLIC = (
+    ipaddress.ip_network("64:ff9b::/96"),  # NAT64: embeds an IPv4 address and routes to it
+    ipaddress.ip_network("fec0::/10"),  # site-local, deprecated; private
+    ipaddress.ip_network("3fff::/20"),  # documentation, RFC 9637
+    ipaddress.ip_network("192.0.0.0/24"),  # protocol assignments, RFC 6890
+    ipaddress.ip_network("192.88.99.0/24"),  # 6to4 relays, deprecated
+    ipaddress.ip_network("168.63.129.16/32"),  # Azure's internal services
 )
 _HEADERS = (
     (b"Accept", b"image/*, */*;q=0.5"),
@@ -46,9 +42,10 @@ _HEADERS = (
 
 
 def is_public_address(address: str) -> bool:
-    """Return whether an IP address is public: not private, loopback, link-local, multicast or reserved.
+    """Return whether an IP address is public.
 
-    For an address that embeds an IPv4 address, check that address or refuse.
+    Private, loopback, link-local, multicast and reserved addresses are not. Of an address that
+    embeds an IPv4 address, that one decides, or the address is refused.
     """
     try:
         ip = ipaddress.ip_address(address.partition("%")[0])
@@ -66,8 +63,8 @@ def is_public_address(address: str) -> bool:
 
 async def resolve_host(host: str, port: int) -> list[str]:
     """Resolve a host to its addresses, in the system's order."""
-    found = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    return [str(entry[4][0]) for entry in found]
+    entries = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return [str(address[0]) for *_, address in entries]
 
 
 @dataclass(frozen=True)
@@ -105,26 +102,33 @@ class Fetcher:
                 "--image-host HOST.",
             )
         with anyio.move_on_after(self.timeout_s):
-            backend = _PinnedBackend(self)
-            async with httpcore.AsyncConnectionPool(
-                ssl_context=self.ssl_context, network_backend=backend
-            ) as pool:
-                for _ in range(MAX_REDIRECTS + 1):
-                    answer = await self._request(pool, self._checked(url))
-                    if isinstance(answer, bytes):
-                        return answer
-                    url = answer
-            raise CallError(
-                "fetch_failed",
-                f"more than {MAX_REDIRECTS} redirects. Give the image's final address.",
-            )
+            return await self._follow(url)
         raise CallError(
             "fetch_failed",
             f"the image did not arrive within {self.timeout_s:g} s. Try again, or send it.",
         )
 
+    async def _follow(self, url: str) -> bytes:
+        """Fetch the bytes at a URL or at the end of its redirects; check each address."""
+        backend = _PinnedBackend(self)
+        async with httpcore.AsyncConnectionPool(
+            ssl_context=self.ssl_context, network_backend=backend
+        ) as pool:
+            for _ in range(MAX_REDIRECTS + 1):
+                answer = await self._request(pool, self._checked(url))
+                if isinstance(answer, bytes):
+                    return answer
+                url = answer
+        raise CallError(
+            "fetch_failed", f"more than {MAX_REDIRECTS} redirects. Give the image's final address."
+        )
+
     def _checked(self, url: str) -> SplitResult:
-        """Return the URL's parts if its form and host are allowed."""
+        """Return the URL's parts if its form and host are allowed.
+
+        Raises:
+            CallError: ``url_not_allowed``.
+        """
         try:
             parts = urlsplit(url)
             host = (parts.hostname or "").lower()
@@ -143,7 +147,9 @@ class Fetcher:
                 "url_not_allowed",
                 "the URL contains characters that need percent-encoding. Encode them.",
             )
-        if f"{host}:{port}" not in self.hosts and not (port == _HTTPS_PORT and host in self.hosts):
+        # A host without a port in the list stands for the usual port.
+        is_listed = f"{host}:{port}" in self.hosts
+        if not is_listed and not (port == _HTTPS_PORT and host in self.hosts):
             raise CallError(
                 "url_not_allowed",
                 f"host {shortened(host)!r} is not allowed. Allowed: {', '.join(self.hosts)}.",
@@ -156,10 +162,7 @@ class Fetcher:
         try:
             async with pool.stream("GET", url, headers=_HEADERS) as response:
                 if response.status in _REDIRECTS:
-                    location = next(
-                        (value for name, value in response.headers if name.lower() == b"location"),
-                        b"",
-                    )
+                    location = _header(response, b"location")
                     return urljoin(url, location.decode("latin-1"))
                 if response.status != 200:
                     raise CallError(
@@ -178,9 +181,8 @@ class Fetcher:
             ) from error
 
     async def _body(self, response: httpcore.Response) -> bytes:
-        declared = next(
-            (value for name, value in response.headers if name.lower() == b"content-length"), b"0"
-        )
+        """Read the body; refuse one above the limit, at once if it declares its length."""
+        declared = _header(response, b"content-length")
         too_large = CallError(
             "image_too_large",
             f"the image has more than {self.max_bytes} bytes. Send a smaller one.",
@@ -193,6 +195,14 @@ class Fetcher:
             if len(body) > self.max_bytes:
                 raise too_large
         return bytes(body)
+
+
+def _header(response: httpcore.Response, name: bytes) -> bytes:
+    """Return the value of a header, by its name in lower case; empty without one."""
+    for header, value in response.headers:
+        if header.lower() == name:
+            return value
+    return b""
 
 
 class _PinnedBackend(httpcore.AnyIOBackend):
@@ -213,8 +223,8 @@ class _PinnedBackend(httpcore.AnyIOBackend):
             addresses = await self._fetcher.resolve(host, port)
         except UnicodeError:  # an invalid host name
             addresses = []
+        # A mixture of public and private addresses is refused, too; no image host has one.
         if not addresses or not all(map(self._fetcher.is_public, addresses)):
-            # Refuse a mixture of public and private addresses; no image host has one.
             raise CallError(
                 "url_not_allowed",
                 f"host {shortened(host)!r} does not resolve to public addresses. Use another URL.",

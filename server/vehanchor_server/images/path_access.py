@@ -27,26 +27,23 @@ from unicodedata import normalize
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.images.argument import MAX_PATH_CHARS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0)
 _CLOEXEC = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 # O_NONBLOCK: opening a FIFO in place of the file must not wait for a writer.
-_FILE_FLAGS = (
-    os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
-)
+_NO_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+_FILE_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | _NO_WAITING
 _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY", 0)
 
-
 _MAX_LINKS = 40  # the limit of Linux
-_MAX_NAMED = 4  # roots in an error
+_MAX_NAMED = 4  # roots, or similar names, in an error
 _MAX_LISTED = 100_000  # visited names per list of images
-_MAX_COMPARED = 5000  # names beside one that is not found
+_MAX_COMPARED = 5000  # names that are compared with a name without a file
 
 
 class PathAccess:
@@ -60,7 +57,8 @@ class PathAccess:
 
     def __init__(self, roots: Sequence[Path], spellings: Sequence[Path] = ()) -> None:
         self.roots = tuple(roots)
-        self._named = [*zip(roots, roots, strict=True), *zip(spellings, roots, strict=False)]
+        # Each accepted spelling of a root, with the root.
+        self._spellings = [*zip(roots, roots, strict=True), *zip(spellings, roots, strict=False)]
 
     @contextmanager
     def open(self, named: str) -> Iterator[str | BinaryIO]:
@@ -75,35 +73,58 @@ class PathAccess:
 
         Raises:
             CallError: ``source_disabled``; ``path_not_allowed``, the same for existing and missing
-                files outside the roots; ``image_not_found`` for a path below a root that is no
+                files outside the roots; ``image_not_found`` for a path below a root that is not a
                 regular file.
         """
         self._check_enabled()
         descriptor = self._descriptor(self._local_path(named))
         with os.fdopen(descriptor, "rb") as file:
-            yield f"/proc/self/fd/{descriptor}" if sys.platform == "linux" else file
+            if sys.platform == "linux":
+                yield f"/proc/self/fd/{descriptor}"
+            else:
+                yield file
 
-    def listed(self, first: int, count: int, stop: Stop) -> tuple[list[str], int]:
-        """List regular files below the roots that have an image's suffix, without links and hidden files or folders.
+    def listed(
+        self, first: int, count: int, check_stop: Callable[[], None] | None = None
+    ) -> tuple[list[str], int]:
+        """List regular files below the roots that have an image's suffix.
 
-        Names with control characters, or bytes that are not UTF-8, are left out: they would end a
-        transport, or reach a model as lines of their own.
+        Links and hidden files or folders are left out, and names with control characters or bytes
+        that are not UTF-8: they would end a transport, or reach a model as lines of their own.
 
         Args:
             first: number of images to skip.
             count: maximum number of images.
-            stop: ends the walk.
+            check_stop: called for each folder; raises to end the walk.
 
         Returns:
             Absolute paths in order, and the number of all images.
 
         Raises:
             CallError: ``source_disabled``.
-            CallStoppedError: the call was stopped.
         """
         self._check_enabled()
-        found = [str(path) for root in self.roots for path in _images_below(root, stop)]
-        return found[first : first + count], len(found)
+        paths = [str(path) for root in self.roots for path in _images_below(root, check_stop)]
+        return paths[first : first + count], len(paths)
+
+    def first(self) -> str | None:
+        """Return the first image, relative to its root, for an example; None without one."""
+        return next(self._relative_images(), None)
+
+    def _relative_images(self) -> Iterator[str]:
+        """List the images below all roots, relative to their root."""
+        for root in self.roots:
+            for path in _images_below(root):
+                yield path.relative_to(root).as_posix()
+
+    def _nearest(self, name: str) -> list[str]:
+        """Return the images below the roots with the nearest names."""
+        paths = {}
+        for path in islice(self._relative_images(), _MAX_COMPARED):
+            file_name = path.rpartition("/")[2].lower()
+            paths[file_name] = path
+        similar = get_close_matches(name.lower(), paths, n=_MAX_NAMED)
+        return [shortened(paths[file_name]) for file_name in similar]
 
     def _check_enabled(self) -> None:
         if not self.roots:
@@ -113,11 +134,56 @@ class PathAccess:
                 "DIR.",
             )
 
+    def _local_path(self, named: str) -> Path:
+        """Convert a path or file:// URL to a path without access to the file system."""
+        if named[:8].lower().startswith(("http://", "https://")):
+            raise CallError(
+                "image_not_found",
+                "this is a URL, not a path. Give a file's path, or kind url if it is listed.",
+            )
+        if named[:5].lower() == "file:":
+            named = self._path_in_url(named)
+        if "\0" in named or len(named) > MAX_PATH_CHARS:
+            raise self._refused()
+        path = Path(named)
+        if ".." in path.parts:
+            raise CallError("path_not_allowed", "the path contains '..'. Give the path without it.")
+        return path
+
+    def _path_in_url(self, url: str) -> str:
+        """Return the path that a file:// URL names on this machine."""
+        try:
+            parts = urlsplit(url)
+        except ValueError:  # an unclosed [
+            raise self._refused() from None
+        is_local = url[5:7] == "//" and parts.netloc in ("", "localhost")
+        if not is_local or parts.query or parts.fragment:
+            raise CallError(
+                "path_not_allowed",
+                "a file:// URL must name this machine: file:///absolute/path, without query "
+                "or fragment.",
+            )
+        try:
+            return url2pathname(parts.path)
+        except OSError:
+            raise self._refused() from None
+
+    def _refused(self) -> CallError:
+        # The operator's own spellings, if there are any: callers know them.
+        spellings = [name for name, _ in self._spellings[-len(self.roots) :]]
+        roots = " or ".join(shortened(str(name)) for name in spellings[:_MAX_NAMED])
+        return CallError(
+            "path_not_allowed",
+            f"the path is not below an allowed directory of this server: {roots}. Use a path "
+            "below it, absolute or relative to it; view_image without image lists the images.",
+        )
+
     def _descriptor(self, path: Path) -> int:
-        """Open the file at an absolute path, or at a relative one below the first root that has it."""
+        """Open an absolute path, or a relative one below the first root that has such a file."""
+        candidates = [path] if path.is_absolute() else [root / path for root in self.roots]
         missing: CallError | None = None
-        for place in [path] if path.is_absolute() else [root / path for root in self.roots]:
-            root, below = self._below(place)
+        for candidate in candidates:
+            root, below = self._split(candidate)
             try:
                 return self._opened(root, below)
             except (FileNotFoundError, NotADirectoryError):
@@ -131,73 +197,13 @@ class PathAccess:
         assert missing is not None
         raise missing
 
-    def first(self) -> str | None:
-        """Return the first image, below its root, for an example; None without one."""
-        found = ((root, next(_images_below(root, Stop()), None)) for root in self.roots)
-        return next(
-            (path.relative_to(root).as_posix() for root, path in found if path is not None), None
-        )
+    def _split(self, path: Path) -> tuple[Path, tuple[str, ...]]:
+        """Split a path, by its text alone, into its root and the components below the root.
 
-    def _nearest(self, name: str) -> list[str]:
-        """Return the images below the roots with the nearest names."""
-        below = (
-            path.relative_to(root).as_posix()
-            for root in self.roots
-            for path in _images_below(root, Stop())
-        )
-        names = {path.rpartition("/")[2].lower(): path for path in islice(below, _MAX_COMPARED)}
-        return [
-            shortened(names[each]) for each in get_close_matches(name.lower(), names, n=_MAX_NAMED)
-        ]
-
-    def _local_path(self, named: str) -> Path:
-        """Convert a path or file:// URL to a path without access to the file system."""
-        if named[:8].lower().startswith(("http://", "https://")):
-            raise CallError(
-                "image_not_found",
-                "this is a URL, no path. Give a file's path, or kind url if it is listed.",
-            )
-        if named[:5].lower() == "file:":
-            try:
-                parts = urlsplit(named)
-            except ValueError:  # an unclosed [
-                raise self._refused() from None
-            if (
-                parts.netloc not in ("", "localhost")
-                or parts.query
-                or parts.fragment
-                or not named[5:7] == "//"
-            ):
-                raise CallError(
-                    "path_not_allowed",
-                    "a file:// URL must name this machine: file:///absolute/path, without query "
-                    "or fragment.",
-                )
-            try:
-                named = url2pathname(parts.path)
-            except OSError:
-                raise self._refused() from None
-        if "\0" in named or len(named) > MAX_PATH_CHARS:
-            raise self._refused()
-        path = Path(named)
-        if ".." in path.parts:
-            raise CallError("path_not_allowed", "the path contains '..'. Give the path without it.")
-        return path
-
-    def _refused(self) -> CallError:
-        roots = " or ".join(
-            shortened(str(name)) for name, _ in self._named[-len(self.roots) :][:_MAX_NAMED]
-        )
-        return CallError(
-            "path_not_allowed",
-            f"the path is not below an allowed directory of this server: {roots}. Use a path "
-            "below it, absolute or "
-            "relative to it; view_image without image lists the images.",
-        )
-
-    def _below(self, path: Path) -> tuple[Path, tuple[str, ...]]:
-        """Return the root of a path and the components below it, by its text alone; refuse others."""
-        for name, root in self._named:
+        Raises:
+            CallError: ``path_not_allowed``.
+        """
+        for name, root in self._spellings:
             if _nfc(path).is_relative_to(_nfc(name)):
                 return root, path.parts[len(name.parts) :]
         raise self._refused()
@@ -211,7 +217,8 @@ class PathAccess:
             return self._open_and_compare(root.joinpath(*below))
         n_links = 0
         pending = deque(below)
-        # descriptors from the root to the current directory
+        # Descriptors from the root to the current directory: ".." in a link goes back along them,
+        # and never above the root.
         walked = [os.open(root, _DIRECTORY_FLAGS)]
         try:
             while pending:
@@ -221,25 +228,27 @@ class PathAccess:
                         raise self._refused()
                     os.close(walked.pop())
                     continue
-                part = _present(part, walked[-1])
-                mode = os.stat(part, dir_fd=walked[-1], follow_symlinks=False).st_mode
+                directory = walked[-1]
+                part = _spelled_as_stored(part, directory)
+                mode = os.stat(part, dir_fd=directory, follow_symlinks=False).st_mode
                 if stat.S_ISLNK(mode):
                     n_links += 1
                     if n_links > _MAX_LINKS:
                         raise self._refused()
-                    target = Path(os.readlink(part, dir_fd=walked[-1]))
+                    target = Path(os.readlink(part, dir_fd=directory))
                     parts = target.parts
+                    # An absolute target begins anew at the root that it names.
                     if target.is_absolute():
-                        root, parts = self._below(target)
+                        root, parts = self._split(target)
                         while walked:
                             os.close(walked.pop())
                         walked.append(os.open(root, _DIRECTORY_FLAGS))
                     pending.extendleft(reversed(parts))
                 elif stat.S_ISDIR(mode):
-                    walked.append(_open_part(part, _DIRECTORY_FLAGS, walked[-1]))
-                # checked first: opening a device can have effects
+                    walked.append(_open_part(part, _DIRECTORY_FLAGS, directory))
+                # Checked before it is opened: opening a device can have effects.
                 elif stat.S_ISREG(mode) and not pending:
-                    return _regular(_open_part(part, _FILE_FLAGS, walked[-1]), part)
+                    return _regular(_open_part(part, _FILE_FLAGS, directory), part)
                 else:
                     break
             named = shortened(str(root.joinpath(*below)))
@@ -254,48 +263,60 @@ class PathAccess:
                 os.close(directory)
 
     def _open_and_compare(self, path: Path) -> int:
-        """Open a path on systems without directory descriptors (Windows); check that it still names the same file."""
+        """Open a path on systems without directory descriptors (Windows).
+
+        Afterwards, check that the path still names the same file.
+        """
         resolved = path.resolve(strict=False)
         if not any(resolved.is_relative_to(root) for root in self.roots):
             raise self._refused()
         if not stat.S_ISREG(resolved.stat().st_mode):
             raise _no_image(str(path))
         descriptor = os.open(resolved, _FILE_FLAGS)
-        if resolved.resolve(strict=True) != resolved or not os.path.samestat(
-            os.fstat(descriptor), resolved.stat()
-        ):
+        is_same_path = resolved.resolve(strict=True) == resolved
+        if not is_same_path or not os.path.samestat(os.fstat(descriptor), resolved.stat()):
             os.close(descriptor)
             raise OSError("the path changed while it was opened")
         return _regular(descriptor, str(path))
 
 
-def _images_below(root: Path, stop: Stop) -> Iterator[Path]:
-    """List images below a directory, by folder and name; walk by descriptors, so that no link is followed."""
+def _images_below(root: Path, check_stop: Callable[[], None] | None = None) -> Iterator[Path]:
+    """List images below a directory, by folder and name.
+
+    The walk uses descriptors where the system has them, so that it follows no link.
+    """
     from vehanchor.imagery.sources.files import SUFFIXES, holds_photographs
 
-    walk: Iterator[tuple[Any, ...]] = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)
-    n_seen = 0
-    for folder, folders, names, *_ in walk:
-        stop.check()
-        folders[:] = sorted(
-            name for name in folders if holds_photographs(name) and name.isprintable()
+    walk: Iterator[tuple[Any, ...]]
+    walk = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)
+    n_visited = 0
+    for folder, subfolders, names, *_ in walk:
+        if check_stop is not None:
+            check_stop()
+        # The walk enters the folders that remain in this list, in its order.
+        subfolders[:] = sorted(
+            name for name in subfolders if holds_photographs(name) and name.isprintable()
         )
-        n_seen += len(folders) + len(names)
-        if n_seen > _MAX_LISTED:
+        n_visited += len(subfolders) + len(names)
+        if n_visited > _MAX_LISTED:
             return
         for name in sorted(names):
             path = Path(folder, name)
-            if path.suffix.lower() in SUFFIXES and holds_photographs(name) and name.isprintable():
-                with suppress(OSError):  # the file is gone
-                    if stat.S_ISREG(path.lstat().st_mode):
-                        yield path
+            if path.suffix.lower() not in SUFFIXES:
+                continue
+            if not holds_photographs(name) or not name.isprintable():
+                continue
+            with suppress(OSError):  # the file is gone
+                if stat.S_ISREG(path.lstat().st_mode):
+                    yield path
 
 
 def _no_image(named: str, nearest: Sequence[str] = ()) -> CallError:
-    remedy = f"The nearest names are {', '.join(nearest)}." if nearest else "Check the path."
-    return CallError(
-        "image_not_found", f"there is no regular file at {shortened(named)!r}. {remedy}"
-    )
+    remedy = "Check the path."
+    if nearest:
+        remedy = f"The nearest names are {', '.join(nearest)}."
+    message = f"there is no regular file at {shortened(named)!r}. {remedy}"
+    return CallError("image_not_found", message)
 
 
 def _nfc(path: Path) -> Path:
@@ -303,19 +324,21 @@ def _nfc(path: Path) -> Path:
     return Path(normalize("NFC", str(path)))
 
 
-def _present(part: str, directory: int) -> str:
-    """Spell a component of a path as the open directory does: macOS writes NFD where others write NFC."""
+def _spelled_as_stored(part: str, directory: int) -> str:
+    """Spell a component of a path as the open directory does.
+
+    macOS writes NFD where others write NFC.
+    """
     with suppress(FileNotFoundError):
         os.stat(part, dir_fd=directory, follow_symlinks=False)
         return part
     if part.isascii():
         return part
-    names = (
-        name
-        for name in sorted(os.listdir(directory))
-        if normalize("NFC", name) == normalize("NFC", part)
-    )
-    return next(names, part)
+    composed = normalize("NFC", part)
+    for name in sorted(os.listdir(directory)):
+        if normalize("NFC", name) == composed:
+            return name
+    return part
 
 
 def _open_part(part: str, flags: int, directory: int) -> int:

@@ -1,4 +1,7 @@
-"""Convert the image argument to an input of the library: a descriptor's name, a file object, or bytes."""
+"""Convert the image argument to an input of the library.
+
+That is the name of a descriptor, a file object, or bytes.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,10 @@ if TYPE_CHECKING:
     from vehanchor_server.images.path_access import PathAccess
 
 OpenedImage: TypeAlias = str | bytes | BinaryIO
-"""An input of ``vehanchor.imagery.sources.opening.open_raster``: a descriptor's name, bytes, or a file object."""
+"""An input of ``vehanchor.imagery.sources.opening.open_raster``."""
 
 _DATA_URI = re.compile(r"data:[\w.+/-]*(;[\w=.+-]+)*,", re.ASCII | re.IGNORECASE)
-_MAX_URI_HEAD = 256
+_MAX_URI_HEAD = 256  # characters before the data
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class ImageSources:
 
     Attributes:
         paths: access to files by path.
-        fetcher: access to web servers; its largest image is the largest within a call, too.
+        fetcher: access to web servers; its size limit also holds for base64.
     """
 
     paths: PathAccess
@@ -42,25 +45,30 @@ class ImageSources:
     async def fetched(
         self, images: Sequence[AnyImage]
     ) -> tuple[tuple[AnyImage, bytes | None], ...]:
-        """Give each image the bytes of its URL; together they share the size limit of one image.
+        """Return each image with the bytes of its URL, or None if it has no URL.
+
+        Together the fetched images share the size limit of one image.
 
         Raises:
             CallError: an image cannot be fetched, or the total is too large.
         """
-        found: list[tuple[AnyImage, bytes | None]] = []
+        pairs: list[tuple[AnyImage, bytes | None]] = []
         n_bytes = 0
-        most = self.fetcher.max_bytes
+        max_bytes = self.fetcher.max_bytes
         for image in images:
-            fetched = await self.fetcher.fetch(image.url) if isinstance(image, UrlImage) else None
-            n_bytes += len(fetched or b"")
-            if n_bytes > most:
+            if not isinstance(image, UrlImage):
+                pairs.append((image, None))
+                continue
+            fetched = await self.fetcher.fetch(image.url)
+            n_bytes += len(fetched)
+            if n_bytes > max_bytes:
                 raise CallError(
                     "image_too_large",
-                    f"the images have more than {most} bytes together. Send fewer images, or "
+                    f"the images have more than {max_bytes} bytes together. Send fewer images, or "
                     "smaller copies.",
                 )
-            found.append((image, fetched))
-        return tuple(found)
+            pairs.append((image, fetched))
+        return tuple(pairs)
 
     @contextmanager
     def open(self, image: AnyImage, fetched: bytes | None = None) -> Iterator[OpenedImage]:
@@ -83,6 +91,7 @@ class ImageSources:
             yield fetched
 
     def _decoded(self, text: str) -> bytes:
+        """Decode base64, also in a ``data:`` URI."""
         if text[:5].lower() == "data:":
             head = _DATA_URI.match(text[:_MAX_URI_HEAD])
             if head is None or not head.group().lower().endswith(";base64,"):
@@ -90,6 +99,7 @@ class ImageSources:
                     "base64_invalid", "the data: URI is not base64. Send data:image/png;base64,..."
                 )
             text = text[head.end() :]
+        # Four characters hold three bytes; up to two of them are padding.
         if len(text) * 3 // 4 > self.fetcher.max_bytes + 2:
             raise CallError(
                 "image_too_large",
@@ -105,7 +115,7 @@ class ImageSources:
 
 @contextmanager
 def library_errors(source: OpenedImage) -> Iterator[None]:
-    """Convert library errors to call errors, without the server's name of the open file.
+    """Convert library errors to call errors without the server's name of the open file.
 
     Raises:
         CallError: for a ``VehAnchorError``, with its code.
@@ -116,6 +126,6 @@ def library_errors(source: OpenedImage) -> Iterator[None]:
         message = str(error)
         if isinstance(source, str):
             message = message.replace(repr(source), "image").replace(source, "image")
-        raise CallError(
-            error.code, on_one_line(message if message.endswith(".") else f"{message}.")
-        ) from error
+        if not message.endswith("."):
+            message += "."
+        raise CallError(error.code, on_one_line(message)) from error

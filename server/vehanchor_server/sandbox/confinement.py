@@ -79,59 +79,74 @@ def confine(readable: Iterable[Path]) -> Confinement:
         )
     if lacks:
         lacks.append(f"kernel {platform.release()}")
-    return Confinement(landlock, seccomp, "; ".join(lacks))
+    return Confinement(landlock, seccomp, lacks="; ".join(lacks))
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:
     """Drop all capabilities; without any, do nothing."""
-    for capability in range(_MOST_CAPABILITIES):
+    for capability in range(_MAX_CAPABILITIES):
         libc.prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)
-    header = struct.pack("=Ii", _CAPABILITIES_VERSION, 0)
-    none = bytes(24)
-    libc.capset(header, none)
+    header = struct.pack("=Ii", _CAPABILITIES_VERSION, 0)  # 0 is this process
+    no_capabilities = bytes(24)
+    libc.capset(header, no_capabilities)
 
 
+# linux/prctl.h
 _PR_SET_NO_NEW_PRIVS = 38
 _PR_CAPBSET_DROP = 24
 # linux/capability.h, version 3
-_MOST_CAPABILITIES = 64
+_MAX_CAPABILITIES = 64
 _CAPABILITIES_VERSION = 0x20080522
 _SYSTEM_FILES = (
-    *("/usr", "/lib", "/lib64", "/nix/store", "/gnu/store", "/etc/ld.so.cache", "/etc/localtime"),
-    *("/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm"),
-    *(
-        f"/proc/self/{name}"
-        for name in ("cgroup", "fd", "maps", "mountinfo", "stat", "statm", "status")
-    ),
-    *(
-        "/sys/devices/system",
-        "/sys/fs/cgroup",
-        "/dev/null",
-        "/dev/zero",
-        "/dev/random",
-        "/dev/urandom",
-    ),
+    "/usr",
+    "/lib",
+    "/lib64",
+    "/nix/store",
+    "/gnu/store",
+    "/etc/ld.so.cache",
+    "/etc/localtime",
+    "/proc/cpuinfo",
+    "/proc/meminfo",
+    "/proc/stat",
+    "/proc/sys/vm",
+    "/proc/self/cgroup",
+    "/proc/self/fd",
+    "/proc/self/maps",
+    "/proc/self/mountinfo",
+    "/proc/self/stat",
+    "/proc/self/statm",
+    "/proc/self/status",
+    "/sys/devices/system",
+    "/sys/fs/cgroup",
+    "/dev/null",
+    "/dev/zero",
+    "/dev/random",
+    "/dev/urandom",
 )
-"""Shared libraries, and the files that C libraries read for processors, memory and random numbers."""
+"""Shared libraries, and what C libraries read for processors, memory and random numbers."""
 
 
 def _needed_files() -> Iterator[Path]:
-    """List files of the system, Python and packages, because modules and libraries load on first use."""
+    """List files of the system, Python and packages: modules and libraries load on first use."""
     yield from map(Path, _SYSTEM_FILES)
     yield from map(Path, absolute_folders(os.environ.get("LD_LIBRARY_PATH", "")))
-    yield from map(
-        Path, {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()}
-    )
+    interpreter = {sys.prefix, sys.base_prefix, sys.exec_prefix, *sysconfig.get_paths().values()}
+    yield from map(Path, interpreter)
+    # An editable installation has its packages elsewhere; vehanchor_flight may be missing.
     for package in ("vehanchor", "vehanchor_flight", "vehanchor_server"):
-        with suppress(ModuleNotFoundError):  # each but the first and the last may be missing
-            found = find_spec(package)
-            yield from map(Path, (found and found.submodule_search_locations) or ())
+        with suppress(ModuleNotFoundError):
+            spec = find_spec(package)
+            if spec is not None and spec.submodule_search_locations:
+                yield from map(Path, spec.submodule_search_locations)
+    # Python itself may have added the working directory, which can have the user's files.
     working = Path.cwd()
     home = Path.home()
-    for entry in map(Path, filter(None, sys.path)):
-        # Python may have added them itself
-        if not (working.is_relative_to(entry) or home.is_relative_to(entry)):
-            yield entry
+    for entry in sys.path:
+        if not entry:
+            continue
+        folder = Path(entry)
+        if not (working.is_relative_to(folder) or home.is_relative_to(folder)):
+            yield folder
 
 
 # Landlock: linux/landlock.h. The numbers of its system calls are the same on every machine.
@@ -143,15 +158,23 @@ _PATH_BENEATH = 1
 _READ_FILE = 1 << 2
 _READ_DIR = 1 << 3
 _WRITE_FILE = 1 << 1
-_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # number of rights since a version
+_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}  # version: number of rights since then
 _BIND_AND_CONNECT = 0b11  # TCP, since version 4
 _SCOPES = 0b11  # abstract sockets and signals, since version 6
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Sequence[Path]) -> int:
-    """Limit this thread, and those that it starts, to reading these files; return Landlock's version."""
+    """Limit this thread, and those that it starts, to reading these files.
+
+    Returns:
+        Landlock's version.
+
+    Raises:
+        OSError: Landlock is missing or forbidden.
+    """
     version = checked(libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG))
-    n_rights = max(n for since, n in _FILE_RIGHTS.items() if since <= version)
+    n_rights = max(number for since, number in _FILE_RIGHTS.items() if since <= version)
+    # The rights that the rules govern: all that this version knows.
     handled = [(1 << n_rights) - 1]
     if version >= 4:
         handled.append(_BIND_AND_CONNECT)
@@ -176,12 +199,13 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
         return
     with suppress(OSError):
         descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
-        rights = (
-            _READ_FILE
-            | (_READ_DIR if path.is_dir() else 0)
-            | (_WRITE_FILE if path == Path(os.devnull) else 0)
-        )
+        rights = _READ_FILE
+        if path.is_dir():
+            rights |= _READ_DIR
+        if path == Path(os.devnull):
+            rights |= _WRITE_FILE
         rule = struct.pack("=Qi", rights, descriptor)
         checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, rule, 0))
-        if not path.is_relative_to("/proc/self"):  # without a descriptor the kernel drops the entry
+        # The kernel drops an entry of /proc/self, with its rule, that nothing holds open.
+        if not path.is_relative_to("/proc/self"):
             os.close(descriptor)

@@ -13,14 +13,24 @@ if TYPE_CHECKING:
 
 KEPT = frozenset(
     {
-        *("LANG", "LC_ALL", "LC_CTYPE", "TZ", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
-        *("ORT_DISABLE_TELEMETRY", "PYTHONHASHSEED", "PYTHONWARNINGS"),
-        # Windows starts no process without SYSTEMROOT
-        *("SYSTEMROOT", "TEMP", "TMP", "NUMBER_OF_PROCESSORS"),
+        "LANG",
+        "LC_ALL",
+        "LC_CTYPE",
+        "TZ",
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "ORT_DISABLE_TELEMETRY",
+        "PYTHONHASHSEED",
+        "PYTHONWARNINGS",
+        # Windows starts no process without SYSTEMROOT.
+        "SYSTEMROOT",
+        "TEMP",
+        "TMP",
+        "NUMBER_OF_PROCESSORS",
     }
 )
 SEARCH_PATHS = ("LD_LIBRARY_PATH", "PYTHONPATH")
-_one_at_a_time = threading.Lock()
+_one_at_a_time = threading.Lock()  # the environment belongs to all threads
 
 
 @contextmanager
@@ -34,7 +44,8 @@ def minimal_environment() -> Iterator[None]:
         whole = dict(os.environ)
         kept = {name: value for name, value in whole.items() if name in KEPT}
         for name in SEARCH_PATHS:
-            if folders := absolute_folders(whole.get(name, "")):
+            folders = absolute_folders(whole.get(name, ""))
+            if folders:
                 kept[name] = os.pathsep.join(folders)
         try:
             for name in whole.keys() - kept.keys():
@@ -46,5 +57,8 @@ def minimal_environment() -> Iterator[None]:
 
 
 def absolute_folders(paths: str) -> list[str]:
-    """Return the absolute folders of a search path; an empty entry would mean the working directory."""
+    """Return the absolute folders of a search path.
+
+    Others, such as an empty entry, depend on the working directory.
+    """
     return [entry for entry in paths.split(os.pathsep) if Path(entry).is_absolute()]

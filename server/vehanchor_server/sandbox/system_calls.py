@@ -1,9 +1,9 @@
-"""System calls that a worker can make: those of decoders and networks in a trace.
+"""System calls that a worker can make: those that decoders and networks need.
 
-The seccomp filter allows the calls in ``ALLOWED``, some with certain arguments only, and refuses
-all others with an error. ``trace`` of a worker that read JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and
-GeoTIFF, ran all networks, measured and drew, showed 49 of them. The others are their equivalents in
-other C libraries and on other processors.
+The seccomp filter allows the calls in ``ALLOWED``, some with certain arguments only. It refuses all
+others with an error. ``tests/server/sandbox/trace.py`` showed 49 of the calls in a worker that read
+JPEG, PNG, WebP, AVIF, JPEG 2000, BMP and GeoTIFF, ran all networks, measured and drew. The other
+allowed calls are their equivalents in other C libraries and on other processors.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ import os
 import platform
 import struct
 import sys
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 # linux/seccomp.h, linux/filter.h, asm/unistd.h
 _SET_MODE_FILTER = 1
 _TO_ALL_THREADS = 1
-# and the error's number
+# Verdicts; a refusal has the number of the error in its lower bits.
 _ALLOW = 0x7FFF0000
 _KILL_PROCESS = 0x80000000
 _REFUSE = 0x00050000
+# Instructions: load a word, jump on a comparison, return a verdict.
 _LOAD = 0x20
 _EQUAL = 0x15
 _AT_LEAST = 0x35
 _ANY_BIT = 0x45
 _RETURN = 0x06
-# in struct seccomp_data; arguments have eight bytes
+# Offsets in struct seccomp_data; arguments have eight bytes.
 _NUMBER_AT = 0
 _MACHINE_AT = 4
 _ARGUMENTS_AT = 16
@@ -37,6 +38,10 @@ _FIRST_NEW = 424  # later calls have the same number on all architectures; C lib
 _CLONE_THREAD = 0x10000
 _CREATE_OR_TRUNCATE = 0o100 | 0o1000 | 0o20000000  # O_CREAT, O_TRUNC, O_TMPFILE
 _OWN_PROCESS = -1  # placeholder for the process id in a rule
+
+
+_Instruction: TypeAlias = tuple[int, int, int, int]
+"""Code, jump offset if true, jump offset if false, operand (struct sock_filter)."""
 
 
 class _Rule(NamedTuple):
@@ -159,8 +164,29 @@ ALLOWED: dict[str, tuple[int | None, int | None, _Rule | None]] = {
     "prlimit64": (302, 261, _Rule(0, (0,))),
     "getrandom": (318, 278, None),
 }
-# column, audit name, seccomp's number
-_MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}
+_VERDICT_FORBIDDEN = (_RETURN, 0, 0, _REFUSE | errno.EPERM)
+_VERDICT_UNKNOWN = (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
+_VERDICT_ALLOWED = (_RETURN, 0, 0, _ALLOW)
+
+
+class _Machine(NamedTuple):
+    """Processor architecture.
+
+    Attributes:
+        column: index of its numbers in ``ALLOWED``.
+        audit_name: its value in struct seccomp_data.
+        seccomp: number of the system call that installs a filter.
+    """
+
+    column: int
+    audit_name: int
+    seccomp: int
+
+
+_MACHINES = {
+    "x86_64": _Machine(0, audit_name=0xC000003E, seccomp=317),
+    "aarch64": _Machine(1, audit_name=0xC00000B7, seccomp=277),
+}
 
 
 def filter_system_calls(libc: ctypes.CDLL) -> None:
@@ -169,55 +195,53 @@ def filter_system_calls(libc: ctypes.CDLL) -> None:
     Raises:
         OSError: seccomp is missing or forbidden, or the architecture is unknown.
     """
-    known = _MACHINES.get(platform.machine())
-    if known is None or sys.maxsize < 1 << 32:
+    machine = _MACHINES.get(platform.machine())
+    if machine is None or sys.maxsize < 1 << 32:
         raise OSError(errno.ENOSYS, f"no system call numbers for {platform.machine()}")
-    column, name, seccomp = known
-    instructions = _instructions(column, name, os.getpid())
-    code = ctypes.create_string_buffer(
-        b"".join(struct.pack("=HBBI", *each) for each in instructions)
-    )
+    instructions = _instructions(machine, os.getpid())
+    packed = [struct.pack("=HBBI", *instruction) for instruction in instructions]
+    code = ctypes.create_string_buffer(b"".join(packed))
     program = struct.pack("@HP", len(instructions), ctypes.addressof(code))
-    checked(libc.syscall(seccomp, _SET_MODE_FILTER, _TO_ALL_THREADS, program))
+    checked(libc.syscall(machine.seccomp, _SET_MODE_FILTER, _TO_ALL_THREADS, program))
 
 
-def _instructions(column: int, machine: int, pid: int) -> list[tuple[int, int, int, int]]:
-    """Return the filter: code, jump offsets if true and if false, and operand of each instruction."""
-    forbidden = (_RETURN, 0, 0, _REFUSE | errno.EPERM)
-    unknown = (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
-    allowed = (_RETURN, 0, 0, _ALLOW)
+def _instructions(machine: _Machine, pid: int) -> list[_Instruction]:
+    """Return the program of the filter, which the kernel runs for each system call."""
+    # Refuse the call numbers of another architecture, which would mean other calls.
     program = [
         (_LOAD, 0, 0, _MACHINE_AT),
-        (_EQUAL, 1, 0, machine),
+        (_EQUAL, 1, 0, machine.audit_name),
         (_RETURN, 0, 0, _KILL_PROCESS),
         (_LOAD, 0, 0, _NUMBER_AT),
         (_AT_LEAST, 0, 1, _OTHER_NUMBERS),
-        forbidden,
+        _VERDICT_FORBIDDEN,
     ]
+    # For each allowed call: jump over its verdict if the number is another.
     for *numbers, rule in ALLOWED.values():
-        number = numbers[column]
+        number = numbers[machine.column]
         if number is None:
             continue
-        verdict = [allowed] if rule is None else _checks(rule, pid)
+        verdict = [_VERDICT_ALLOWED]
+        if rule is not None:
+            verdict = _checks(rule, pid)
         program += [(_EQUAL, 0, len(verdict), number), *verdict]
-    return [*program, (_AT_LEAST, 0, 1, _FIRST_NEW), unknown, forbidden]
+    # All others: a new call does not exist, so that C libraries fall back to an older one.
+    return [*program, (_AT_LEAST, 0, 1, _FIRST_NEW), _VERDICT_UNKNOWN, _VERDICT_FORBIDDEN]
 
 
-def _checks(rule: _Rule, pid: int) -> list[tuple[int, int, int, int]]:
+def _checks(rule: _Rule, pid: int) -> list[_Instruction]:
     """Return the instructions that check the lower half of an argument."""
-    forbidden = (_RETURN, 0, 0, _REFUSE | errno.EPERM)
-    allowed = (_RETURN, 0, 0, _ALLOW)
     load = (_LOAD, 0, 0, _ARGUMENTS_AT + 8 * rule.argument)
     if rule.bits is not None:
-        if_set, if_clear = (allowed, forbidden) if rule.bits else (forbidden, allowed)
+        if_set = _VERDICT_ALLOWED if rule.bits else _VERDICT_FORBIDDEN
+        if_clear = _VERDICT_FORBIDDEN if rule.bits else _VERDICT_ALLOWED
         return [load, (_ANY_BIT, 0, 1, rule.values[0]), if_set, if_clear]
-    values = [pid if value == _OWN_PROCESS else value for value in rule.values]
-    return [
-        load,
-        *((_EQUAL, len(values) - place, 0, value) for place, value in enumerate(values)),
-        forbidden,
-        allowed,
-    ]
+    comparisons = []
+    for position, value in enumerate(rule.values):
+        operand = pid if value == _OWN_PROCESS else value
+        # An equal value jumps over the later comparisons and the refusal.
+        comparisons.append((_EQUAL, len(rule.values) - position, 0, operand))
+    return [load, *comparisons, _VERDICT_FORBIDDEN, _VERDICT_ALLOWED]
 
 
 def checked(result: int) -> int:

@@ -24,13 +24,14 @@ from vehanchor_server.errors import CallError
 if TYPE_CHECKING:
     from mcp.server.mcpserver import Context
 
+    from vehanchor.options.rulers import KnownLength
     from vehanchor.records import GsdEstimate
-    from vehanchor_server.tools.scale_arguments import Given
+    from vehanchor_server.tools.scale_arguments import CallerOptions
 
 _KEY = "scale"  # of the only input request
 _FIRST_REVISION = "2026-07-28"
 _SECOND_LINE_HELPS = ("assumed", "disagree")
-_PLACES = {
+_LINE_COORDINATES = {
     "pixels": "pixels of the image of {} x {} px",
     "fraction": "fractions 0 to 1 of its width and height",
     "per_mille": "thousandths of its width and height",
@@ -38,7 +39,7 @@ _PLACES = {
 
 
 class _ScaleInput(BaseModel):
-    """Fields of the form; the form omits what the caller has given."""
+    """Fields of the form; the form omits the values that the caller gave."""
 
     model_config = ConfigDict(extra="forbid", str_strip_whitespace=True)
 
@@ -65,13 +66,13 @@ class _ScaleInput(BaseModel):
 
 
 def request_scale_input(
-    ctx: Context[Any, Any], given: Given, estimate: GsdEstimate, answer: str
+    ctx: Context[Any, Any], options: CallerOptions, *, estimate: GsdEstimate, answer: str
 ) -> InputRequiredResult | None:
     """Ask for data that would make the scale usable.
 
     Args:
         ctx: the call's context.
-        given: the caller's arguments, without the user's answers.
+        options: the caller's options.
         estimate: the result.
         answer: the result in words.
 
@@ -80,39 +81,50 @@ def request_scale_input(
     """
     if estimate.status == "ok" or ctx.input_responses is not None or not _supports_forms(ctx):
         return None
-    form = _form(given, estimate)
+    form = _form(options, estimate)
+    if not form["properties"]:
+        return None
     message = (
         f"{answer} Do you know any of these values? Leave unknown fields empty. Without "
         "an answer, this result stands."
     )
-    request = ElicitRequest(params=ElicitRequestFormParams(message=message, requested_schema=form))
-    return InputRequiredResult(input_requests={_KEY: request}) if form["properties"] else None
+    parameters = ElicitRequestFormParams(message=message, requested_schema=form)
+    return InputRequiredResult(input_requests={_KEY: ElicitRequest(params=parameters)})
 
 
-def with_user_input(ctx: Context[Any, Any], given: Given) -> Given:
-    """Merge the user's answer to ``request_scale_input`` into the arguments; without an answer, return it unchanged.
+def with_user_input(ctx: Context[Any, Any], options: CallerOptions) -> CallerOptions:
+    """Merge the user's answer to ``request_scale_input`` into the caller's options.
+
+    Without an answer, return the options unchanged.
 
     Raises:
         CallError: ``invalid_answer``, an answer is invalid.
     """
-    answered = (ctx.input_responses or {}).get(_KEY)
-    if not isinstance(answered, ElicitResult) or answered.action != "accept":
-        return given
-    content = {
-        name: value for name, value in (answered.content or {}).items() if value not in (None, "")
-    }
+    answer = (ctx.input_responses or {}).get(_KEY)
+    if not isinstance(answer, ElicitResult) or answer.action != "accept":
+        return options
+    content = answer.content or {}
+    fields = {name: value for name, value in content.items() if value not in (None, "")}
     try:
-        answers = _ScaleInput.model_validate(content)
-        given_line: Any = answers.known_length
-        added = Rulers(known_lengths=(given_line,)).known_lengths if given_line else ()
+        inputs = _ScaleInput.model_validate(fields)
+        lines = _read_line(inputs.known_length)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         raise _invalid_answer(f"{first['loc'][0]}: {first['msg']}") from error
     except KnownLengthError as error:
         raise _invalid_answer(f"known_length: {error}") from error
-    known = answers.model_dump(exclude={"known_length"}, exclude_none=True)
-    lines = (*given.get("known_lengths", ()), *added)
-    return {**given, **known, **({"known_lengths": lines} if lines else {})}
+    merged = {**options, **inputs.model_dump(exclude={"known_length"}, exclude_none=True)}
+    known_lengths = (*options.get("known_lengths", ()), *lines)
+    if known_lengths:
+        merged["known_lengths"] = known_lengths
+    return merged
+
+
+def _read_line(text: Any) -> tuple[KnownLength, ...]:
+    """Read the line of the form; empty without one."""
+    if not text:
+        return ()
+    return Rulers(known_lengths=(text,)).known_lengths
 
 
 def _invalid_answer(complaint: str) -> CallError:
@@ -122,35 +134,41 @@ def _invalid_answer(complaint: str) -> CallError:
     )
 
 
-def _form(given: Given, estimate: GsdEstimate) -> dict[str, Any]:
+def _form(options: CallerOptions, estimate: GsdEstimate) -> dict[str, Any]:
     """Return the JSON Schema of the missing values that would help for this image."""
     form = render_elicitation_schema(_ScaleInput)
     fields: dict[str, Any] = form["properties"]
-    if "region" in given or "reference_length_m" in given or not estimate.n_vehicles:
+    # A region describes vehicles.
+    if "region" in options or "reference_length_m" in options or not estimate.n_vehicles:
         del fields["region"]
-    if "height_m" in given:
-        del fields["height_m"], fields["height_basis"]
-    if "height_m" in given or "focal_35mm" in given:
+    if "height_m" in options:
+        del fields["height_m"]
+        del fields["height_basis"]
+    if "height_m" in options or "focal_35mm" in options:
         del fields["focal_35mm"]
-    if given.get("known_lengths") and estimate.reason not in _SECOND_LINE_HELPS:
+    if options.get("known_lengths") and estimate.reason not in _SECOND_LINE_HELPS:
         del fields["known_length"]
-    else:
-        size = given.get("frame")
-        width_px, height_px = (
-            (size.width_px, size.height_px)
-            if size
-            else (estimate.image_width_px, estimate.image_height_px)
-        )
-        places = _PLACES[given.get("coordinates", "pixels")].format(width_px, height_px)
-        fields["known_length"]["description"] += f", its ends in {places}."
+        return form
+    # The user gives the line in the caller's own coordinates.
+    width_px = estimate.image_width_px
+    height_px = estimate.image_height_px
+    frame = options.get("frame")
+    if frame:
+        width_px = frame.width_px
+        height_px = frame.height_px
+    units = _LINE_COORDINATES[options.get("coordinates", "pixels")].format(width_px, height_px)
+    fields["known_length"]["description"] += f", its ends in {units}."
     return form
 
 
 def _supports_forms(ctx: Context[Any, Any]) -> bool:
     """Return whether the client's protocol revision and capabilities allow a form."""
     version = ctx.protocol_version
-    capabilities = ctx.client_capabilities
-    asks = capabilities.elicitation if capabilities is not None else None
-    if version is None or asks is None or not is_version_at_least(version, _FIRST_REVISION):
+    if version is None or not is_version_at_least(version, _FIRST_REVISION):
         return False
-    return asks.form is not None or asks.url is None  # empty means forms, the first mode
+    capabilities = ctx.client_capabilities
+    if capabilities is None or capabilities.elicitation is None:
+        return False
+    elicitation = capabilities.elicitation
+    # An empty capability means forms, the first mode of the protocol.
+    return elicitation.form is not None or elicitation.url is None

@@ -15,20 +15,21 @@ from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
 from vehanchor_server.tools.flight_question import (
     MoreImagesArgument,
     SameScaleArgument,
-    check_flight_question,
+    check_flight_options,
     estimate_with_flight,
 )
+from vehanchor_server.tools.measuring_call import run_measuring_call
 from vehanchor_server.tools.messages import POLICY
 from vehanchor_server.tools.picture import scale_reply
 from vehanchor_server.tools.scale_arguments import (
+    CallerOptions,
     DetailArgument,
-    Given,
     Question,
-    answered,
     scale_options,
     with_options,
 )
@@ -36,34 +37,37 @@ from vehanchor_server.tools.scale_arguments import (
 if TYPE_CHECKING:
     from vehanchor_server.tools.strict_tool import StrictTool
 
-_KNOWN = (
+_KNOWN_SIZES = (
     "railway_gauge",
-    *("iso_container_20ft", "iso_container_40ft", "semi_trailer", "city_bus"),
-    *(
-        "parking_bay_width",
-        "parking_bay_length",
-        "motorway_lane_width",
-        "lane_dash_cycle",
-        "zebra_period",
-    ),
-    *("football_penalty_area_width", "football_centre_circle", "handball_court_length"),
-    *("beach_volleyball_court_length", "padel_court_length", "tennis_court_length"),
-    *(
-        "basketball_court_length",
-        "baseball_base_distance",
-        "american_football_field_width",
-        "running_track_lane",
-    ),
-    *("pool_25m", "pool_50m"),
+    "iso_container_20ft",
+    "iso_container_40ft",
+    "semi_trailer",
+    "city_bus",
+    "parking_bay_width",
+    "parking_bay_length",
+    "motorway_lane_width",
+    "lane_dash_cycle",
+    "zebra_period",
+    "football_penalty_area_width",
+    "football_centre_circle",
+    "handball_court_length",
+    "beach_volleyball_court_length",
+    "padel_court_length",
+    "tennis_court_length",
+    "basketball_court_length",
+    "baseball_base_distance",
+    "american_football_field_width",
+    "running_track_lane",
+    "pool_25m",
+    "pool_50m",
 )
 """Things of known size that can be seen from above; an error lists all."""
 
 _DESCRIPTION = (
     "Measures the scale (metres per pixel) of a near-nadir aerial or satellite image from cars, "
-    "known lengths, camera "
-    "height or metadata. Call it before any metric statement; never estimate the scale by eye. "
-    "Needs cars at "
-    f"0.3 m/px or finer, or another ruler. {POLICY} Names for known_lengths: {', '.join(_KNOWN)}."
+    "known lengths, camera height or metadata. Call it before any metric statement; never "
+    "estimate the scale by eye. Needs cars at 0.3 m/px or finer, or another ruler. "
+    f"{POLICY} Names for known_lengths: {', '.join(_KNOWN_SIZES)}."
 )
 
 
@@ -77,30 +81,36 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
         StrictTool,
     )
 
+    settings = services.resources.settings
+
     @with_options("estimate")
     async def estimate_gsd(
         image: ImageArgument,
         ctx: Context[Any, Any],
-        given: Given,
-        wanted: PictureRequest,
+        caller_options: CallerOptions,
+        picture: PictureRequest,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
     ) -> CallToolResult | InputRequiredResult:
-        question = Question(with_user_input(ctx, given), wanted, same_scale)
+        options = with_user_input(ctx, caller_options)
         if more_images:
-            check_flight_question(question.given)
-        chosen = estimate_with_flight if more_images else _estimate
-        reply, told = await answered(
-            services, ctx, image, chosen, question, more=more_images or (), detail=detail
+            check_flight_options(options)
+        reply, answer = await run_measuring_call(
+            services,
+            ctx,
+            image=image,
+            work=estimate_with_flight if more_images else _estimate,
+            question=Question(options, picture, subject=same_scale),
+            more=more_images or (),
+            detail=detail,
         )
-        if not (more_images or services.settings.never_ask or wanted.kind == "evidence"):
-            asked = request_scale_input(
-                ctx, question.given, estimate=reply.record, answer=told.text
-            )
-            if asked is not None:
-                return asked
-        return reply.to_result(*told, detail=detail, shown=wanted)
+        # Forms are for a person's own call about one image.
+        if not (more_images or settings.never_ask or picture.kind == "evidence"):
+            request = request_scale_input(ctx, options, estimate=reply.record, answer=answer.text)
+            if request is not None:
+                return request
+        return reply.to_result(answer.text, answer.warnings, detail=detail, shown=picture)
 
     return StrictTool.read_only(
         estimate_gsd,
@@ -108,23 +118,23 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
         description=_DESCRIPTION,
         meta=APP_META,
         record=GsdEstimate,
-        answered=("status", "gsd_m_per_px", "confidence"),
-        kinds=services.settings.image_kinds,
+        listed_fields=("status", "gsd_m_per_px", "confidence"),
+        image_kinds=settings.image_kinds,
     )
 
 
 @work(GsdEstimate)
 def _estimate(
-    services: Services, job: Job, source: OpenedImage, asked: Question[bool]
+    resources: Resources, job: Job, source: OpenedImage, question: Question[bool]
 ) -> Reply[GsdEstimate]:
     """Search the image and estimate its scale."""
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.imagery.sources.opening import open_raster
 
-    detector = services.models.detector(job.runtime)
-    options = scale_options(asked.given, services.settings, services.models)
+    detector = resources.models.detector(job.runtime)
+    options = scale_options(question.options, resources.settings, models=resources.models)
     checked_detector(detector, options)
     job.stop.check()
     with open_raster(source, options.reading) as raster:
-        analysis = services.models.memory.analyse(detector, raster, options)
-        return scale_reply(raster, analysis, wanted=asked.wanted, job=job)
+        analysis = resources.models.memory.analyse(detector, raster, options)
+        return scale_reply(raster, analysis, request=question.picture, job=job)

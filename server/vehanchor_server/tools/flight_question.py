@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -17,7 +16,7 @@ from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import AnyImage, ImageArgument
 from vehanchor_server.images.source import library_errors
 from vehanchor_server.tools.picture import scale_reply
-from vehanchor_server.tools.scale_arguments import Given, Question, scale_options
+from vehanchor_server.tools.scale_arguments import CallerOptions, Question, scale_options
 
 if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
@@ -27,10 +26,12 @@ if TYPE_CHECKING:
     from vehanchor_flight.records import FlightEstimate
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import Reply
-    from vehanchor_server.images.source import OpenedImage
-    from vehanchor_server.services import Services
+    from vehanchor_server.images.source import ImageSources, OpenedImage
+    from vehanchor_server.resources import Resources
 
 MAX_MORE_IMAGES = 32
+_FIRST_NAME = "image"  # the argument that holds the first image
+_ONE_IMAGE_OPTIONS = ("known_lengths", "drop", "add")
 
 MoreImagesArgument: TypeAlias = Annotated[
     tuple[ImageArgument, ...] | None,
@@ -45,73 +46,85 @@ SameScaleArgument: TypeAlias = Annotated[
 ]
 
 
-def check_flight_question(given: Given) -> None:
-    """Refuse arguments that belong to a single image.
+def check_flight_options(options: CallerOptions) -> None:
+    """Refuse options that belong to a single image.
 
     Raises:
         CallError: ``invalid_arguments``.
     """
-    single = next((name for name in ("known_lengths", "drop", "add") if given.get(name)), None)
-    if single is not None:
-        raise CallError(
-            "invalid_arguments",
-            f"{single} belongs to a single image. Omit more_images or {single}.",
-        )
+    for name in _ONE_IMAGE_OPTIONS:
+        if options.get(name):
+            raise CallError(
+                "invalid_arguments",
+                f"{name} belongs to a single image. Omit more_images or {name}.",
+            )
 
 
 @work(GsdEstimate)
 def estimate_with_flight(
-    services: Services,
+    resources: Resources,
     job: Job,
     source: OpenedImage,
     question: Question[bool],
     more: Sequence[tuple[AnyImage, bytes | None]],
 ) -> Reply[GsdEstimate]:
-    """Estimate the scale of an image with the evidence of others; an error about one of these has its name."""
+    """Estimate the scale of an image with the evidence of others.
+
+    An error about one of the others has its name.
+    """
     from vehanchor.analysis.pipeline import checked_detector
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor_flight.estimate import conclude, search_flight
 
-    # The search does not know the number of photographs.
-    runtime = replace(job.runtime, progress=lambda done, _: job.searched(done, 1 + len(more)))
-    detector = services.models.detector(runtime)
-    asked = scale_options(question.given, services.settings, services.models)
-    options = replace(asked, frame=Frame())
+    def searched(done: int, _: int) -> None:
+        # The search does not know the number of photographs.
+        job.searched(done, 1 + len(more))
+
+    runtime = replace(job.runtime, progress=searched)
+    detector = resources.models.detector(runtime)
+    caller_options = scale_options(question.options, resources.settings, models=resources.models)
+    # The caller's frame is about the first image; the search is about all of them.
+    options = replace(caller_options, frame=Frame())
     checked_detector(detector, options)
     job.stop.check()
-    for _ in _open_each(services, source, more=more, opened=[]):  # refuse a path before the search
+    # Refuse a path among the others before the search, which takes long.
+    for _ in _open_each(resources.sources, source, more=more, opened=[]):
         job.stop.check()
     opened: list[OpenedImage] = []
-    images = _open_each(services, source, more=more, opened=opened)
+    images = _open_each(resources.sources, source, more=more, opened=opened)
     photographs = search_flight(images, detector, options, featured=not question.subject)
-    members = [
-        _require_readable(found, each) for found, each in zip(photographs, opened, strict=True)
-    ]
+    members = []
+    for photograph, opened_image in zip(photographs, opened, strict=True):
+        members.append(_require_readable(photograph, opened_image))
     _refuse_duplicates(members)
     flight = conclude(photographs, detector.card, same_scale=question.subject)
-    analysis = replace(members[0].analysis, estimate=_estimate_of_image(flight, asked))
-    with open_raster(source, asked.reading) if question.wanted.kind else nullcontext() as raster:
-        return scale_reply(raster, analysis, wanted=question.wanted, job=job)
+    estimate = _estimate_of_image(flight, caller_options)
+    analysis = replace(members[0].analysis, estimate=estimate)
+    if not question.picture.kind:
+        return scale_reply(None, analysis, request=question.picture, job=job)
+    with open_raster(source, caller_options.reading) as raster:
+        return scale_reply(raster, analysis, request=question.picture, job=job)
 
 
 def _open_each(
-    services: Services,
+    sources: ImageSources,
     source: OpenedImage,
     more: Sequence[tuple[AnyImage, bytes | None]],
     opened: list[OpenedImage],
 ) -> Iterator[InputPhotograph]:
-    """Open the image and the others, one after the other."""
+    """Open the image and the others, one after the other; append each to ``opened``."""
     from vehanchor_flight.inputs import InputPhotograph
 
     opened.append(source)
-    yield InputPhotograph("image", source)
+    yield InputPhotograph(_FIRST_NAME, source)
     for number, (image, fetched) in enumerate(more):
+        name = f"more_images.{number}"
         try:
-            with services.sources.open(image, fetched) as other:
+            with sources.open(image, fetched) as other:
                 opened.append(other)
-                yield InputPhotograph(f"more_images.{number}", other)
+                yield InputPhotograph(name, other)
         except CallError as error:
-            raise CallError(error.code, f"more_images.{number}: {error.explanation}") from error
+            raise CallError(error.code, f"{name}: {error.explanation}") from error
 
 
 def _require_readable(photograph: Photograph | Failure, source: OpenedImage) -> Photograph:
@@ -125,19 +138,20 @@ def _require_readable(photograph: Photograph | Failure, source: OpenedImage) -> 
 
     if not isinstance(photograph, Failure):
         return photograph
-    if photograph.name == "image":
+    if photograph.name == _FIRST_NAME:
         raise photograph.error
     try:
         with library_errors(source):
             raise photograph.error
     except CallError as error:
-        raise CallError(error.code, f"{photograph.name}: {error.explanation}") from photograph.error
+        message = f"{photograph.name}: {error.explanation}"
+        raise CallError(error.code, message) from photograph.error
 
 
 def _refuse_duplicates(members: Sequence[Photograph]) -> None:
-    seen: dict[str, str] = {}
+    names: dict[str, str] = {}  # by the identity of the content
     for member in members:
-        first = seen.setdefault(member.view.image.image_id, member.name)
+        first = names.setdefault(member.view.image.image_id, member.name)
         if first != member.name:
             raise CallError(
                 "invalid_arguments",
@@ -145,8 +159,11 @@ def _refuse_duplicates(members: Sequence[Photograph]) -> None:
             )
 
 
-def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstimate:
-    """Return the image's record with its scale in the caller's frame; warn if no other image is linked to it."""
+def _estimate_of_image(flight: FlightEstimate, caller_options: ScaleOptions) -> GsdEstimate:
+    """Return the image's record with its scale in the caller's frame.
+
+    Add a warning if no other image is linked to it.
+    """
     from vehanchor.analysis.pipeline import frame_scale
     from vehanchor.records import Notice
     from vehanchor.records.notices import NoticeCode
@@ -154,10 +171,10 @@ def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstima
 
     first = flight.photographs[0]
     record = estimate_in_flight(flight, first)
-    asked.frame.check(record.image_width_px, record.image_height_px)
+    caller_options.frame.check(record.image_width_px, record.image_height_px)
     interval = None
     if record.gsd_ci95_low_m_per_px is not None and record.gsd_ci95_high_m_per_px is not None:
-        interval = record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px
+        interval = (record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)
     warnings = record.warnings
     if first.component is not None and flight.components[first.component].n_photographs == 1:
         message = (
@@ -166,6 +183,6 @@ def _estimate_of_image(flight: FlightEstimate, asked: ScaleOptions) -> GsdEstima
         )
         warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
     frame = frame_scale(
-        asked.frame, record.image_width_px, gsd=record.gsd_m_per_px, interval=interval
+        caller_options.frame, record.image_width_px, gsd=record.gsd_m_per_px, interval=interval
     )
     return record.model_copy(update={"frame": frame, "warnings": warnings})

@@ -13,33 +13,35 @@ from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
+from vehanchor_server.tools.measuring_call import run_measuring_call
 from vehanchor_server.tools.messages import STATUS_RULES
 from vehanchor_server.tools.picture import draw_picture
 from vehanchor_server.tools.scale_arguments import (
+    CallerOptions,
     DetailArgument,
-    Given,
     Question,
-    answered,
     resolve_source,
     with_options,
 )
 from vehanchor_server.tools.target import MAX_TARGETS, Target
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from vehanchor.pictures.placement import Cut
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor_server.tools.strict_tool import StrictTool
 
 _DESCRIPTION = (
     "Measures the area (square metres) and size of objects in a near-nadir aerial or satellite "
-    "image: roof, pool, "
-    "field, landing site. Give a tight box around each whole object; never estimate an area by "
-    "eye. Also "
-    "returns length, width, and inscribed_diameter_m, the largest circle inside, for landings. "
-    "ok needs a usable scale "
-    f"and a mask without doubts; 20 % of the scale is 44 % of an area. {STATUS_RULES}"
+    "image: roof, pool, field, landing site. Give a tight box around each whole object; never "
+    "estimate an area by eye. Also returns length, width, and inscribed_diameter_m, the largest "
+    "circle inside, for landings. ok needs a usable scale and a reliable mask; a 20 % error in "
+    f"scale is a 44 % error in area. {STATUS_RULES}"
 )
-
 
 _EXAMPLE = [{"box": {"x_min": 255, "y_min": 160, "x_max": 535, "y_max": 470}}]
 
@@ -61,16 +63,20 @@ def measure_area_tool(services: Services) -> "StrictTool":
             ),
         ],
         ctx: Context[Any, Any],
-        given: Given,
-        wanted: PictureRequest,
+        caller_options: CallerOptions,
+        picture: PictureRequest,
         detail: DetailArgument = "short",
     ) -> CallToolResult:
-        places = [place for target in targets for place in target.places]
-        question = Question(given, wanted, targets)
-        reply, told = await answered(
-            services, ctx, image, _measure, question, places, detail=detail
+        reply, answer = await run_measuring_call(
+            services,
+            ctx,
+            image=image,
+            work=_measure,
+            question=Question(caller_options, picture, subject=targets),
+            points=[point for target in targets for point in target.coordinates],
+            detail=detail,
         )
-        return reply.to_result(*told, detail=detail, shown=wanted)
+        return reply.to_result(answer.text, answer.warnings, detail=detail, shown=picture)
 
     return StrictTool.read_only(
         measure_area,
@@ -78,14 +84,14 @@ def measure_area_tool(services: Services) -> "StrictTool":
         description=_DESCRIPTION,
         meta=APP_META,
         record=AreaMeasurement,
-        answered=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
-        kinds=services.settings.image_kinds,
+        listed_fields=("status", "area_m2", "scale_confidence", "inscribed_diameter_m"),
+        image_kinds=services.resources.settings.image_kinds,
     )
 
 
 @work(AreaMeasurement)
 def _measure(
-    services: Services, job: Job, source: OpenedImage, asked: Question[tuple[Target, ...]]
+    resources: Resources, job: Job, source: OpenedImage, question: Question[tuple[Target, ...]]
 ) -> Reply[AreaMeasurement]:
     """Segment the objects and measure them."""
     from vehanchor.imagery.sources.opening import open_raster
@@ -93,37 +99,40 @@ def _measure(
     from vehanchor.pictures.measurement import cut_to_objects, draw_area
     from vehanchor_server.app_page.panel import drawing_of
 
-    # refuse invalid prompts before the work
-    prompts = [_prompt(target) for target in asked.subject]
-    segmenter = services.models.segmenter(job.runtime)
-    options, scale = resolve_source(asked.given, services, job)
-    wanted = asked.wanted
-    height = asked.given.get("object_height_m")
+    # Refuse invalid prompts before the models load and search.
+    prompts = [_prompt(target) for target in question.subject]
+    segmenter = resources.models.segmenter(job.runtime)
+    options, scale = resolve_source(question.options, resources, job)
     job.stop.check()
     with open_raster(source, options.reading) as raster:
         job.segmenting()
-        found = analyse_objects(
+        objects = analyse_objects(
             raster,
             prompts,
             segmenter=segmenter,
             scale=scale,
             options=options,
-            object_height_m=height,
+            object_height_m=question.options.get("object_height_m"),
         )
+        # All objects of an image share its scale.
+        evidence = objects[0].scale
+
+        def draw(rgb: "NDArray[np.uint8]", cut: "Cut | None") -> "NDArray[np.uint8]":
+            return draw_area(rgb, *objects, cut=cut)
+
         picture = draw_picture(
             raster,
             job,
-            wanted=wanted,
-            draw=lambda seen, cut: draw_area(seen, *found, cut=cut),
-            scale=found[0].scale,
-            usual=cut_to_objects(found).part,
+            request=question.picture,
+            draw=draw,
+            scale=evidence,
+            usual=cut_to_objects(objects).part,
         )
-    drawing = (
-        drawing_of(found[0].scale)
-        if wanted.kind == "plain" and found[0].scale is not None
-        else None
-    )
-    return Reply(tuple(each.measurement for each in found), picture, drawing)
+    drawing = None
+    if question.picture.kind == "plain" and evidence is not None:
+        drawing = drawing_of(evidence)
+    measurements = tuple(analysed.measurement for analysed in objects)
+    return Reply(measurements, picture=picture, drawing=drawing)
 
 
 def _prompt(target: Target) -> "Prompt":
@@ -132,6 +141,5 @@ def _prompt(target: Target) -> "Prompt":
     if target.box is not None:
         (left, top), (right, bottom) = target.box.corners
         return read_prompt((left, top, right, bottom), None)
-    return read_prompt(
-        None, [(point.x, point.y, point.label == "include") for point in target.points or ()]
-    )
+    points = [(point.x, point.y, point.label == "include") for point in target.points or ()]
+    return read_prompt(None, points)

@@ -20,27 +20,30 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.job import Job
     from vehanchor_server.calls.reply import PictureRequest
 
-_LEAST_PART_PX = 16
+_MIN_PART_PX = 16
 
 
 def draw_picture(
     raster: Raster,
     job: Job,
-    wanted: PictureRequest,
-    draw: Callable[[NDArray[np.uint8], Cut | None], NDArray[np.uint8]],
     *,
+    request: PictureRequest,
+    draw: Callable[[NDArray[np.uint8], Cut | None], NDArray[np.uint8]],
     scale: ScaleEvidence | None,
     usual: Window | None = None,
 ) -> bytes | None:
-    """Make the requested picture; unless a part is asked for, the evidence has a strip of enlarged vehicles below.
+    """Make the requested picture as JPEG; None if the request is for no picture.
+
+    A strip of enlarged vehicles below the evidence lets the viewer check them, unless the request
+    names a part.
 
     Args:
         raster: the image.
         job: can stop before the reading.
-        wanted: the requested picture.
+        request: the requested picture.
         draw: draws the evidence on the image, its part or a reduced copy, ``[h, w, 3]`` RGB.
         scale: the analysis with the vehicles; None for a stated scale.
-        usual: the part that the evidence shows unless another is asked for; None for all of the
+        usual: the part that the evidence shows if the request names none; None for all of the
             image.
 
     Raises:
@@ -54,40 +57,51 @@ def draw_picture(
     from vehanchor.pictures.vehicle_strip import draw_vehicle_strip
     from vehanchor_server.calls.jpeg import MAX_PAGE_BYTES, small_jpeg
 
-    if not wanted.kind:
+    if not request.kind:
         return None
     job.stop.check()
-    if wanted.kind == "plain":
+    if request.kind == "plain":
         return small_jpeg(read_reduced(raster), MAX_PAGE_BYTES)
-    part = usual if wanted.part is None else part_window(raster, wanted)
-    cut = None if part is None else Cut(part, wanted.long_side_px)
+    part = usual
+    if request.part is not None:
+        part = part_window(raster, request)
+    cut = None
+    if part is not None:
+        cut = Cut(part, request.long_side_px)
     picture = draw(read_reduced(raster, part), cut)
-    if wanted.part is None and scale is not None:
-        picture = np.concatenate([picture, draw_vehicle_strip(raster, scale, picture.shape[1])])
-    return small_jpeg(picture, side_px=wanted.long_side_px)
+    if request.part is None and scale is not None:
+        strip = draw_vehicle_strip(raster, scale, picture.shape[1])
+        picture = np.concatenate([picture, strip])
+    return small_jpeg(picture, side_px=request.long_side_px)
 
 
 def scale_reply(
-    raster: Raster | None, analysis: ScaleEvidence, wanted: PictureRequest, job: Job
+    raster: Raster | None, analysis: ScaleEvidence, *, request: PictureRequest, job: Job
 ) -> Reply[GsdEstimate]:
-    """Combine the record of a scale with the requested picture; without one, the image need not be open."""
+    """Combine the record of a scale with the requested picture.
+
+    Args:
+        raster: the image; None if the request is for no picture.
+        analysis: the scale with its evidence.
+        request: the requested picture.
+        job: can stop before the reading.
+    """
     from vehanchor.pictures.scale import draw_overlay
     from vehanchor_server.app_page.panel import drawing_of
 
+    def draw(rgb: NDArray[np.uint8], cut: Cut | None) -> NDArray[np.uint8]:
+        return draw_overlay(rgb, analysis, cut)
+
     picture = None
     if raster is not None:
-        picture = draw_picture(
-            raster,
-            job,
-            wanted=wanted,
-            draw=lambda seen, cut: draw_overlay(seen, analysis, cut),
-            scale=analysis,
-        )
-    drawing = drawing_of(analysis) if wanted.kind == "plain" else None
-    return Reply((analysis.estimate,), picture, drawing)
+        picture = draw_picture(raster, job, request=request, draw=draw, scale=analysis)
+    drawing = None
+    if request.kind == "plain":
+        drawing = drawing_of(analysis)
+    return Reply((analysis.estimate,), picture=picture, drawing=drawing)
 
 
-def part_window(raster: Raster, wanted: PictureRequest) -> Window:
+def part_window(raster: Raster, request: PictureRequest) -> Window:
     """Return the part that a picture shows, in whole pixels; all of the image without one.
 
     Raises:
@@ -96,24 +110,25 @@ def part_window(raster: Raster, wanted: PictureRequest) -> Window:
     from vehanchor.imagery.raster import Window
     from vehanchor.options.reading import CoordinateFrame
 
-    ends = wanted.part
-    if ends is None:
+    corners = request.part
+    if corners is None:
         return Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
-    coordinates = CoordinateFrame(wanted.frame, raster.width_px, raster.height_px)
-    if not coordinates.inside(ends):
-        numbers = ", ".join(f"{value:g}" for end in ends for value in end)
-        raise PromptError(
-            f"part {numbers} is not inside the {coordinates.name}{coordinates.other_reading(ends)}"
-        )
-    (left, top), (right, bottom) = (coordinates.in_image(*end) for end in ends)
+    coordinates = CoordinateFrame(request.frame, raster.width_px, raster.height_px)
+    if not coordinates.inside(corners):
+        numbers = ", ".join(f"{value:g}" for corner in corners for value in corner)
+        hint = coordinates.other_reading(corners)
+        raise PromptError(f"part {numbers} is not inside the {coordinates.name}{hint}")
+    upper_left, lower_right = corners
+    left, top = coordinates.in_image(*upper_left)
+    right, bottom = coordinates.in_image(*lower_right)
     x = int(left)
     y = int(top)
     width = round(right) - x
     height = round(bottom) - y
-    if min(width, height) < _LEAST_PART_PX:
+    if min(width, height) < _MIN_PART_PX:
+        hint = coordinates.other_reading(corners)
         raise PromptError(
             f"the part is {width} x {height} px of the full image: give at least "
-            f"{_LEAST_PART_PX} px per side"
-            f"{coordinates.other_reading(ends)}"
+            f"{_MIN_PART_PX} px per side{hint}"
         )
     return Window(x, y, width_px=width, height_px=height)

@@ -14,18 +14,29 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
 _REFERENCE = "#/$defs/"
+_JSON_TYPES = {str: "string", bool: "boolean", int: "integer"}
+_NOT_LISTED_KEYS = {
+    "default",
+    "examples",
+    "exclusiveMinimum",
+    "minimum",
+    "maximum",
+    "minLength",
+    "maxLength",
+    "pattern",
+}
 
 
 def portable_schema(schema: dict[str, Any]) -> dict[str, Any]:
-    """Replace references and ``oneOf`` of pydantic's schema, and drop ``discriminator`` and generated titles."""
-    plain = _plain(schema, schema.get("$defs", {}))
-    assert isinstance(plain, dict)
-    return plain
+    """Replace references and ``oneOf``; drop ``discriminator`` and generated titles."""
+    portable = _portable(schema, schema.get("$defs", {}))
+    assert isinstance(portable, dict)
+    return portable
 
 
-def _plain(node: Any, definitions: dict[str, Any]) -> Any:
+def _portable(node: Any, definitions: dict[str, Any]) -> Any:
     if isinstance(node, list):
-        return [_plain(item, definitions) for item in node]
+        return [_portable(item, definitions) for item in node]
     if not isinstance(node, dict):
         return node
     reference = node.get("$ref")
@@ -36,74 +47,66 @@ def _plain(node: Any, definitions: dict[str, Any]) -> Any:
     for key, value in node.items():
         if key in ("$defs", "discriminator") or (key == "title" and isinstance(value, str)):
             continue
-        if key == "properties":  # a property may be named like a keyword
-            result[key] = {
-                name: _plain(property_, definitions) for name, property_ in value.items()
-            }
+        if key == "properties":
+            # By name, because a property may be named like a keyword.
+            result[key] = {name: _portable(field, definitions) for name, field in value.items()}
         elif key in ("const", "enum", "default", "examples"):
             result[key] = value
+        elif key == "oneOf":
+            result["anyOf"] = _portable(value, definitions)
         else:
-            result["anyOf" if key == "oneOf" else key] = _plain(value, definitions)
+            result[key] = _portable(value, definitions)
     if "const" in result and "type" not in result:
-        result["type"] = {str: "string", bool: "boolean", int: "integer"}[type(result["const"])]
+        result["type"] = _JSON_TYPES[type(result["const"])]
     return result
 
 
-_NOT_LISTED = {
-    "default",
-    "examples",
-    "exclusiveMinimum",
-    "minimum",
-    "maximum",
-    "minLength",
-    "maxLength",
-    "pattern",
-}
-_UNLISTED = {"detail", "tolerance_m", "object_height_m"}
-_UNLISTED |= {name for name, each in declared_options().items() if not each.option.listed}
+def _unlisted_arguments() -> set[str]:
+    """Return the names of the arguments that are for programs only."""
+    names = {"detail", "tolerance_m", "object_height_m"}
+    for name, declared in declared_options().items():
+        if not declared.option.listed:
+            names.add(name)
+    return names
+
+
+_UNLISTED_ARGUMENTS = _unlisted_arguments()
 
 
 def listed(
     node: dict[str, Any], kinds: Collection[str] = (), *, described: bool = True
 ) -> dict[str, Any]:
-    """Reduce a portable schema to what a model needs: names, types, required fields, numbers of items.
+    """Reduce a portable schema to the names, types and required fields that a model needs.
 
     Arguments for programs are left out, at any depth. Optional arguments lose their null type. A
     union of an object and a text becomes the text, which every host passes unchanged. The server
-    still checks the limits that are dropped here; what has the listed shape has a valid shape.
+    still checks the limits that are dropped here. A value of the listed shape has a valid shape.
 
     Args:
         node: the portable schema.
         kinds: kinds of images that the server accepts from models; an empty collection lists all.
         described: whether to keep the description.
     """
-    options = [
-        option
-        for option in node.get("anyOf", ())
-        if option != {"type": "null"} and _accepted(option, kinds)
-    ]
-    if {"object", "string"} == {option.get("type") for option in options}:
-        options = [option for option in options if option["type"] == "string"]
-    if len(options) == 1:
-        node = {**options[0], **{key: value for key, value in node.items() if key != "anyOf"}}
-        return listed(node, kinds, described=described)
+    variants = _listed_variants(node, kinds)
+    if len(variants) == 1:
+        siblings = {key: value for key, value in node.items() if key != "anyOf"}
+        return listed({**variants[0], **siblings}, kinds, described=described)
     result: dict[str, Any] = {}
     for key, value in node.items():
-        if key in _NOT_LISTED or (key == "description" and not described):
-            continue
-        if key == "additionalProperties" and not {"image", "kind"} & set(
-            node.get("properties", ())
-        ):
-            # below the arguments, only an image with fields of two kinds would be ambiguous
+        if key in _NOT_LISTED_KEYS or (key == "description" and not described):
             continue
         if key == "properties":
             result[key] = {
-                name: listed(each, kinds, described=described)
-                for name, each in value.items()
-                if name not in _UNLISTED
+                name: listed(field, kinds, described=described)
+                for name, field in value.items()
+                if name not in _UNLISTED_ARGUMENTS
             }
+        elif key == "additionalProperties":
+            # Below the arguments, only an image with fields of two kinds would be ambiguous.
+            if {"image", "kind"} & set(node.get("properties", ())):
+                result[key] = value
         elif key == "anyOf":
-            result[key] = [listed(option, kinds, described=False) for option in options]
+            result[key] = [listed(variant, kinds, described=False) for variant in variants]
         elif key == "items":
             result[key] = listed(value, kinds, described=False)
         elif key == "const":
@@ -113,6 +116,17 @@ def listed(
     return result
 
 
-def _accepted(option: dict[str, Any], kinds: Collection[str]) -> bool:
-    kind = option.get("properties", {}).get("kind")
+def _listed_variants(node: dict[str, Any], kinds: Collection[str]) -> list[dict[str, Any]]:
+    """Return the variants of a union that models see."""
+    variants = []
+    for variant in node.get("anyOf", ()):
+        if variant != {"type": "null"} and _is_accepted(variant, kinds):
+            variants.append(variant)
+    if {variant.get("type") for variant in variants} == {"object", "string"}:
+        return [variant for variant in variants if variant["type"] == "string"]
+    return variants
+
+
+def _is_accepted(variant: dict[str, Any], kinds: Collection[str]) -> bool:
+    kind = variant.get("properties", {}).get("kind")
     return kind is None or not kinds or kind["const"] in kinds

@@ -15,7 +15,7 @@ from vehanchor_server.tools.measure_distance import measure_distance_tool
 from vehanchor_server.tools.view_image import view_image_tool
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from vehanchor_server.services import Services
     from vehanchor_server.tools.strict_tool import StrictTool
@@ -29,15 +29,25 @@ TOOLS: tuple[Callable[[Services], StrictTool], ...] = (
 
 
 def create_tools(services: Services) -> list[StrictTool]:
-    """Create the models' tools; a description that several list for one argument stands in the first only."""
-    tools = [create(services) for create in TOOLS]
-    tools.append(view_image_tool(services, {tool.name: tool for tool in tools}))
-    said: set[tuple[str, str]] = set()
+    """Create the tools for models."""
+    measuring = [create(services) for create in TOOLS]
+    view_image = view_image_tool(services, {tool.name: tool for tool in measuring})
+    tools = [*measuring, view_image]
     for tool in tools:
-        tool.first_image = services.sources.paths.first
-        for name, argument in tool.parameters["properties"].items():
-            words = (name, argument.get("description", ""))
-            if words in said:
-                del argument["description"]
-            said.add(words)
+        tool.first_image = services.resources.sources.paths.first
+    _describe_once(tools)
     return tools
+
+
+def _describe_once(tools: Sequence[StrictTool]) -> None:
+    """Keep the description of an argument in the first of the tools that share it.
+
+    Models read the whole list, so that repetition wastes their context.
+    """
+    described: set[tuple[str, str]] = set()
+    for tool in tools:
+        for name, argument in tool.parameters["properties"].items():
+            description = (name, argument.get("description", ""))
+            if description in described:
+                del argument["description"]
+            described.add(description)

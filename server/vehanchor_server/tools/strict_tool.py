@@ -1,4 +1,4 @@
-"""A tool that refuses unknown arguments, reports errors as one line with a code, and logs every call."""
+"""Strict tool: refuse unknown arguments, report errors as one line with a code, log every call."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
 from vehanchor_server.tools.portable_schema import listed, portable_schema
 
-# what a tool needs of the SDK, too
+# All but StrictTool are the SDK's. Tools import them from here when they are created, because the
+# SDK loads slowly.
 __all__ = ["CallToolResult", "Context", "InputRequiredResult", "StrictTool"]
 
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
-_EXACT = 2.0**53  # above, floats are no counts
+_EXACT = 2.0**53  # above, a float cannot hold each whole number
 
 
 class ReportedError(CallError, ToolError):
@@ -56,8 +57,8 @@ class StrictTool(Tool):
         description: str,
         meta: dict[str, Any] | None = None,
         record: type[BaseModel] | None = None,
-        answered: Sequence[str] = (),
-        kinds: Sequence[str] = (),
+        listed_fields: Sequence[str] = (),
+        image_kinds: Sequence[str] = (),
     ) -> StrictTool:
         """Create a read-only, idempotent tool.
 
@@ -68,28 +69,32 @@ class StrictTool(Tool):
             description: description for planners; clients keep 2 KB of it.
             meta: the tool's ``_meta``.
             record: type of the record in the structured content; None without any.
-            answered: fields of the record in the listed schema; other fields need full detail.
-                Default: all fields.
-            kinds: kinds of images in the listed schema; default: all.
+            listed_fields: fields of the record in the listed schema; other fields need full
+                detail. Default: all fields.
+            image_kinds: kinds of images in the listed schema; default: all.
         """
         annotations = ToolAnnotations(
             read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
         )
-        words: dict[str, Any] = {"title": title, "description": description}
         tool = cls.from_function(
-            function, **words, annotations=annotations, meta=meta, structured_output=False
+            function,
+            title=title,
+            description=description,
+            annotations=annotations,
+            meta=meta,
+            structured_output=False,
         )
         assert isinstance(tool, StrictTool)
-        arguments = tool.fn_metadata.arg_model  # which drops unknown arguments silently
+        # The SDK's model drops unknown arguments silently; its subclass refuses them.
+        arguments = tool.fn_metadata.arg_model
         tool.fn_metadata.arg_model = types.new_class(
             arguments.__name__, (arguments,), {"extra": "forbid"}
         )
         tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
-        tool.parameters = listed(tool.full_parameters, kinds)
+        tool.parameters = listed(tool.full_parameters, image_kinds)
         if record is not None:
             tool.record = record
-            # records validate short and full answers
-            tool.fn_metadata.output_schema = _answered(record, answered)
+            tool.fn_metadata.output_schema = _answer_schema(record, listed_fields)
         return tool
 
     async def run(
@@ -104,11 +109,13 @@ class StrictTool(Tool):
         status = "cancelled"
         result = None
         try:
-            if _more_values_than(arguments, MAX_VALUES):
-                many = f"more than {MAX_VALUES} values. See the tool's input schema."
-                raise ToolError("too many values") from CallError("invalid_arguments", many)
+            if _has_more_values(arguments, MAX_VALUES):
+                refusal = f"more than {MAX_VALUES} values. See the tool's input schema."
+                raise ToolError("too many values") from CallError("invalid_arguments", refusal)
             result = await super().run(_with_integers(arguments), context, convert_result)
-            status = "input_required" if isinstance(result, InputRequiredResult) else "ok"
+            status = "ok"
+            if isinstance(result, InputRequiredResult):
+                status = "input_required"
             return result
         except ToolError as error:
             cause = error.__cause__
@@ -124,8 +131,11 @@ class StrictTool(Tool):
                 "it to the operator."
             ) from cause
         finally:
-            record = result.structured_content if isinstance(result, CallToolResult) else None
-            log_call(self.name, status, seconds=time.perf_counter() - started, record=record)
+            seconds = time.perf_counter() - started
+            record = None
+            if isinstance(result, CallToolResult):
+                record = result.structured_content
+            log_call(self.name, status, seconds=seconds, record=record)
 
     async def show(
         self, arguments: dict[str, Any], context: Context[Any, Any], picture: PictureRequest
@@ -144,53 +154,59 @@ class StrictTool(Tool):
         return result
 
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
-        words = complaints(
+        """Describe invalid arguments; the example call names an image of this server."""
+        text = complaints(
             error,
             arguments,
             schema=self.full_parameters,
             required=self.parameters.get("required") or ["image"],
         )
-        found = self.first_image() if self.first_image is not None else None
-        return (
-            words if found is None else words.replace(json.dumps(EXAMPLE_PATH), json.dumps(found))
-        )
+        image = None
+        if self.first_image is not None:
+            image = self.first_image()
+        if image is None:
+            return text
+        return text.replace(json.dumps(EXAMPLE_PATH), json.dumps(image))
 
 
-def _answered(record: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
-    """Return the schema of every answer, short or full: selected fields of the record with their types."""
+def _answer_schema(record: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
+    """Return a schema that short and full answers satisfy: the types of selected fields."""
     fields: dict[str, Any] = {}
     for name in names or record.model_fields:
-        kind: Any = record.model_fields[name].annotation
-        field = TypeAdapter(kind).json_schema()
-        kinds = [option["type"] for option in field.get("anyOf", [field])]
-        fields[name] = (
-            {"type": kinds[0]} if len(kinds) == 1 else {"anyOf": [{"type": kind} for kind in kinds]}
-        )
+        annotation: Any = record.model_fields[name].annotation
+        schema = TypeAdapter(annotation).json_schema()
+        variants = [{"type": variant["type"]} for variant in schema.get("anyOf", [schema])]
+        if len(variants) == 1:
+            fields[name] = variants[0]
+        else:
+            fields[name] = {"anyOf": variants}
     return {"type": "object", "properties": fields}
 
 
 def _with_integers(value: Any) -> Any:
-    """Replace 3.0 by 3, which JSON Schema takes for the same, and leave out what is null."""
+    """Replace 3.0 by 3, which JSON Schema takes for the same, and leave out null fields."""
     if isinstance(value, dict):
-        return {name: _with_integers(each) for name, each in value.items() if each is not None}
+        return {name: _with_integers(item) for name, item in value.items() if item is not None}
     if isinstance(value, list):
-        return [_with_integers(each) for each in value]
-    return (
-        int(value)
-        if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT
-        else value
-    )
+        return [_with_integers(item) for item in value]
+    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:
+        return int(value)
+    return value
 
 
-def _more_values_than(arguments: Any, limit: int) -> bool:
-    """Return whether a JSON value has more values than the limit; count no further, as pydantic records each fault."""
+def _has_more_values(arguments: Any, limit: int) -> bool:
+    """Return whether a JSON value has more values than the limit.
+
+    Counting stops at the limit, and happens before pydantic records each fault.
+    """
     pending = [arguments]
-    n = 0
+    n_values = 0
     while pending:
         value = pending.pop()
-        if isinstance(value, dict | list):
-            n += len(value)
-            if n > limit:
-                return True
-            pending.extend(value.values() if isinstance(value, dict) else value)
+        if not isinstance(value, dict | list):
+            continue
+        n_values += len(value)
+        if n_values > limit:
+            return True
+        pending.extend(value.values() if isinstance(value, dict) else value)
     return False

@@ -54,22 +54,20 @@ class Target(FrozenModel):
     )
 
     @property
-    def places(self) -> tuple[tuple[float, float], ...]:
+    def coordinates(self) -> list[tuple[float, float]]:
         """Corners of the box, or points."""
-        return (
-            self.box.corners
-            if self.box is not None
-            else tuple((each.x, each.y) for each in self.points or ())
-        )
+        if self.box is not None:
+            return list(self.box.corners)
+        return [(point.x, point.y) for point in self.points or ()]
 
     @model_validator(mode="before")
     @classmethod
-    def _one_form(cls, value: Any) -> Any:
-        named = (
-            sum(value.get(name) is not None for name in ("box", "points"))
-            if isinstance(value, dict)
-            else 0
-        )
-        if named != 1 and not isinstance(value, Target):
+    def _has_one_form(cls, value: Any) -> Any:
+        if isinstance(value, Target):
+            return value
+        forms = []
+        if isinstance(value, dict):
+            forms = [name for name in ("box", "points") if value.get(name) is not None]
+        if len(forms) != 1:
             raise PydanticCustomError("target_form", _FORMS)
         return value

@@ -1,4 +1,4 @@
-"""The tool ``view_image``: show an image with a coordinate grid or what a call saw, or list the images.
+"""The tool ``view_image``: show an image with a grid, show what a call saw, or list the images.
 
 Models need it to give coordinates in an image that they know by path only, and to check vehicles
 and masks. It has no structured content, because several hosts show a model nothing beside it. The
@@ -8,11 +8,10 @@ page has a tool of its own with the same work.
 # No postponed annotations here: the SDK reads the arguments' schema from them.
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterable, Mapping
 from itertools import groupby
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 from pydantic_core import from_json
@@ -22,12 +21,13 @@ from vehanchor.options.option import Limits
 from vehanchor.records.text import count
 from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.base_model import FrozenModel
-from vehanchor_server.calls.call import run_call
+from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
 from vehanchor_server.tools.picture import part_window
 from vehanchor_server.tools.target import Box
@@ -37,26 +37,28 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = (
     "Shows an image, or a part of it, with a grid of pixel coordinates. View it before you give "
-    "coordinates, and a "
-    "part for precise ones. With of, shows what a call of another tool saw: numbered vehicles, "
-    "masks, "
-    "lines. Without both, lists the images."
+    "coordinates, and a part for precise ones. With of, shows what a call of another tool saw: "
+    "numbered vehicles, masks, lines. Without both, lists the images."
 )
-_LEAST_SIDE_PX = 256
+_MIN_SIDE_PX = 256
 _USUAL_SIDE_PX = 1024
-_LONGEST_SIDE_PX = 1568
+_MAX_SIDE_PX = 1568
 _MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
-_PART = {"x_min": 200, "y_min": 100, "x_max": 600, "y_max": 400}
-_IMAGES_A_PAGE = 50
+_EXAMPLE_PART = {"x_min": 200, "y_min": 100, "x_max": 600, "y_max": 400}
+_IMAGES_PER_PAGE = 50
 
-_Part = Annotated[Box | None, Field(description="Part to show; default all.", examples=[_PART])]
-_Side = Annotated[int, Limits(_LEAST_SIDE_PX, _LONGEST_SIDE_PX, whole=True)]
+_Part = Annotated[
+    Box | None, Field(description="Part to show; default all.", examples=[_EXAMPLE_PART])
+]
+_Side = Annotated[int, Limits(_MIN_SIDE_PX, _MAX_SIDE_PX, whole=True)]
 _Page = Annotated[int, Limits(1, whole=True), Field(description="Page of the list.")]
 
 
 def _read_json(value: Any) -> Any:
     """Read arguments that a client sends as text."""
-    return from_json(value) if isinstance(value, str) else value
+    if isinstance(value, str):
+        return from_json(value)
+    return value
 
 
 class PastCall(FrozenModel):
@@ -67,7 +69,16 @@ class PastCall(FrozenModel):
 
 
 class ViewedImage(FrozenModel):
-    """The displayed part of an image, its picture, and the spacing of the grid lines in pixels of the image."""
+    """The displayed part of an image and its picture.
+
+    Attributes:
+        image_width_px: width of the whole image.
+        image_height_px: height of the whole image.
+        part: the displayed part, in pixels of the image.
+        picture_width_px: width of the picture.
+        picture_height_px: height of the picture.
+        grid_px: spacing of the grid lines, in pixels of the image.
+    """
 
     image_width_px: int
     image_height_px: int
@@ -101,26 +112,28 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         long_side_px: _Side = _USUAL_SIDE_PX,
         page: _Page = 1,
     ) -> CallToolResult:
-        wanted = PictureRequest(
+        request = PictureRequest(
             "evidence",
             long_side_px,
             part=part.corners if part else None,
             frame=Frame(coordinates=coordinates),
         )
         if of is not None:
-            named = {} if image is None else {"image": image.model_dump()}
-            return await measuring[of.tool].show({**named, **of.arguments}, ctx, wanted)
+            arguments = of.arguments
+            if image is not None:
+                arguments = {"image": image.model_dump(), **arguments}
+            return await measuring[of.tool].show(arguments, ctx, request)
         if image is None:
-            names, total = await _list_images(services, page)
-            return _with_picture(_list_in_words(names, total, page), None)
-        seen = await run_call(services, ctx, image=image, work=_view, question=wanted)
-        return _with_picture(_words(seen.record, long_side_px), seen.picture)
+            listing = await _list_images(services, page)
+            return _with_picture(_listing_in_words(listing), None)
+        reply = await services.run_call(ctx, image, work=_view, question=request)
+        return _with_picture(_words(reply.record, long_side_px), reply.picture)
 
     return StrictTool.read_only(
         view_image,
         title="View an aerial image",
         description=_DESCRIPTION,
-        kinds=services.settings.image_kinds,
+        image_kinds=services.resources.settings.image_kinds,
     )
 
 
@@ -136,21 +149,16 @@ def page_image_tool(services: Services) -> "StrictTool":
         page: _Page = 1,
     ) -> CallToolResult:
         if image is None:
-            names, total = await _list_images(services, page)
-            more = names and (page - 1) * _IMAGES_A_PAGE + len(names) < total
-            listed = PageImages(images=tuple(names), next_page=page + 1 if more else None)
+            listing = await _list_images(services, page)
+            record = PageImages(images=tuple(listing.names), next_page=listing.next_page)
             picture = None
         else:
-            seen = await run_call(
-                services,
-                ctx,
-                image=image,
-                work=_view,
-                question=PictureRequest("plain", long_side_px, part.corners if part else None),
-            )
-            listed = PageImages()
-            picture = seen.picture
-        return _with_picture("For the page.", picture, listed.model_dump(mode="json"))
+            corners = part.corners if part else None
+            request = PictureRequest("plain", long_side_px, part=corners)
+            reply = await services.run_call(ctx, image, work=_view, question=request)
+            record = PageImages()
+            picture = reply.picture
+        return _with_picture("For the page.", picture, data=record.model_dump(mode="json"))
 
     return StrictTool.read_only(
         page_image,
@@ -158,52 +166,85 @@ def page_image_tool(services: Services) -> "StrictTool":
         description="For the page of this server; models use view_image.",
         meta=PAGE_ONLY_META,
         record=PageImages,
-        answered=("images",),
-        kinds=services.settings.image_kinds,
+        listed_fields=("images",),
+        image_kinds=services.resources.settings.image_kinds,
     )
 
 
 def _with_picture(
-    words: str, jpeg: bytes | None, data: dict[str, Any] | None = None
+    text: str, jpeg: bytes | None, data: dict[str, Any] | None = None
 ) -> "CallToolResult":
     from mcp.server.mcpserver import Image
     from mcp.types import CallToolResult, TextContent
 
-    content: list[Any] = [TextContent(type="text", text=words)]
+    content: list[Any] = [TextContent(type="text", text=text)]
     if jpeg is not None:
         content.append(Image(data=jpeg, format="jpeg").to_image_content())
     return CallToolResult(content=content, structured_content=data)
 
 
-async def _list_images(services: Services, page: int) -> tuple[list[str], int]:
-    """Return the names on a page of the list, and the number of all images."""
-    first = (page - 1) * _IMAGES_A_PAGE
-    listed = services.sources.paths.listed
-    return await services.capacity.run(
-        lambda stop: services.capacity.in_thread(stop, partial(listed, first, _IMAGES_A_PAGE, stop))
-    )
+class _Listing(NamedTuple):
+    """A page of the list of images.
+
+    Attributes:
+        names: paths of its images.
+        first: number of images on earlier pages.
+        total: number of all images.
+        page: number of the page, from 1.
+    """
+
+    names: list[str]
+    first: int
+    total: int
+    page: int
+
+    @property
+    def next_page(self) -> int | None:
+        """Number of the next page; None on the last."""
+        is_last = not self.names or self.first + len(self.names) >= self.total
+        return None if is_last else self.page + 1
 
 
-def _list_in_words(names: Sequence[str], total: int, page: int) -> str:
-    head = count(total, "image")
-    if len(names) < total:
-        first = (page - 1) * _IMAGES_A_PAGE
-        shown = f"{first + 1} to {first + len(names)}" if names else "none"
-        head += f", {shown} on page {page} of {-(-total // _IMAGES_A_PAGE)}"
-    return "\n".join([f"{head}{':' if names else '.'}", *_by_folder(names)])
+async def _list_images(services: Services, page: int) -> _Listing:
+    """List the images on a page; the walk over the files takes a slot and has the deadline."""
+    first = (page - 1) * _IMAGES_PER_PAGE
+    paths = services.resources.sources.paths
+
+    async def call(stop: Stop) -> tuple[list[str], int]:
+        def walk() -> tuple[list[str], int]:
+            return paths.listed(first, _IMAGES_PER_PAGE, stop.check)
+
+        return await services.capacity.in_thread(stop, walk)
+
+    names, total = await services.capacity.run(call)
+    return _Listing(names, first, total=total, page=page)
+
+
+def _listing_in_words(listing: _Listing) -> str:
+    names = listing.names
+    head = count(listing.total, "image")
+    if len(names) < listing.total:
+        shown = "none"
+        if names:
+            shown = f"{listing.first + 1} to {listing.first + len(names)}"
+        n_pages = -(-listing.total // _IMAGES_PER_PAGE)  # rounded up
+        head += f", {shown} on page {listing.page} of {n_pages}"
+    head += ":" if names else "."
+    return "\n".join([head, *_by_folder(names)])
 
 
 def _by_folder(paths: Iterable[str]) -> list[str]:
     """List each folder once, followed by its files, indented."""
     lines = []
-    for folder, found in groupby(map(PurePath, paths), lambda path: path.parent):
-        lines += [f"{folder}{os.sep}", *(f"  {path.name}" for path in found)]
+    for folder, files in groupby(map(PurePath, paths), lambda path: path.parent):
+        lines.append(f"{folder}{os.sep}")
+        lines += [f"  {path.name}" for path in files]
     return lines
 
 
 @work(ViewedImage)
 def _view(
-    services: Services, job: Job, source: OpenedImage, wanted: PictureRequest
+    resources: Resources, job: Job, source: OpenedImage, request: PictureRequest
 ) -> Reply[ViewedImage]:
     """Draw the picture; a plain one has no grid."""
     import cv2
@@ -214,61 +255,63 @@ def _view(
     from vehanchor_server.calls.jpeg import small_jpeg
 
     job.stop.check()
-    reading = Reading(limits=services.settings.image_limits)
+    reading = Reading(limits=resources.settings.image_limits)
     with open_raster(source, reading) as raster:
-        window = part_window(raster, wanted)
+        window = part_window(raster, request)
         job.stop.check()
         rgb, step_px = draw_grid(
             raster,
             window,
-            long_side_px=wanted.long_side_px,
+            long_side_px=request.long_side_px,
             max_enlargement=_MAX_ENLARGEMENT,
-            lines=wanted.kind == "evidence",
+            lines=request.kind == "evidence",
         )
         jpeg = small_jpeg(rgb)
-        shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-        assert shown is not None
-        height, width = shown.shape[:2]  # small_jpeg may have reduced the picture
-        right = window.x_px + window.width_px
-        bottom = window.y_px + window.height_px
-        seen = ViewedImage(
+        # small_jpeg may have reduced the picture, and a model needs its true size.
+        decoded = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        assert decoded is not None
+        height, width = decoded.shape[:2]
+        part = Box(
+            x_min=window.x_px,
+            y_min=window.y_px,
+            x_max=window.x_px + window.width_px,
+            y_max=window.y_px + window.height_px,
+        )
+        viewed = ViewedImage(
             image_width_px=raster.width_px,
             image_height_px=raster.height_px,
-            part=Box(x_min=window.x_px, y_min=window.y_px, x_max=right, y_max=bottom),
+            part=part,
             picture_width_px=width,
             picture_height_px=height,
             grid_px=step_px,
         )
-    return Reply((seen,), jpeg)
+    return Reply((viewed,), jpeg)
 
 
-def _words(seen: ViewedImage, long_side_px: int) -> str:
-    part = seen.part
-    size = f"{seen.picture_width_px} x {seen.picture_height_px}"
-    factor = (part.x_max - part.x_min) / seen.picture_width_px
+def _words(viewed: ViewedImage, long_side_px: int) -> str:
+    """Describe a picture to a model, with the conversion of its pixels to those of the image."""
+    part = viewed.part
+    part_width = part.x_max - part.x_min
+    part_height = part.y_max - part.y_min
+    factor = part_width / viewed.picture_width_px
     words = (
-        f"Image of {seen.image_width_px} x {seen.image_height_px} px. The picture of {size} "
-        "px shows "
+        f"Image of {viewed.image_width_px} x {viewed.image_height_px} px. The picture of "
+        f"{viewed.picture_width_px} x {viewed.picture_height_px} px shows "
     )
-    if (part.x_max - part.x_min, part.y_max - part.y_min) == (
-        seen.image_width_px,
-        seen.image_height_px,
-    ):
+    if (part_width, part_height) == (viewed.image_width_px, viewed.image_height_px):
         words += "all of it: give that size as frame if you use the picture's pixels"
     else:
         words += (
             f"x {part.x_min:.0f} to {part.x_max:.0f}, y {part.y_min:.0f} to {part.y_max:.0f}: "
-            "in the image, "
-            f"x = {part.x_min:.0f} + {factor:.4g} * column, y = {part.y_min:.0f} + {factor:.4g} "
-            "* row"
+            f"in the image, x = {part.x_min:.0f} + {factor:.4g} * column, "
+            f"y = {part.y_min:.0f} + {factor:.4g} * row"
         )
-    if max(seen.picture_width_px, seen.picture_height_px) < long_side_px - 1:
-        limit = (
-            f"enlarged {_MAX_ENLARGEMENT:g} times, the most"
-            if factor < 1
-            else "as large as a result may be"
-        )
-        words += f". It is smaller than the {long_side_px} px asked for: it is {limit}"
+    # One pixel may be missing by rounding.
+    if max(viewed.picture_width_px, viewed.picture_height_px) < long_side_px - 1:
+        reason = "as large as a result may be"
+        if factor < 1:
+            reason = f"enlarged {_MAX_ENLARGEMENT:g} times, the most"
+        words += f". It is smaller than the {long_side_px} px asked for: it is {reason}"
     return (
-        f"{words}. Grid lines are {seen.grid_px} image pixels apart and numbered in image pixels."
+        f"{words}. Grid lines are {viewed.grid_px} image pixels apart and numbered in image pixels."
     )

@@ -55,7 +55,9 @@ def token_verifier(settings: Settings) -> TokenVerifier | None:
     if settings.token_file is not None:
         return StaticTokenVerifier(read_tokens(settings.token_file))
     if settings.oidc is not None:
-        return OidcVerifier(settings.issuer[0], settings.oidc[1], max_key_age_s=settings.issuer[1])
+        issuer, max_key_age_s = settings.issuer
+        _, audience = settings.oidc
+        return OidcVerifier(issuer, audience, max_key_age_s=max_key_age_s)
     return None
 
 
@@ -69,7 +71,7 @@ def read_tokens(path: Path) -> list[str]:
     """
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
-        readable_by_all = os.name == "posix" and path.stat().st_mode & stat.S_IROTH
+        is_readable_by_all = os.name == "posix" and path.stat().st_mode & stat.S_IROTH
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"token file {path} cannot be read: {error}") from None
     tokens = [line for line in lines if line and not line.startswith("#")]
@@ -82,7 +84,7 @@ def read_tokens(path: Path) -> list[str]:
             f"token file {path}: a token is shorter than {MIN_TOKEN_CHARS} characters; use "
             "longer ones"
         )
-    if readable_by_all:
+    if is_readable_by_all:
         _logger.warning(
             "every user of this machine can read the token file %s: chmod o-rwx it", path
         )
@@ -101,11 +103,13 @@ class StaticTokenVerifier(TokenVerifier):
 
     async def verify_token(self, token: str) -> AccessToken | None:
         """Return the access of a token, or None."""
-        shown = _digest(token)
-        matches = [hmac.compare_digest(shown, known) for known in self._digests]
+        digest = _digest(token)
+        # All comparisons are made, so that the time does not depend on which token it is.
+        matches = [hmac.compare_digest(digest, accepted) for accepted in self._digests]
         if not any(matches):
             return None
-        return AccessToken(token=token, client_id=f"token-{matches.index(True) + 1}", scopes=[])
+        number = matches.index(True) + 1
+        return AccessToken(token=token, client_id=f"token-{number}", scopes=[])
 
 
 def _digest(token: str) -> bytes:
@@ -113,6 +117,7 @@ def _digest(token: str) -> bytes:
 
 
 async def _get_json(url: str) -> dict[str, Any]:
+    """Fetch a JSON object of limited size, without redirects or compression."""
     body = b""
     async with (
         httpx.AsyncClient(timeout=FETCH_S, follow_redirects=False) as client,
@@ -156,7 +161,8 @@ class OidcVerifier(TokenVerifier):
         self._max_key_age_s = max_key_age_s
         self._get_json = get_json
         self._keys: dict[str | None, jwt.PyJWK] = {}
-        self._fetched_at = self._tried_at = -math.inf
+        self._fetched_at = -math.inf  # of the last success
+        self._tried_at = -math.inf  # of the last try
         self._fetch: asyncio.Task[None] | None = None
 
     async def verify_token(self, token: str) -> AccessToken | None:
@@ -189,31 +195,36 @@ class OidcVerifier(TokenVerifier):
         Raises:
             jwt.InvalidKeyError: the issuer has no such key, or its keys ended.
         """
-        if self._keys and time.monotonic() - self._fetched_at > self._max_key_age_s:
+        now = time.monotonic()
+        age_s = now - self._fetched_at
+        if self._keys and age_s > self._max_key_age_s:
             _logger.warning(
                 "the keys of %s ended %g s after their last fetch",
                 self._issuer,
                 self._max_key_age_s,
             )
             self._keys = {}
-        known = kid in self._keys
-        fetch = self._fetch
-        now = time.monotonic()
-        if now - self._tried_at > KEYS_RETRY_S and (
-            not known or now - self._fetched_at > KEYS_REFRESH_S
-        ):
+        is_known = kid in self._keys
+        needs_fetch = not is_known or age_s > KEYS_REFRESH_S
+        may_fetch = now - self._tried_at > KEYS_RETRY_S
+        if needs_fetch and may_fetch:
             self._tried_at = now
-            # goes on if its caller hangs up
-            fetch = self._fetch = asyncio.create_task(self._fetch_keys())
+            # A task of its own, which goes on if its caller hangs up.
+            self._fetch = asyncio.create_task(self._fetch_keys())
+            awaited = self._fetch
         elif self._keys:
-            fetch = None
-        if fetch is not None and not known:
-            await asyncio.shield(fetch)
+            awaited = None
+        else:
+            # Without any key, every caller waits for the fetch that another one started.
+            awaited = self._fetch
+        if awaited is not None and not is_known:
+            await asyncio.shield(awaited)
         if kid not in self._keys:
             raise jwt.InvalidKeyError("the issuer has no such key")
         return self._keys[kid]
 
     async def _fetch_keys(self) -> None:
+        """Replace the keys by the issuer's present ones; after a failure, keep them."""
         address = self._issuer.rstrip("/") + "/.well-known/openid-configuration"
         try:
             with anyio.fail_after(FETCH_S):
@@ -223,8 +234,9 @@ class OidcVerifier(TokenVerifier):
                 address = str(configuration["jwks_uri"])
                 if not address.startswith("https://"):
                     raise ValueError("jwks_uri is not https")
-                found = jwt.PyJWKSet.from_dict(await self._get_json(address)).keys
-            self._keys = {key.key_id: key for key in found if key.public_key_use in (None, "sig")}
+                document = await self._get_json(address)
+                keys = jwt.PyJWKSet.from_dict(document).keys
+            self._keys = {key.key_id: key for key in keys if key.public_key_use in (None, "sig")}
             self._fetched_at = time.monotonic()
         except Exception as error:  # whatever the issuer sends
             _logger.error("the keys of %s cannot be fetched: %r", self._issuer, error)

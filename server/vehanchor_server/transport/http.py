@@ -1,4 +1,7 @@
-"""The server over Streamable HTTP: stateless in both protocol eras, so that any replica answers any request."""
+"""The server over Streamable HTTP.
+
+It is stateless in both eras of the protocol, so that any replica answers any request.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from vehanchor_server.transport.request_guard import RequestGuard
 MCP_PATH = "/mcp"
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _SHUTDOWN_S = 5  # time for running calls after a stop
-# above the proxy's 3 s in examples/deploy/nginx.conf, so that no call meets a closed connection
+# Above the proxy's 3 s in examples/deploy/nginx.conf, so that no call meets a closed connection.
 _KEEP_ALIVE_S = 5
 _MAX_HEAD_BYTES = 32 << 10
 _SPARE_BODIES = 2  # besides one per call: a call's slot is free shortly before its body
@@ -43,9 +46,8 @@ def create_app(settings: Settings) -> Starlette:
     settings.check_exposure()
     services = create_services(settings)
     verifier = token_verifier(settings)
-    server = create_server(
-        services, auth=_auth(settings) if verifier else None, token_verifier=verifier
-    )
+    auth = None if verifier is None else _auth(settings)
+    server = create_server(services, auth=auth, token_verifier=verifier)
 
     async def healthz(_: Request) -> Response:
         return JSONResponse({"status": "alive"})
@@ -63,7 +65,7 @@ def create_app(settings: Settings) -> Starlette:
     )
     max_large_bodies = services.capacity.max_concurrency + _SPARE_BODIES
     app.add_middleware(RequestGuard, path=MCP_PATH, max_large_bodies=max_large_bodies)
-    # probes have no token
+    # Probes of load balancers have no token.
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]
     end_with(app, services)
     return app
@@ -112,18 +114,19 @@ def serve_http(settings: Settings) -> None:
 
 
 def _auth(settings: Settings) -> AuthSettings:
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    address = (
-        settings.public_urls[0]
-        if settings.public_urls
-        else f"http://{host}:{settings.port}{MCP_PATH}"
-    )
+    """Return what the SDK states about authentication to callers without a valid token."""
+    if settings.public_urls:
+        address = settings.public_urls[0]
+    else:
+        host = f"[{settings.host}]" if ":" in settings.host else settings.host
+        address = f"http://{host}:{settings.port}{MCP_PATH}"
     if settings.oidc is None:  # the operator's own tokens have no authorization server
         return AuthSettings.model_validate({"issuer_url": address, "resource_server_url": None})
-    # from strings, so that an issuer without a path gains no slash
+    issuer, _ = settings.issuer
+    # From strings, so that an issuer without a path gains no slash.
     return AuthSettings.model_validate(
         {
-            "issuer_url": settings.issuer[0],
+            "issuer_url": issuer,
             "resource_server_url": address,
             "validate_token_resource": False,  # the verifier checks the audience
         }
@@ -131,10 +134,17 @@ def _auth(settings: Settings) -> AuthSettings:
 
 
 def _transport_security(settings: Settings) -> TransportSecuritySettings:
-    """Return the accepted Host and Origin headers, so that no web page uses the server through its visitors."""
-    hosts = [each for name in _LOOPBACK_NAMES for each in (name, f"{name}:*")]
+    """Return the accepted Host and Origin headers.
+
+    Others are refused, so that no web page uses the server through its visitors.
+    """
+    hosts = []
+    for name in _LOOPBACK_NAMES:
+        hosts += [name, f"{name}:*"]
     origins = [f"http://{host}" for host in hosts]
     for url in map(urlsplit, settings.public_urls):
-        hosts += [url.netloc] if url.port else [url.netloc, f"{url.netloc}:*"]
+        hosts.append(url.netloc)
+        if not url.port:
+            hosts.append(f"{url.netloc}:*")
         origins.append(f"{url.scheme}://{url.netloc}")
     return TransportSecuritySettings(allowed_hosts=hosts, allowed_origins=origins)

@@ -16,7 +16,7 @@ _SDK = "mcp.server.apps"  # imports all that the server uses of the SDK
 
 
 def import_sdk() -> None:
-    """Import the SDK; its pydantic models inherit ``defer_build`` from ``BaseModel``, which has it meanwhile.
+    """Import the SDK while ``BaseModel`` has ``defer_build``, which its models inherit.
 
     Models that are defined later are built at once, as usual, unless their base is one of the
     SDK's.

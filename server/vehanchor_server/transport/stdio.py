@@ -44,6 +44,7 @@ async def _serve(services: Services) -> None:
 
 
 async def _leave_on_signal(services: Services) -> None:
+    """End the process on a signal, after the stopped calls or after a period of grace."""
     with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
         async for _ in signals:
             services.close()
@@ -54,7 +55,7 @@ async def _leave_on_signal(services: Services) -> None:
 
 
 def _leave(services: Services) -> None:
-    """End the process at once, because the interpreter would wait for the thread that reads stdin."""
+    """End the process at once: the interpreter would wait for the thread that reads stdin."""
     if services.workers is not None:
         services.workers.remove_socket()
     sys.stderr.flush()

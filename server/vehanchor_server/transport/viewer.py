@@ -45,8 +45,9 @@ if TYPE_CHECKING:
 _LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 24
 _MAX_DROPPED = 500  # photographs per session, in a temporary folder
-# one person's: a measurement, a thumbnail, a part in full resolution, and calls that are ending
+# One person's calls: a measurement, a thumbnail, a part in full resolution, and those that end.
 _MAX_CALLS = 8
+_MAX_NAME_CHARS = 100
 _SHUTDOWN_S = 2
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -73,8 +74,8 @@ class Address:
 
     def url(self, photograph: Path | None = None) -> str:
         """Return the page's URL, with an initial photograph."""
-        chosen = "" if photograph is None else f"#{quote(str(photograph))}"
-        return f"{self.origin}/{self.token}/{chosen}"
+        fragment = "" if photograph is None else f"#{quote(str(photograph))}"
+        return f"{self.origin}/{self.token}/{fragment}"
 
     @property
     def origin(self) -> str:
@@ -96,13 +97,13 @@ def create_viewer(settings: Settings, address: Address, dropped: Path) -> ASGIAp
         return HTMLResponse(view_html(), headers=_HEADERS)
 
     async def photographs(request: Request) -> Response:
-        return await _keep(request, dropped, settings.image_limits)
+        return await _store_dropped(request, dropped, limits=settings.image_limits)
 
     below = f"/{address.token}"
     app = create_server(services).streamable_http_app(
         streamable_http_path=below + MCP_PATH,
         stateless_http=True,
-        # checked below
+        # ``_OwnPageOnly`` has stricter rules.
         transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),
     )
     app.router.routes += [
@@ -127,7 +128,8 @@ def serve_viewer(
     Raises:
         SettingsError: the port is taken.
     """
-    signal.signal(signal.SIGTERM, _end)  # uvicorn raises the signal again; remove the folder first
+    # uvicorn raises the signal again; as an exception, it lets the folder be removed first.
+    signal.signal(signal.SIGTERM, _exit_on_signal)
     with (
         tempfile.TemporaryDirectory(prefix="vehanchor-view-") as folder,
         socket.socket() as listening,
@@ -155,7 +157,7 @@ def serve_viewer(
         uvicorn.Server(config).run(sockets=[listening])
 
 
-def _end(*_: object) -> None:
+def _exit_on_signal(*_: object) -> None:
     raise SystemExit(128 + signal.SIGTERM)
 
 
@@ -169,29 +171,37 @@ class _OwnPageOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         if scope["type"] == "http" and not self._is_own(scope):
-            await PlainTextResponse("not found", 404)(scope, receive, send)  # reveal nothing
+            refusal = PlainTextResponse("not found", 404)  # reveals nothing
+            await refusal(scope, receive, send)
         elif scope["type"] in ("http", "lifespan"):
             await self._app(scope, receive, send)
 
     def _is_own(self, scope: Scope) -> bool:
+        """Return whether the page itself, or the person's browser, makes this request."""
         headers = Headers(scope=scope)
-        origin = self._address.origin
-        token = scope["path"].lstrip("/").partition("/")[0].encode()
-        return (
-            # another name suggests DNS rebinding
-            headers.getlist("host") == [origin.removeprefix("http://")]
-            and headers.getlist("origin") in ([], [origin])
-            and headers.getlist("sec-fetch-site") in ([], ["none"], ["same-origin"])
-            and secrets.compare_digest(token, self._address.token.encode())
-        )
+        own_origin = self._address.origin
+        # Another host name suggests DNS rebinding.
+        if headers.getlist("host") != [own_origin.removeprefix("http://")]:
+            return False
+        if headers.getlist("origin") not in ([], [own_origin]):
+            return False
+        if headers.getlist("sec-fetch-site") not in ([], ["none"], ["same-origin"]):
+            return False
+        token = scope["path"].lstrip("/").partition("/")[0]
+        return secrets.compare_digest(token.encode(), self._address.token.encode())
 
 
-async def _keep(request: Request, folder: Path, limits: ImageLimits) -> Response:
-    """Store a dropped photograph below the hash of its content, so that duplicates are stored once."""
+async def _store_dropped(request: Request, folder: Path, limits: ImageLimits) -> Response:
+    """Store a dropped photograph below the hash of its content, so that duplicates are stored once.
+
+    Args:
+        request: its body has the bytes of the photograph, its query the name.
+        folder: folder for dropped photographs.
+        limits: limits on accepted images.
+    """
     if request.headers.get("content-type") != "application/octet-stream":
         return PlainTextResponse("send the photograph's bytes", 400)
-    named = Path(request.query_params.get("name", "")).name
-    name = re.sub(r"[^\w.() -]", "_", named)[-100:].lstrip(".") or "photograph"
+    name = _safe_name(request.query_params.get("name", ""))
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
@@ -199,19 +209,31 @@ async def _keep(request: Request, folder: Path, limits: ImageLimits) -> Response
             return PlainTextResponse(
                 f"{name} has more than {limits.max_bytes >> 20} MiB: reduce it", 413
             )
+
+    def read_at(offset: int, count: int) -> bytes:
+        return bytes(data[offset : offset + count])
+
     try:
-        read_checked_header(lambda offset, count: bytes(data[offset : offset + count]), limits)
+        read_checked_header(read_at, limits)
     except VehAnchorError as error:
-        return PlainTextResponse(f"{name} is no photograph to measure: {error}", 415)
-    below = folder / hashlib.sha256(data).hexdigest()[:16]
-    if len(list(folder.iterdir())) >= _MAX_DROPPED and not below.exists():
+        return PlainTextResponse(f"{name} is not a photograph to measure: {error}", 415)
+    content_folder = folder / hashlib.sha256(data).hexdigest()[:16]
+    is_full = len(list(folder.iterdir())) >= _MAX_DROPPED
+    if is_full and not content_folder.exists():
         return PlainTextResponse(
             f"more than {_MAX_DROPPED} photographs: open their folder with 'vehanchor view'", 413
         )
+    path = content_folder / name
 
     def write() -> None:
-        below.mkdir(exist_ok=True)
-        (below / name).write_bytes(data)
+        content_folder.mkdir(exist_ok=True)
+        path.write_bytes(data)
 
     await anyio.to_thread.run_sync(write)
-    return JSONResponse({"path": str(below / name)}, headers=_HEADERS)
+    return JSONResponse({"path": str(path)}, headers=_HEADERS)
+
+
+def _safe_name(text: str) -> str:
+    """Return a file name without folders, unusual characters and leading dots."""
+    name = re.sub(r"[^\w.() -]", "_", Path(text).name)
+    return name[-_MAX_NAME_CHARS:].lstrip(".") or "photograph"

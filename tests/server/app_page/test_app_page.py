@@ -1,4 +1,4 @@
-"""The page that hosts of MCP Apps show to people, and what the server sends for it; the next file opens it."""
+"""The page for hosts of MCP Apps, and its data; ``test_app_page_browser`` opens it in a browser."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import base64
 import hashlib
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import anyio
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from mcp import Client
 from mcp.client import advertise
 from mcp.server import MCPServer
 from mcp.server.apps import APP_MIME_TYPE, EXTENSION_ID
-from mcp.types import CallToolResult, TextResourceContents
+from mcp.types import CallToolResult, TextResourceContents, Tool
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path, picture_of
@@ -47,94 +48,166 @@ async def test_tools_with_a_panel_name_a_page_that_can_be_read(
     }
 
 
-@pytest.mark.anyio
-@pytest.mark.parametrize("tool", ["estimate_gsd", "measure_area"])
-async def test_the_page_gets_the_image_and_what_belongs_over_it_and_the_model_no_picture(
-    server: MCPServer[object], images: Path, tool: str
-) -> None:
+class Answers(NamedTuple):
+    """Answers to one call: for a host without pages; short and full ones for a host with pages."""
+
+    plain: CallToolResult
+    shown: CallToolResult
+    full: CallToolResult
+
+
+@pytest.fixture(scope="module", params=["estimate_gsd", "measure_area"])
+def answers(request: pytest.FixtureRequest, server: MCPServer[object], images: Path) -> Answers:
+    tool = request.param
     arguments = {**by_path(images / "pool.png"), "detail": "short"}
     if tool == "measure_area":
         arguments["targets"] = [{"box": POOL_BOX}]
-    async with Client(server) as client:
-        plain = await client.call_tool(tool, arguments)
-    async with Client(server, extensions=SHOWS_PAGES) as client:
-        shown = await client.call_tool(tool, arguments)
-        full = await client.call_tool(tool, {**arguments, "detail": "full"})
-    assert set(panel_of(plain).values()) == {None}
-    image = cv2.imdecode(
-        np.frombuffer(base64.b64decode(panel_of(shown)["picture_jpeg"]), np.uint8), cv2.IMREAD_COLOR
-    )
+
+    async def ask() -> Answers:
+        async with Client(server) as client:
+            plain = await client.call_tool(tool, arguments)
+        async with Client(server, extensions=SHOWS_PAGES) as client:
+            shown = await client.call_tool(tool, arguments)
+            full = await client.call_tool(tool, {**arguments, "detail": "full"})
+        return Answers(plain, shown, full)
+
+    return anyio.run(ask)
+
+
+def test_a_host_without_pages_gets_no_page_data(answers: Answers) -> None:
+    assert set(panel_of(answers.plain).values()) == {None}
+
+
+def test_the_page_gets_the_image_without_marks(answers: Answers, images: Path) -> None:
+    data = base64.b64decode(panel_of(answers.shown)["picture_jpeg"])
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     photograph = cv2.imread(str(images / "pool.png"))
     assert image is not None
     assert photograph is not None
     assert image.shape == photograph.shape
-    assert np.abs(image.astype(float) - photograph).mean() < 3  # nothing is drawn into it
-    assert panel_of(shown) == {**panel_of(full), "record": full.structured_content}
-    assert plain.content == shown.content
-    assert plain.structured_content == shown.structured_content
+    assert np.abs(image.astype(float) - photograph).mean() < 3
 
 
-@pytest.mark.anyio
-async def test_the_page_has_a_tool_that_no_model_sees(
-    server: MCPServer[object], images: Path
-) -> None:
-    async with Client(server) as client:
-        listed = [tool.name for tool in (await client.list_tools()).tools]
-        unknown = await client.call_tool("none", {})
-    async with Client(server, extensions=SHOWS_PAGES) as client:
-        (tool,) = [tool for tool in (await client.list_tools()).tools if tool.name not in listed]
-        names = await client.call_tool(tool.name, {})
-        part = {"x_min": 100, "y_min": 50, "x_max": 400, "y_max": 350}
-        seen = await client.call_tool(
-            tool.name, {"image": by_path(images / "cars.png")["image"], "part": part}
-        )
-    assert "view_image" in listed
-    assert tool.name not in str(unknown.content)
-    assert tool.meta == {"ui": {"resourceUri": APP_URI, "visibility": ["app"]}}
-    assert names.structured_content is not None
-    assert str(images / "cars.png") in names.structured_content["images"]
-    assert names.structured_content["next_page"] is None
-    picture = picture_of(seen).astype(float)
+def test_the_page_gets_the_whole_record_beside_a_short_one(answers: Answers) -> None:
+    whole = {**panel_of(answers.full), "record": answers.full.structured_content}
+    assert panel_of(answers.shown) == whole
+
+
+def test_the_page_does_not_change_what_a_model_reads(answers: Answers) -> None:
+    assert answers.plain.content == answers.shown.content
+    assert answers.plain.structured_content == answers.shown.structured_content
+
+
+class PageTool(NamedTuple):
+    """The page's tool, the tools of models, and their answers.
+
+    Attributes:
+        tool: the page's tool.
+        listed: names of the tools that a client without pages sees.
+        unknown: the error of an unknown tool.
+        listing: the answer without an image.
+        viewed: the answer about a part of an image.
+    """
+
+    tool: Tool
+    listed: list[str]
+    unknown: CallToolResult
+    listing: CallToolResult
+    viewed: CallToolResult
+
+
+@pytest.fixture(scope="module")
+def page_tool(server: MCPServer[object], images: Path) -> PageTool:
+    part = {"x_min": 100, "y_min": 50, "x_max": 400, "y_max": 350}
+    arguments = {"image": by_path(images / "cars.png")["image"], "part": part}
+
+    async def ask() -> PageTool:
+        async with Client(server) as client:
+            listed = [tool.name for tool in (await client.list_tools()).tools]
+            unknown = await client.call_tool("none", {})
+        async with Client(server, extensions=SHOWS_PAGES) as client:
+            tools = (await client.list_tools()).tools
+            (tool,) = [tool for tool in tools if tool.name not in listed]
+            listing = await client.call_tool(tool.name, {})
+            viewed = await client.call_tool(tool.name, arguments)
+        return PageTool(tool, listed, unknown, listing, viewed)
+
+    return anyio.run(ask)
+
+
+def test_the_page_has_a_tool_that_no_model_sees(page_tool: PageTool) -> None:
+    assert "view_image" in page_tool.listed
+    assert page_tool.tool.name not in str(page_tool.unknown.content)
+    assert page_tool.tool.meta == {"ui": {"resourceUri": APP_URI, "visibility": ["app"]}}
+
+
+def test_the_page_can_list_images(page_tool: PageTool, images: Path) -> None:
+    content = page_tool.listing.structured_content
+    assert content is not None
+    assert str(images / "cars.png") in content["images"]
+    assert content["next_page"] is None
+
+
+def test_the_page_gets_a_part_without_a_grid(page_tool: PageTool, images: Path) -> None:
+    picture = picture_of(page_tool.viewed).astype(float)
     photograph = cv2.imread(str(images / "cars.png"))
     assert photograph is not None
-    shown = cv2.resize(
-        photograph[50:350, 100:400], picture.shape[1::-1], interpolation=cv2.INTER_CUBIC
-    )
-    assert np.abs(picture - shown).mean() < 3, "no grid"
+    part = photograph[50:350, 100:400]
+    expected = cv2.resize(part, picture.shape[1::-1], interpolation=cv2.INTER_CUBIC)
+    assert np.abs(picture - expected).mean() < 3
 
 
-@pytest.mark.anyio
-async def test_vehicles_and_lines_are_drawn_where_they_are_with_the_vehicles_numbers(
-    server: MCPServer[object], images: Path
-) -> None:
+@pytest.fixture(scope="module")
+def drawn(server: MCPServer[object], images: Path) -> CallToolResult:
+    """The answer to a call with a line, a dropped vehicle and an added one, for a page."""
     line = {"x1": 20, "y1": 30, "x2": 420, "y2": 30, "metres": 400}
-    asked = {
-        **by_path(images / "cars.png"),
-        "known_lengths": [line],
-        "drop": "1",
-        "add": [CAR_AXIS],
-    }
-    async with Client(server, extensions=SHOWS_PAGES) as client:
-        result = await client.call_tool("estimate_gsd", asked)
-    drawing = panel_of(result)["drawing"]
-    record = result.structured_content
+    corrections = {"known_lengths": [line], "drop": "1", "add": [CAR_AXIS]}
+
+    async def ask() -> CallToolResult:
+        async with Client(server, extensions=SHOWS_PAGES) as client:
+            arguments = {**by_path(images / "cars.png"), **corrections}
+            return await client.call_tool("estimate_gsd", arguments)
+
+    return anyio.run(ask)
+
+
+def test_all_vehicles_are_drawn(drawn: CallToolResult) -> None:
+    record = drawn.structured_content
     assert record is not None
-    assert len(drawing["vehicles"]) == record["details"]["n_detections"] == 24
-    lengths = [length for _, _, length, _, _, kept, *_ in drawing["vehicles"] if kept]
+    assert len(panel_of(drawn)["drawing"]["vehicles"]) == record["details"]["n_detections"] == 24
+
+
+def test_measured_vehicles_are_marked(drawn: CallToolResult) -> None:
+    record = drawn.structured_content
+    assert record is not None
+    vehicles = panel_of(drawn)["drawing"]["vehicles"]
+    lengths = [length for _, _, length, _, _, kept, *_ in vehicles if kept]
     assert len(lengths) == record["n_vehicles"]
     assert np.median(lengths) == pytest.approx(record["mode_length_px"], abs=1)
-    assert {"points": [[20, 30], [420, 30]], "label": "400 m", "closed": False} in drawing["lines"]
-    numbers = [(number, added) for *_, number, added in drawing["vehicles"]]
+
+
+def test_lines_are_drawn_with_their_length(drawn: CallToolResult) -> None:
+    lines = panel_of(drawn)["drawing"]["lines"]
+    assert {"points": [[20, 30], [420, 30]], "label": "400 m", "closed": False} in lines
+
+
+def test_vehicles_have_the_numbers_of_drop(drawn: CallToolResult) -> None:
+    vehicles = panel_of(drawn)["drawing"]["vehicles"]
+    numbers = [(number, added) for *_, number, added in vehicles]
     assert numbers == [*((n, 0) for n in range(2, 25)), (25, 1)]
-    assert drawing["vehicles"][-1][:2] == [CAR_AXIS["x1"] + 16, CAR_AXIS["y1"]]
+
+
+def test_an_added_vehicle_is_drawn_at_its_place(drawn: CallToolResult) -> None:
+    vehicles = panel_of(drawn)["drawing"]["vehicles"]
+    assert vehicles[-1][:2] == [CAR_AXIS["x1"] + 16, CAR_AXIS["y1"]]
 
 
 @pytest.mark.anyio
-async def test_people_get_a_sentence_without_warnings_and_names_of_arguments(
+async def test_people_get_a_sentence_without_warnings_or_argument_names(
     server: MCPServer[object], images: Path
 ) -> None:
     line = {"x1": 20, "y1": 30, "x2": 420, "y2": 30, "metres": 400, "basis": "measured"}
-    said = {}
+    sentences = {}
     async with Client(server, extensions=SHOWS_PAGES) as client:
         for name, more in {
             "two": {},
@@ -144,8 +217,8 @@ async def test_people_get_a_sentence_without_warnings_and_names_of_arguments(
             result = await client.call_tool(
                 "estimate_gsd", {**by_path(images / f"{name}.png"), **more}
             )
-            said[name] = panel_of(result)["sentence"]
-    assert said == {
+            sentences[name] = panel_of(result)["sentence"]
+    assert sentences == {
         "two": "2 vehicles alone: too little evidence; give the region, or include one more car.",
         "empty": "No car was found; draw a line over something of known size, or take a picture "
         "with cars.",
@@ -161,26 +234,30 @@ def panel_of(result: CallToolResult) -> dict[str, Any]:
     return panel
 
 
-@pytest.mark.parametrize(
-    ("page", "more"), [(page_html(), {}), (view_html(), {"connect-src": "'self'"})]
-)
-def test_the_page_names_no_other_place_and_its_policy_allows_nothing_but_its_own_parts(
-    page: str, more: dict[str, str]
-) -> None:
-    # the name of a vocabulary
-    assert re.findall(r"https?://[^\"'\s]+", page) == ["http://www.w3.org/2000/svg"]
+@pytest.mark.parametrize("page", [page_html(), view_html()], ids=["host", "view"])
+def test_the_page_refers_to_nothing_outside(page: str) -> None:
+    vocabulary = "http://www.w3.org/2000/svg"
+    assert re.findall(r"https?://[^\"'\s]+", page) == [vocabulary]
     assert not re.findall(r"\s(?:on\w+|style|src|href)=", page)
+
+
+@pytest.mark.parametrize(
+    ("page", "more"),
+    [(page_html(), {}), (view_html(), {"connect-src": "'self'"})],
+    ids=["host", "view"],
+)
+def test_the_policy_of_the_page_allows_only_its_own_parts(page: str, more: dict[str, str]) -> None:
     [policy] = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
     rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
-    assert rules.pop("style-src") == hash_of(page, "style")
-    assert rules.pop("script-src") == hash_of(page, "script")
-    common = {
+    assert rules == {
         "default-src": "'none'",
         "img-src": "data:",
         "base-uri": "'none'",
         "form-action": "'none'",
+        "style-src": hash_of(page, "style"),
+        "script-src": hash_of(page, "script"),
+        **more,
     }
-    assert rules == common | more
 
 
 def hash_of(page: str, tag: str) -> str:

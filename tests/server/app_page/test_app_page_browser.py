@@ -1,4 +1,7 @@
-"""The page in a real browser, inside a host of MCP Apps that the test plays: sandboxed, under the host's own policy."""
+"""The page in a real browser.
+
+The test plays the host of MCP Apps: the page is sandboxed, under the host's own policy.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +34,12 @@ pytestmark = pytest.mark.browser
 # what a host must enforce where a page declares no domains (MCP Apps, 2026-01-26, "Host Behavior")
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data:; "
-    "media-src 'self' data:; connect-src 'none'; frame-src 'self'; object-src 'none'; base-uri "
-    "'self'"
+    "img-src 'self' data:; media-src 'self' data:; connect-src 'none'; frame-src 'self'; "
+    "object-src 'none'; base-uri 'self'"
 )
-_HOST = """<!doctype html><title>host</title><style>body { margin: 0 } iframe { border: 0; width: 100%; display: block }
+_HOST = """<!doctype html><title>host</title><style>
+body { margin: 0 }
+iframe { border: 0; width: 100%; display: block }
 </style><body><script>
 const heard = [];
 let offered = {}, answer = null;
@@ -44,7 +48,9 @@ const tell = (message) => view().postMessage({ jsonrpc: "2.0", ...message }, "*"
 addEventListener("message", ({ source, data }) => {
   if (source !== view()) return;
   heard.push(data);
-  if (data.method === "ui/initialize") tell({ id: data.id, result: { protocolVersion: "2026-01-26", ...offered } });
+  if (data.method === "ui/initialize") {
+    tell({ id: data.id, result: { protocolVersion: "2026-01-26", ...offered } });
+  }
   if (data.method === "tools/call") tell({ id: data.id, ...answer });
   if (data.method === "ui/notifications/size-changed") {
     document.querySelector("iframe").style.height = `${data.params.height}px`;
@@ -99,7 +105,7 @@ class Host(Person):
         self.tab.evaluate("(message) => tell(message)", message)
 
     def result(self, name: str, more: dict[str, Any] | None = None, **other: Any) -> None:
-        """What a host says once a tool has run, with more arguments or other parts of the result."""
+        """Send a result as a host does, with more arguments or other parts of the result."""
         self.sends(
             method="ui/notifications/tool-input",
             params={"arguments": self.calls[name][1] | (more or {})},
@@ -217,7 +223,7 @@ def host(chromium: Any, calls: dict[str, Call], results: Results) -> Iterator[Ho
     host.leave("http://host.test/")
 
 
-def test_a_good_estimate_is_shown_in_words_numbers_and_boxes(host: Host) -> None:
+def test_a_good_estimate_is_shown_in_words_numbers_boxes(host: Host) -> None:
     record = host.record("good")
     jpeg = host.panel("good")["picture_jpeg"]
     host.show("good")
@@ -294,7 +300,7 @@ def test_a_call_is_told_from_its_beginning_to_its_end(host: Host) -> None:
     assert host.page.locator(".picture").count() == 0
 
 
-def test_every_ruler_is_listed_with_its_scale_and_the_chance_that_it_is_right(host: Host) -> None:
+def test_rulers_are_listed_with_their_chances(host: Host) -> None:
     record = host.record("rulers")
     host.show("rulers")
     rows = host.page.locator(".rulers li")
@@ -314,7 +320,7 @@ def test_every_ruler_is_listed_with_its_scale_and_the_chance_that_it_is_right(ho
 
 
 @pytest.mark.parametrize("thing", ["", "iso_container_20ft"])
-def test_a_known_length_is_drawn_and_measured_with(host: Host, thing: str) -> None:
+def test_a_drawn_known_length_is_a_ruler(host: Host, thing: str) -> None:
     host.show("good", tools=True)
     host.answers("rulers")
     host.presses("Draw a known length")
@@ -341,10 +347,10 @@ def test_a_known_length_is_drawn_and_measured_with(host: Host, thing: str) -> No
     host.page.locator(".drawn path.mark").wait_for(state="attached")  # a level line has no height
 
 
-def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arguments(
+def test_measurements_by_clicks_have_the_arguments_of_the_scale(
     host: Host,
 ) -> None:
-    told = {
+    facts = {
         "region": "europe",
         "height_m": 70,
         "focal_35mm": 24,
@@ -353,7 +359,7 @@ def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arg
         "frame": HALF,
     }
     host.show(tools=True)
-    host.result("good", told)
+    host.result("good", facts)
     host.answers("distance")
     host.presses("Distance", "Zoom in")
     host.clicks((200, 200), (400, 300))
@@ -363,13 +369,12 @@ def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arg
     host.presses("Area")
     host.drags((300, 180), (420, 330))
     host.reads("ol.measured li:last-child .number", f"{host.record('area')['area_m2']:.3g} m²")
-    distance, area = (each["arguments"] for each in host.asked())
+    distance, area = [call["arguments"] for call in host.asked()]
     (line,) = distance.pop("lines")
     (target,) = area.pop("targets")
-    assert distance == area == {**host.calls["good"][1], **told}
-    places = [each for point in line["points"] for each in point.values()] + list(
-        target["box"].values()
-    )
+    assert distance == area == {**host.calls["good"][1], **facts}
+    places = [value for point in line["points"] for value in point.values()]
+    places += target["box"].values()
     assert places == pytest.approx([100, 100, 200, 150, 150, 90, 210, 165], abs=1), (
         "in pixels of the copy"
     )
@@ -378,7 +383,7 @@ def test_a_distance_is_two_clicks_and_an_area_a_box_and_both_have_the_scales_arg
     assert host.page.locator(".drawn path.measured").count() == 1
 
 
-def test_vehicles_are_dropped_added_and_taken_back_after_those_of_the_call(host: Host) -> None:
+def test_corrections_of_vehicles_follow_those_of_the_call(host: Host) -> None:
     vehicles = {each[6]: each for each in host.panel("corrected")["drawing"]["vehicles"]}
     row = [n for n, each in vehicles.items() if each[1] < 95]
     host.show("corrected", tools=True)
@@ -415,10 +420,10 @@ def test_vehicles_are_dropped_added_and_taken_back_after_those_of_the_call(host:
     assert asked == again == {"name": "estimate_gsd", "arguments": host.calls["good"][1]}
 
 
-def test_region_and_height_are_those_of_the_call_until_a_person_states_others(host: Host) -> None:
-    told = {"region": "europe", "height_m": 70, "height_basis": "measured", "focal_35mm": 24}
+def test_facts_are_those_of_the_call_until_a_person_changes_them(host: Host) -> None:
+    facts = {"region": "europe", "height_m": 70, "height_basis": "measured", "focal_35mm": 24}
     host.show(tools=True)
-    host.result("good", told)
+    host.result("good", facts)
     host.page.get_by_text("Region and height").click()
     fields = [host.page.get_by_label(name) for name in ("Region", "Camera height", "Focal length")]
     assert [field.input_value() for field in fields] == ["europe", "70", "24"]
@@ -439,7 +444,7 @@ def test_region_and_height_are_those_of_the_call_until_a_person_states_others(ho
     }
 
 
-def test_the_picture_is_moved_and_points_are_set_moved_and_taken_back_by_keys(host: Host) -> None:
+def test_keys_move_the_picture_or_set_points(host: Host) -> None:
     host.show("good", tools=True)
     host.page.get_by_role("button", name="Zoom in").focus()
     host.types("Enter", "Tab", "Tab")
@@ -477,7 +482,7 @@ def test_a_measurement_that_fails_or_is_not_to_be_used_says_so(host: Host) -> No
 
 
 @pytest.mark.parametrize(("theme", "width"), [("light", 340), ("dark", 900)])
-def test_no_state_has_a_fault_and_the_page_is_as_high_as_its_frame(
+def test_no_state_has_a_fault_or_another_height_than_its_frame(
     host: Host, theme: str, width: int
 ) -> None:
     host.tab.set_viewport_size({"width": width, "height": 2400})
@@ -490,7 +495,7 @@ def test_no_state_has_a_fault_and_the_page_is_as_high_as_its_frame(
         host.finds_no_fault(width)
 
 
-def test_the_theme_follows_the_host_and_takes_its_colours(host: Host) -> None:
+def test_the_theme_has_the_colours_of_the_host(host: Host) -> None:
     host.show(
         theme="dark",
         styles={"variables": {"--color-background-primary": "light-dark(#fefefe, #010203)"}},
@@ -520,7 +525,7 @@ def test_words_of_the_server_are_shown_as_words(host: Host) -> None:
     assert host.runs("() => document.title") != "taken"
 
 
-def test_the_page_introduces_itself_answers_its_host_and_listens_to_nobody_else(host: Host) -> None:
+def test_the_page_talks_to_its_host_alone(host: Host) -> None:
     host.show("good")
     first, second, *_ = host.heard()
     assert first["method"] == "ui/initialize"

@@ -39,8 +39,8 @@ def address(
         threads=1,
         isolation="in-process",
     )
-    with viewing(settings, tmp_path_factory.mktemp("dropped").resolve()) as found:
-        yield found
+    with viewing(settings, tmp_path_factory.mktemp("dropped").resolve()) as status_of:
+        yield status_of
 
 
 @pytest.fixture
@@ -67,9 +67,7 @@ def saved(person: Person, name: str, folder: Path) -> Path:
     return path
 
 
-def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(
-    person: Person, tmp_path: Path
-) -> None:
+def test_a_person_exports_measurements(person: Person, tmp_path: Path) -> None:
     person.reads("#count", "3 photographs")
     choose_pool(person)
     person.presses("Distance")
@@ -78,16 +76,15 @@ def test_a_person_measures_a_distance_and_an_area_and_takes_them_away(
     person.presses("Area")
     person.drags((POOL_BOX["x_min"], POOL_BOX["y_min"]), (POOL_BOX["x_max"], POOL_BOX["y_max"]))
     person.reads("ol.measured li:last-child .number", re.compile(r"^[\d.,]+ m²$"))
-    record, layer = (
-        json.loads(saved(person, name, tmp_path).read_text()) for name in ("Record", "GeoJSON")
-    )
+    record = json.loads(saved(person, "Record", tmp_path).read_text())
+    layer = json.loads(saved(person, "GeoJSON", tmp_path).read_text())
     distance, area = record["measured"]
     assert distance["length_px"] == pytest.approx(200, abs=3)
     assert distance["distance_m"] == pytest.approx(
         distance["length_px"] * record["estimate"]["gsd_m_per_px"]
     )
     assert area["area_m2"] > 0
-    assert [each["properties"]["kind"] for each in layer["features"]] == ["vehicle"] * 24 + [
+    assert [feature["properties"]["kind"] for feature in layer["features"]] == ["vehicle"] * 24 + [
         "distance",
         "area",
     ]
@@ -122,7 +119,7 @@ def test_a_tool_taken_while_something_is_measured_stays_taken(person: Person) ->
     person.tab.unroute("**")
 
 
-def test_a_dropped_photograph_is_measured_and_one_that_cannot_be_read_says_why(
+def test_a_dropped_photograph_is_measured_or_refused_with_a_reason(
     person: Person, tmp_path: Path
 ) -> None:
     person.presses("broken.png")
@@ -153,7 +150,7 @@ def test_what_is_seen_closely_comes_in_all_its_pixels(person: Person) -> None:
     part.wait_for(state="hidden")
 
 
-def test_the_list_has_thumbnails_is_searched_and_is_passed_by_one_tab(person: Person) -> None:
+def test_the_list_can_be_searched_or_passed_by_one_tab(person: Person) -> None:
     listed = person.page.locator("#photographs button")
     assert listed.first.get_attribute("aria-current") == "true"
     for name in ("large.png", "pool.png"):
@@ -170,7 +167,7 @@ def test_the_list_has_thumbnails_is_searched_and_is_passed_by_one_tab(person: Pe
     assert person.runs("document.activeElement.textContent") == "Distance"
 
 
-def test_facts_hold_for_all_photographs_and_corrections_for_their_own(person: Person) -> None:
+def test_facts_hold_for_all_photographs_corrections_for_one(person: Person) -> None:
     choose_pool(person)
     numbers = person.page.locator(".drawn .number")
     assert sorted(map(int, numbers.all_text_contents())) == list(range(1, 25))
@@ -206,8 +203,8 @@ def test_all_photographs_are_measured_into_a_table(person: Person, tmp_path: Pat
     assert "not an image" in person.page.locator(".overview tr", has_text="broken.png").inner_text()
     with saved(person, "Save table", tmp_path).open(newline="") as file:
         rows = list(csv.DictReader(file))
-    found = {Path(row["file"]).name: row["status"] for row in rows}
-    assert (found["broken.png"], found["pool.png"], found["large.png"]) == (
+    status_of = {Path(row["file"]).name: row["status"] for row in rows}
+    assert (status_of["broken.png"], status_of["pool.png"], status_of["large.png"]) == (
         "failed",
         "ok",
         "no_scale",
@@ -233,7 +230,10 @@ def test_no_state_has_a_fault(person: Person, width: int, theme: str) -> None:
         for key in ("Enter", "ArrowRight", "Enter"):
             frame.press(key)
         person.finds_no_fault(width)
-    for name, said in {"broken.png": "^not an image", "Measure all": "with a usable scale"}.items():
+    for name, words in {
+        "broken.png": "^not an image",
+        "Measure all": "with a usable scale",
+    }.items():
         person.presses(name)
-        person.reads("#sentence", re.compile(said))
+        person.reads("#sentence", re.compile(words))
         person.finds_no_fault(width)

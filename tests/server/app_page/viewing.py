@@ -1,4 +1,4 @@
-"""``vehanchor view`` on a port of this machine for as long as a test lasts, and a person in front of a page."""
+"""``vehanchor view`` on a port of this machine during a test, and a person in front of a page."""
 
 from __future__ import annotations
 
@@ -65,15 +65,17 @@ class Person:
             self.tab.keyboard.press(key)
 
     def drags(self, start: Place, end: Place) -> None:
-        """Between two places of an image, or click where they are the same."""
+        """Drag between two points of an image, or click a point that is both."""
+        self.tab.mouse.move(*self._on_screen(start))
+        self.tab.mouse.down()
+        if end != start:
+            self.tab.mouse.move(*self._on_screen(end), steps=3)
+        self.tab.mouse.up()
+
+    def _on_screen(self, point: Place) -> Place:
         sheet = self.page.locator(".sheet").bounding_box()
         scale = sheet["width"] / WIDTH_PX
-        first, last = ((sheet["x"] + scale * x, sheet["y"] + scale * y) for x, y in (start, end))
-        self.tab.mouse.move(*first)
-        self.tab.mouse.down()
-        if last != first:
-            self.tab.mouse.move(*last, steps=3)
-        self.tab.mouse.up()
+        return sheet["x"] + scale * point[0], sheet["y"] + scale * point[1]
 
     def clicks(self, *places: Place) -> None:
         for place in places:
@@ -88,12 +90,16 @@ class Person:
         axe = needed_module(
             "axe_playwright_python.sync_playwright", "pip install -e '.[browser]'"
         ).Axe()
-        found = axe.run(self.tab.frames[-1]).response["violations"]
-        assert [(each["id"], [node["html"] for node in each["nodes"]]) for each in found] == []
+        violations = axe.run(self.tab.frames[-1]).response["violations"]
+        assert [
+            (violation["id"], [node["html"] for node in violation["nodes"]])
+            for violation in violations
+        ] == []
         assert self.runs("document.documentElement.scrollWidth") <= width
         assert self.runs(_CUT_OFF) == []
 
 
 _CUT_OFF = """[...document.querySelectorAll("section, section *, dl *")]
-  .filter((each) => each instanceof HTMLElement && each.clientWidth && each.scrollWidth > each.clientWidth + 1)
-  .map((each) => each.outerHTML.slice(0, 80))"""
+  .filter((element) => element instanceof HTMLElement && element.clientWidth)
+  .filter((element) => element.scrollWidth > element.clientWidth + 1)
+  .map((element) => element.outerHTML.slice(0, 80))"""

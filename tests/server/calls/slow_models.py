@@ -1,4 +1,4 @@
-"""Models that take seconds a run, in layers of milliseconds each: what there is to stop in a real one."""
+"""Slow models: a run takes seconds, in layers of milliseconds each, and can be stopped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SIDE_PX = 256
 
 
 def weighed_down(source: Path, target: Path) -> Path:
-    """Write a copy of a model that first runs through hundreds of convolutions, and puts out the same.
+    """Write a copy of a model that first runs hundreds of convolutions, with the same outputs.
 
     Args:
         source: an ONNX file.

@@ -1,4 +1,4 @@
-"""A compromised worker sends bytes; the server takes data of a fixed schema from it, and nothing else."""
+"""A compromised worker can send any bytes; the server accepts only data of a fixed schema."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ from vehanchor_server.calls.messages import (
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.errors import CallError
+from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
 from vehanchor_server.tools.target import MAX_TARGETS
 
@@ -80,7 +81,7 @@ def test_an_answer_arrives_with_its_pictures(pipe: tuple[Connection, Connection]
 
 @contextlib.contextmanager
 def sent_over(pipe: tuple[Connection, Connection], *parts: bytes) -> Iterator[None]:
-    """Send parts in a thread, because they can be more than a pipe holds, and close the reader at the end."""
+    """Send parts in a thread, because a pipe may not hold them; close the reader at the end."""
 
     def send_all() -> None:
         with contextlib.suppress(OSError):  # the reader has refused one
@@ -148,7 +149,7 @@ def test_an_answer_of_another_form_is_refused(
     "field", ["outline", "warnings", "alternatives", "estimate", "vehicles", "lines"]
 )
 def test_a_worker_that_was_taken_over_does_not_freeze_the_server(field: str, items: bytes) -> None:
-    """Lists of 200,000 items, each of them a fault, took gigabytes and 20 s in the process that listens."""
+    """200,000 faulty items once took gigabytes and 20 s in the listening process."""
     header = ONE_RECORD.model_copy(update={"drawing": field in ("vehicles", "lines")})
     honest = b'{"value":1}' if header.drawing else b""
     # beyond the limit of bytes, of separators, and within both
@@ -175,7 +176,7 @@ def size_of(record: Any) -> Limit:
     return Limit(len(data), sum(map(data.count, (b",", b"[", b"{"))))
 
 
-def test_limits_are_above_the_largest_honest_message_and_at_most_twice_as_high(
+def test_limits_are_at_most_twice_the_largest_honest_message(
     images: Path,
 ) -> None:
     rows = tuple((12345.5, 12345.5, 1234.5, 1234.5, -179.5, 1, i, 2) for i in range(MAX_VEHICLES))
@@ -193,7 +194,7 @@ def test_limits_are_above_the_largest_honest_message_and_at_most_twice_as_high(
 
 
 def largest_record(images: Path) -> AreaMeasurement:
-    """An area with an outline of 200 points in a large image, all its alternatives and ten warnings."""
+    """An area with an outline of 200 points in a large image, alternatives and ten warnings."""
     area = measure_area(images / "pool.png", box=(294, 324, 354, 432))
     notice = (
         area.warnings[0]
@@ -220,11 +221,11 @@ def test_a_picture_has_a_bound(pipe: tuple[Connection, Connection]) -> None:
 
 
 @work(Value)
-def foreign_bytes(services: Services, job: Job, source: Any, hexadecimal: str) -> Reply[Value]:
+def foreign_bytes(resources: Resources, job: Job, source: Any, hexadecimal: str) -> Reply[Value]:
     """Write bytes of the caller's choice where messages belong, as a compromised worker can."""
     import inspect
 
-    callers = (each.frame.f_locals for each in inspect.stack())
+    callers = (caller.frame.f_locals for caller in inspect.stack())
     connection = next(names["connection"] for names in callers if "connection" in names)
     connection.send_bytes(bytes.fromhex(hexadecimal))
     time.sleep(100)
@@ -250,33 +251,33 @@ def test_a_worker_that_sends_other_bytes_is_ended(running: Services, sent: bytes
     assert done(running, number) != before
 
 
-def forwarded(said: bytes, caplog: pytest.LogCaptureFixture) -> list[str]:
+def forwarded(output: bytes, caplog: pytest.LogCaptureFixture) -> list[str]:
     """The lines of the log after a worker has said something and ended."""
     ours, theirs = multiprocessing.Pipe(duplex=False)
     with caplog.at_level(logging.WARNING):
         thread = worker_log.forward_log(ours, 4711)
         with theirs, os.fdopen(os.dup(theirs.fileno()), "wb") as stream:
-            stream.write(said)
+            stream.write(output)
         thread.join(30)
     return [record.getMessage() for record in caplog.records]
 
 
 @pytest.mark.promise("worker-log")
-def test_a_workers_lines_are_labelled_and_have_no_control_characters(
+def test_a_workers_lines_are_labelled_without_control_characters(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     forged = b'plain\n\x1b[2J{"level": "INFO", "message": "call"}\r\n\xff\xe2\x80\xaeodd\n'
-    found = forwarded(forged, caplog)
-    assert len(found) == 3
-    assert all(line.startswith("worker 4711: ") and line.isprintable() for line in found)
+    lines = forwarded(forged, caplog)
+    assert len(lines) == 3
+    assert all(line.startswith("worker 4711: ") and line.isprintable() for line in lines)
 
 
 @pytest.mark.promise("worker-log")
-def test_a_workers_lines_are_limited_in_length_and_number(
+def test_a_workers_lines_are_limited(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_log, "_MAX_LINES", 3)
-    found = forwarded(b"x" * 5000 + b"\n" + 9 * b"line\n", caplog)
-    assert found[0].endswith("x [cut]")
-    assert len(found[0]) < 2100
-    assert found[3:] == ["worker 4711: more than 3 lines; the rest is omitted"]
+    lines = forwarded(b"x" * 5000 + b"\n" + 9 * b"line\n", caplog)
+    assert lines[0].endswith("x [cut]")
+    assert len(lines[0]) < 2100
+    assert lines[3:] == ["worker 4711: more than 3 lines; the rest is omitted"]

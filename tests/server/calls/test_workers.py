@@ -1,4 +1,4 @@
-"""Calls in processes of their own: the same answers, and whatever happens there, the server answers."""
+"""Calls in worker processes: answers are the same, and the server survives any failure."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ from vehanchor_server.calls.task import Task, work
 from vehanchor_server.calls.worker_process import WorkerLimits, serve_tasks
 from vehanchor_server.calls.workers import WorkerPool
 from vehanchor_server.errors import CallError
+from vehanchor_server.resources import Resources, create_resources
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
@@ -76,37 +77,39 @@ def georeferenced(images: Path) -> Iterator[Path]:
 
 
 @work(Value)
-def a_while(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def a_while(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     time.sleep(1.0)
     return answered(os.getpid())
 
 
 @work(Value)
-def crash(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def crash(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     os.kill(os.getpid(), signal.SIGSEGV)
     raise AssertionError
 
 
 @work(Value)
-def fill(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def fill(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     return answered(float(np.ones(1 << 29).sum()))  # 4 GiB
 
 
 @work(Value)
-def spin(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def spin(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     while True:
         pass
 
 
 @work(Value)
-def bug(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def bug(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     raise KeyError("hunter2")
 
 
 async def test_answers_are_those_of_one_process(
     isolated: Services, isolated_server: MCPServer[object], images: Path, georeferenced: Path
 ) -> None:
-    server = create_server(create_services(replace(isolated.settings, isolation="in-process")))
+    server = create_server(
+        create_services(replace(isolated.resources.settings, isolation="in-process"))
+    )
     reports: list[Any] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
@@ -132,9 +135,9 @@ async def test_answers_are_those_of_one_process(
     ):
         answers = []
         progress = []
-        for each in (isolated_server, server):
+        for one_server in (isolated_server, server):
             reports.clear()
-            async with Client(each) as client:
+            async with Client(one_server) as client:
                 answers.append(
                     await client.call_tool(tool, arguments, progress_callback=on_progress)
                 )
@@ -154,7 +157,7 @@ def test_a_worker_is_replaced_before_the_next_call(isolated: Services) -> None:
     assert done(isolated, number) == successor
 
 
-def test_a_stop_kills_and_says_so(isolated: Services) -> None:
+def test_a_stop_kills_the_worker(isolated: Services) -> None:
     stop = Stop()
     before = done(isolated, number)
     started = time.monotonic()
@@ -172,7 +175,7 @@ def test_a_stop_kills_and_says_so(isolated: Services) -> None:
 
 
 @work(Value)
-def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def allocation_refused(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     raise CallError(
         "image_undecodable", "the JPEG cannot be decoded: Failed to allocate 300000000 bytes."
     )
@@ -180,15 +183,13 @@ def allocation_refused(services: Services, job: Job, source: Any, _: None) -> Re
 
 @pytest.mark.promise("memory")
 @pytest.mark.parametrize("task", [fill, allocation_refused])
-def test_memory_is_limited_and_missing_memory_is_not_the_images_fault(
-    isolated: Services, task: Any
-) -> None:
+def test_a_worker_without_memory_is_ended(isolated: Services, task: Any) -> None:
     with pytest.raises(CallError, match=r"worker_killed: .*memory"):
         done(isolated, task)
     assert done(isolated, number) > 0
 
 
-def test_a_bug_comes_with_its_traceback_and_keeps_the_worker(isolated: Services) -> None:
+def test_a_bug_does_not_end_the_worker(isolated: Services) -> None:
     worker = done(isolated, number)
     with pytest.raises(RuntimeError, match="hunter2"):
         done(isolated, bug)
@@ -244,54 +245,69 @@ def _lives(pid: int) -> bool:
         return False
 
 
-def test_a_second_process_runs_once_two_calls_do_and_closing_leaves_none(
-    settings: Settings,
-) -> None:
-    services = ready(
-        create_services(
-            replace(
-                settings, roots=(*settings.roots, TESTS), isolation="confined", max_concurrency=3
-            )
-        )
-    )
-    assert services.workers is not None
-    assert len(services.workers.processes) == 1
-    assert done(services, number) == done(services, number)
-    assert len(services.workers.processes) == 1
-    with ThreadPoolExecutor() as threads:
-        first = threads.submit(done, services, a_while)
-        time.sleep(0.1)
-        assert done(services, number) != first.result()
-    processes = services.workers.processes
-    assert len(processes) == 2
+@pytest.fixture
+def roomy(settings: Settings) -> Iterator[Services]:
+    """A server with room for three calls, and one worker so far."""
+    roots = (*settings.roots, TESTS)
+    own = replace(settings, roots=roots, isolation="confined", max_concurrency=3)
+    services = ready(create_services(own))
+    yield services
     services.close()
+
+
+def test_calls_one_after_the_other_share_a_worker(roomy: Services) -> None:
+    assert roomy.workers is not None
+    assert len(roomy.workers.processes) == 1
+    assert done(roomy, number) == done(roomy, number)
+    assert len(roomy.workers.processes) == 1
+
+
+def test_calls_at_the_same_time_have_workers_of_their_own(roomy: Services) -> None:
+    assert roomy.workers is not None
+    with ThreadPoolExecutor() as threads:
+        first = threads.submit(done, roomy, a_while)
+        time.sleep(0.1)
+        assert done(roomy, number) != first.result()
+    assert len(roomy.workers.processes) == 2
+
+
+def test_closing_ends_all_workers(roomy: Services) -> None:
+    assert roomy.workers is not None
+    with ThreadPoolExecutor() as threads:
+        first = threads.submit(done, roomy, a_while)
+        time.sleep(0.1)
+        done(roomy, number)
+        first.result()
+    processes = roomy.workers.processes
+    assert len(processes) == 2
+    roomy.close()
     deadline = time.monotonic() + 5
     while any(map(_lives, processes)):
         assert time.monotonic() < deadline
         time.sleep(0.02)
 
 
-def not_there() -> Services:
+def not_there() -> Resources:
     raise ModuleNotFoundError("No module named 'cv2'")
 
 
-def crashes() -> Services:
+def crashes() -> Resources:
     os._exit(3)
 
 
-def killed() -> Services:  # as a system does that has no memory left
+def killed() -> Resources:  # as a system does that has no memory left
     os.kill(os.getpid(), signal.SIGKILL)
     raise AssertionError
 
 
 @pytest.mark.parametrize(
-    ("make_services", "words"),
+    ("make_resources", "words"),
     [(not_there, "No module named 'cv2'"), (crashes, "exit code 3"), (killed, "exit code -9")],
 )
-def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
-    make_services: Any, words: str, caplog: pytest.LogCaptureFixture
+def test_a_worker_that_never_starts_is_logged_once(
+    make_resources: Any, words: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    workers = WorkerPool(make_services, WorkerLimits(1 << 30, 10))
+    workers = WorkerPool(make_resources, WorkerLimits(1 << 30, 10))
     workers.start()
     for _ in range(2):
         with pytest.raises(CallError, match=r"worker_unavailable: .* the image is not the cause"):
@@ -302,7 +318,7 @@ def test_a_worker_that_never_starts_is_not_the_images_fault_and_is_logged_once(
     assert words in line.getMessage()
 
 
-def test_a_worker_for_which_there_is_no_process_is_not_the_images_fault(
+def test_a_refused_process_is_not_the_images_fault(
     monkeypatch: pytest.MonkeyPatch, isolated: Services
 ) -> None:
     def refused(self: Any) -> None:
@@ -319,7 +335,7 @@ def test_a_worker_for_which_there_is_no_process_is_not_the_images_fault(
     assert done(isolated, number) != process
 
 
-def endless() -> Services:  # as a model that computes for ever while it is loaded
+def endless() -> Resources:  # as a model that computes for ever while it is loaded
     while True:
         time.sleep(1)
 
@@ -338,15 +354,15 @@ def test_a_call_to_a_worker_that_loads_for_ever_ends_at_its_deadline() -> None:
         workers.close()
 
 
-def lost_once(mark: Path, settings: Settings) -> Services:
+def lost_once(mark: Path, settings: Settings) -> Resources:
     if not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return create_services(settings)
+    return create_resources(settings)
 
 
 @pytest.mark.parametrize("is_lost", [True, False])
-def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_is_killed(
+def test_a_call_starts_another_worker_only_if_its_own_is_killed(
     tmp_path: Path, detector_path: Path, is_lost: bool
 ) -> None:
     settings = Settings(
@@ -355,7 +371,7 @@ def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_i
     make = (
         partial(lost_once, tmp_path / "mark", settings)
         if is_lost
-        else partial(create_services, settings)
+        else partial(create_resources, settings)
     )
     workers = WorkerPool(make, WorkerLimits(1 << 30, 10))
     workers.start()
@@ -368,16 +384,14 @@ def test_a_call_waits_for_the_worker_that_starts_and_starts_another_only_if_it_i
         workers.close()
 
 
-def test_a_worker_whose_server_leaves_without_reading_its_message_ends_without_a_word(
-    tmp_path: Path, detector_path: Path
-) -> None:
+def test_a_worker_ends_silently_with_its_server(tmp_path: Path, detector_path: Path) -> None:
     settings = Settings(roots=(tmp_path, TESTS), detector=str(detector_path), threads=1)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     log, written = context.Pipe(duplex=False)
     worker = context.Process(
         target=serve_tasks,
-        args=(theirs, written, partial(create_services, settings), WorkerLimits(1 << 30, 10)),
+        args=(theirs, written, partial(create_resources, settings), WorkerLimits(1 << 30, 10)),
     )
     worker.start()
     theirs.close()

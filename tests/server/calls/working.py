@@ -1,4 +1,4 @@
-"""Worker processes that do what a test gives them."""
+"""Workers that run works of a test."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import Task, Work, work
 from vehanchor_server.images.argument import Base64Image
+from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
 
 TESTS = Path(__file__).parents[2]
-"""A root of the servers here: a worker may read what it is to do."""
+"""A root of the servers here, so that a worker may read the works of tests."""
 
 _READY_S = 60
 IMAGE = Base64Image(kind="base64", data="AAAA")
-"""What a task names; the works here do not look at it."""
+"""The image of all tasks here; their works ignore it."""
 
 
 def ready(services: Services) -> Services:
@@ -34,7 +35,7 @@ def ready(services: Services) -> Services:
 
 
 class Value(FrozenModel):
-    """What a work answers here."""
+    """The record of the works here."""
 
     value: Any
 
@@ -54,6 +55,6 @@ def done(
 
 
 @work(Value)
-def number(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
-    """The process's; a work."""
+def number(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
+    """A work that answers with the process id."""
     return answered(os.getpid())

@@ -1,4 +1,4 @@
-"""Attacks on what the server may read, sent as calls: whatever the form, nothing outside the root is ever opened."""
+"""Attacks by calls: no form of an image argument opens anything outside the roots."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ async def called(server: MCPServer[object], image: dict[str, Any]) -> list[CallT
         ("{root}/fifo.png", "image_not_found"),
     ],
 )
-async def test_the_image_inside_is_measured_and_paths_that_lead_elsewhere_are_refused(
+async def test_only_paths_that_stay_inside_are_measured(
     walled: MCPServer[object], root: Path, outside: Path, named: str, code: str
 ) -> None:
     path = named.format(root=root, outside=outside)
@@ -159,18 +159,60 @@ async def test_names_in_which_a_file_points_to_others_are_not_followed(
 
 
 UP = "../" * 12
+PATTERNS = (
+    "{path}",
+    "/{path}",
+    "//{path}",
+    "/.{path}",
+    "{path}/",
+    "{path}/.",
+    "{path}\x00.png",
+    "{path}%00.png",
+    "~{path}",
+    "file://{path}",
+    "FILE://{path}",
+    "file://localhost{path}",
+    "file:///{path}",
+    "file:{path}",
+    "file://.{path}",
+    "file://[{path}",
+    "file://user@localhost{path}",
+    "file://{path}?a=1",
+    "file://{path}#a",
+    "http://localhost{path}",
+    "{root}/..{path}",
+    "{root}/{up}{path}",
+    "{root}//{up}{path}",
+    "{root}/./{up}{path}",
+    "{root}/deep/{up}{path}",
+    "{root}/a.png/{up}{path}",
+    "{root}/missing/{up}{path}",
+    "file://{root}/{up}{path}",
+    "{root}\x00{path}",
+    "{root}{path}",
+    "{root}/{path}",
+    "file://{root}{path}",
+    "{root}/out{path}",
+    "{root}/up{path}",
+    "{root}/up/up{path}",
+    "/proc/self/root{path}",
+    "/proc/1/root{path}",
+    "/proc/thread-self/root{path}",
+    "/proc/self/cwd/{up}{path}",
+    "/dev/fd/../../..{path}",
+    "{root}/proc{path}",
+    "\\\\?\\{path}",
+    "{root}\\..{path}",
+)
+"""Forms of a path, with a root and a way up from it."""
+
+
+def _from_pattern(pattern: str) -> Callable[[str, str], str]:
+    return lambda root, path: pattern.format(root=root, path=path, up=UP)
+
+
 FORMS: tuple[Callable[[str, str], str], ...] = (
-    *(lambda root, path, form=form: form.format(root=root, path=path, up=UP) for form in (
-        "{path}", "/{path}", "//{path}", "/.{path}", "{path}/", "{path}/.", "{path}\0.png", "{path}%00.png", "~{path}",
-        "file://{path}", "FILE://{path}", "file://localhost{path}", "file:///{path}", "file:{path}", "file://.{path}",
-        "file://[{path}", "file://user@localhost{path}", "file://{path}?a=1", "file://{path}#a", "http://localhost{path}",
-        "{root}/..{path}", "{root}/{up}{path}", "{root}//{up}{path}", "{root}/./{up}{path}", "{root}/deep/{up}{path}",
-        "{root}/a.png/{up}{path}", "{root}/missing/{up}{path}", "file://{root}/{up}{path}", "{root}\0{path}",
-        "{root}{path}", "{root}/{path}", "file://{root}{path}", "{root}/out{path}", "{root}/up{path}",
-        "{root}/up/up{path}",
-        "/proc/self/root{path}", "/proc/1/root{path}", "/proc/thread-self/root{path}", "/proc/self/cwd/{up}{path}",
-        "/dev/fd/../../..{path}", "{root}/proc{path}", "\\\\?\\{path}", "{root}\\..{path}",
-    )),
+    *map(_from_pattern, PATTERNS),
     lambda root, path: quote(path),
     lambda root, path: f"file://{quote(path, safe='')}",
     lambda root, path: f"{root}/{quote(UP + path, safe='')}",
@@ -178,11 +220,11 @@ FORMS: tuple[Callable[[str, str], str], ...] = (
     lambda root, path: f"file://{root}/{quote(quote(UP + path, safe=''), safe='')}",
     lambda root, path: f"file://{root}/{UP.replace('.', '%2e')}{path}",
     lambda root, path: f"{root}/{UP.replace('.', chr(0x2024))}{path}",
-)  # fmt: skip
+)
 
 
 @pytest.mark.promise("roots")
-def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path) -> None:
+def test_no_form_of_a_path_leaves_a_root_or_reveals_what_exists(tmp_path: Path) -> None:
     root = (tmp_path / "root").resolve()
     (root / "deep").mkdir(parents=True)
     (root / "a.png").write_bytes(b"inside")
@@ -202,7 +244,7 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path)
             named = form(str(root), path)
             with pytest.raises(CallError) as caught, PathAccess([root]).open(named) as opened:
                 pytest.fail(f"{named!r} was opened: {opened!r}")
-            told = (
+            message = (
                 str(caught.value)
                 .replace(f"server: {root}.", "server.")
                 .replace(repr(named)[1:-1], "NAMED")
@@ -211,7 +253,7 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path)
             answers.append(
                 caught.value.code
                 if caught.value.code == "image_not_found"
-                else told.replace(path, "PATH")
+                else message.replace(path, "PATH")
             )
             assert caught.value.code in ("path_not_allowed", "image_not_found"), named
         assert answers[0] == answers[1], (form("ROOT", present), answers)
@@ -219,21 +261,40 @@ def test_no_way_out_of_a_root_is_open_and_none_tells_what_exists(tmp_path: Path)
 
 
 @pytest.mark.promise("fetch")
-async def test_no_other_host_is_looked_up_and_none_asked() -> None:
+async def test_no_other_host_is_looked_up_or_asked() -> None:
     async def resolve(host: str, port: int) -> list[str]:
         assert (host, port) == ("images.test", 443)
         return ["10.0.0.1"]
 
     fetcher = Fetcher(("images.test",), 1000, 5.0, resolve=resolve)
     hosts = (
-        "127.0.0.1", "localhost", "[::1]", "2130706433", "0x7f.1", "0177.0.0.1", "169.254.169.254",
+        "127.0.0.1",
+        "localhost",
+        "[::1]",
+        "2130706433",
+        "0x7f.1",
+        "0177.0.0.1",
+        "169.254.169.254",
         "[::ffff:127.0.0.1]",
-        "images.test.", "images.test.evil.test", "evil.test", "images.test@evil.test", "images.test:80",
+        "images.test.",
+        "images.test.evil.test",
+        "evil.test",
+        "images.test@evil.test",
+        "images.test:80",
         "images.test:0",
-        "images.test:99999", "images.test:22", "images.test:0x1BB", "[::1",
-        "evil.test\\@images.test", "imag\u0435s.test", "user@images.test",
-        "user:pw@images.test", "[images.test]", "images.test%00.evil.test", "images.test%2eevil.test", "",
-    )  # fmt: skip
+        "images.test:99999",
+        "images.test:22",
+        "images.test:0x1BB",
+        "[::1",
+        "evil.test\\@images.test",
+        "imag\u0435s.test",
+        "user@images.test",
+        "user:pw@images.test",
+        "[images.test]",
+        "images.test%00.evil.test",
+        "images.test%2eevil.test",
+        "",
+    )
     urls = [
         f"{scheme}{host}/a.png"
         for scheme, host in product(("https://", "http://", "HTTPS:", "ftp://", "//"), hosts)

@@ -166,7 +166,7 @@ async def test_without_hosts_urls_are_off() -> None:
         "not an address",
     ],
 )
-def test_private_addresses_and_ranges_that_only_look_public_are_not_public(address: str) -> None:
+def test_addresses_that_only_look_public_are_not_public(address: str) -> None:
     assert not is_public_address(address)
 
 
@@ -226,7 +226,7 @@ async def test_redirects_are_checked_like_the_first_url(
     assert len(web_server.requests) == 1
 
 
-async def test_a_redirects_host_is_resolved_and_checked_too(
+async def test_the_host_of_a_redirect_is_checked_too(
     fetcher: Fetcher, web_server: WebServer
 ) -> None:
     async def resolve(host: str, port: int) -> list[str]:

@@ -31,7 +31,7 @@ def decoded(sources: ImageSources, data: str) -> object:
         "data:;base64,AAEC",
     ],
 )
-def test_base64_and_data_uris_become_bytes(sources: ImageSources, data: str) -> None:
+def test_base64_becomes_bytes(sources: ImageSources, data: str) -> None:
     assert decoded(sources, data) == b"\0\1\2"
 
 

@@ -1,4 +1,4 @@
-"""What takes over a worker has little to do with it: no file but the images', no network, no other process."""
+"""An attacker in a worker can read images, and reach no other file, network or process."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from typing import Any
 import pytest
 
 from tests.server.calls.working import Value, answered, done
+from tests.server.sandbox.trace import confined_calls
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
+from vehanchor_server.resources import Resources
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
-from vehanchor_server.sandbox.trace import confined_calls
 from vehanchor_server.services import Services
 
 CONFINE = """
@@ -63,9 +64,9 @@ class Targets:
 
 
 @work(Value)
-def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Reply[Value]:
+def attempts(resources: Resources, job: Job, source: Any, targets: Targets) -> Reply[Value]:
     """Everything that a worker should be kept from, and some things that it needs; in a worker."""
-    root = services.settings.roots[0]
+    root = resources.settings.roots[0]
     secret = targets.secret
     server = targets.server
     libc = ctypes.CDLL(None, use_errno=True)
@@ -127,14 +128,14 @@ def attempts(services: Services, job: Job, source: Any, targets: Targets) -> Rep
         "open shared memory": lambda: checked(libc.shmget(0, 4096, 0o1600)),
         "name the host": lambda: checked(libc.sethostname(b"mine", 4)),
     }
-    found = {}
+    outcomes = {}
     for name, attempt in tries.items():
         try:
             attempt()
-            found[name] = "done"
+            outcomes[name] = "done"
         except OSError as error:
-            found[name] = errno.errorcode[error.errno or 0]
-    return answered(found)
+            outcomes[name] = errno.errorcode[error.errno or 0]
+    return answered(outcomes)
 
 
 def by_descriptor(path: Path) -> None:
@@ -149,12 +150,12 @@ def started(thread: threading.Thread) -> None:
 
 @pytest.mark.promise("confinement")
 @pytest.mark.slow
-def test_a_worker_can_do_its_work_and_nothing_else(
+def test_a_worker_can_do_nothing_but_its_work(
     running: Services, held: tuple[int, bool, str], tmp_path: Path
 ) -> None:
     if not (held[0] and held[1]):
         pytest.skip(f"this system does not confine: {held[2]}")
-    root = running.settings.roots[0]
+    root = running.resources.settings.roots[0]
     secret = tmp_path / "token"
     secret.write_text("hunter2")
     (root / "cars.png").write_bytes(b"pixels")
@@ -198,40 +199,59 @@ def test_a_worker_can_do_its_work_and_nothing_else(
         ("sys.platform = 'darwin'", "darwin has neither Landlock nor seccomp", False, False),
     ],
 )
-def test_what_a_system_lacks_is_told_and_the_rest_is_done(
+def test_missing_confinement_is_stated_beside_the_rest(
     before: str, words: str, landlock: bool, seccomp: bool, held: tuple[int, bool, str]
 ) -> None:
-    found = confined(before)
-    assert words in found[2]
-    assert bool(found[0]) == (landlock and bool(held[0]))
-    assert found[1] == (seccomp and held[1])
+    result = confined(before)
+    assert words in result[2]
+    assert bool(result[0]) == (landlock and bool(held[0]))
+    assert result[1] == (seccomp and held[1])
 
 
 @work(Value)
-def inherited(services: Services, job: Job, source: Any, _: None) -> Reply[Value]:
+def inherited(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     """The descriptors and the environment variables of a worker."""
     folder = Path("/proc/self/fd")
-    names = {int(each.name): str(each.readlink()) for each in folder.iterdir() if each.is_symlink()}
+    names = {int(link.name): str(link.readlink()) for link in folder.iterdir() if link.is_symlink()}
     return answered({"descriptors": names, "variables": dict(os.environ)})
+
+
+@pytest.fixture(scope="module")
+def inheritance(running: Services) -> dict[str, Any]:
+    """The descriptors and the environment variables of a worker."""
+    answer: dict[str, Any] = done(running, inherited)
+    return answer
 
 
 @pytest.mark.promise("inheritance")
 @pytest.mark.slow
-def test_a_worker_inherits_its_socket_and_its_log_and_no_secret(running: Services) -> None:
-    found = done(running, inherited)
-    # of the C library for terminals
-    assert set(found["variables"]) - {"LINES", "COLUMNS"} <= KEPT | set(SEARCH_PATHS)
-    opened = {int(number): target for number, target in found["descriptors"].items()}
-    assert opened[0] == os.devnull
-    assert opened[1] == opened[2]
-    assert opened[1].startswith("pipe:")
-    assert sum(target.startswith("socket:") for target in opened.values()) == 1
-    rest = [
+def test_a_worker_inherits_no_secret(inheritance: dict[str, Any]) -> None:
+    of_terminals = {"LINES", "COLUMNS"}  # variables of the C library
+    assert set(inheritance["variables"]) - of_terminals <= KEPT | set(SEARCH_PATHS)
+
+
+@pytest.mark.promise("inheritance")
+@pytest.mark.slow
+def test_the_streams_of_a_worker_lead_to_its_log(inheritance: dict[str, Any]) -> None:
+    descriptors = inheritance["descriptors"]
+    assert descriptors["0"] == os.devnull
+    assert descriptors["1"] == descriptors["2"]
+    assert descriptors["1"].startswith("pipe:")
+
+
+@pytest.mark.promise("inheritance")
+@pytest.mark.slow
+def test_a_worker_inherits_no_socket_but_its_own(inheritance: dict[str, Any]) -> None:
+    descriptors = inheritance["descriptors"]
+    sockets = [target for target in descriptors.values() if target.startswith("socket:")]
+    assert len(sockets) == 1
+    others = [
         target
-        for number, target in opened.items()
-        if number > 2 and not target.startswith("socket:")
+        for number, target in descriptors.items()
+        if number not in ("0", "1", "2") and target not in sockets
     ]
-    assert all(target.startswith(("/proc/", "anon_inode:", "pipe:")) for target in rest), rest
+    own = ("/proc/", "anon_inode:", "pipe:")
+    assert all(target.startswith(own) for target in others), others
 
 
 def test_calls_count_from_the_filter_on_with_those_of_later_threads() -> None:

@@ -2,14 +2,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import anyio
 import mcp.types
 import pytest
 from mcp import Client
 from mcp.client import ClientRequestContext
 from mcp.server import MCPServer
-from mcp.types import ElicitRequestFormParams, ElicitRequestParams, ElicitResult
+from mcp.types import CallToolResult, ElicitRequestFormParams, ElicitRequestParams, ElicitResult
 
 from tests.server.conversation import by_path, error_of, text_of
 from vehanchor_server.app import create_server
@@ -20,17 +21,17 @@ pytestmark = pytest.mark.anyio
 
 
 class Person:
-    """Somebody at a client, who answers every form alike and keeps what was asked."""
+    """A client's user, who answers every form alike; it keeps the forms."""
 
     def __init__(self, action: Any, **content: Any) -> None:
         self.answer = ElicitResult(action=action, content=content if action == "accept" else None)
-        self.asked: list[ElicitRequestFormParams] = []
+        self.forms: list[ElicitRequestFormParams] = []
 
     async def __call__(
         self, context: ClientRequestContext, params: ElicitRequestParams
     ) -> ElicitResult:
         assert isinstance(params, ElicitRequestFormParams)
-        self.asked.append(params)
+        self.forms.append(params)
         return self.answer
 
 
@@ -38,32 +39,63 @@ def at(server: MCPServer[object], person: Person, mode: str = "auto") -> Client:
     return Client(server, mode=mode, elicitation_callback=person)
 
 
-async def test_at_low_confidence_a_person_is_asked_once_and_the_answer_makes_the_second_pass(
-    server: MCPServer[object], images: Path
-) -> None:
+class Conversation(NamedTuple):
+    """A call about two vehicles, whose user answers the form.
+
+    Attributes:
+        form: the form that the user got.
+        result: the result after the answer.
+        as_arguments: the result of a call with the same values as arguments.
+        without_answer: the result without an answer.
+    """
+
+    form: ElicitRequestFormParams
+    result: CallToolResult
+    as_arguments: CallToolResult
+    without_answer: CallToolResult
+
+
+@pytest.fixture(scope="module")
+def conversation(server: MCPServer[object], images: Path) -> Conversation:
     arguments = by_path(images / "two.png")
     person = Person("accept", known_length="100, 50, 300, 50, 28 measured", region="europe")
     line = {"x1": 100, "y1": 50, "x2": 300, "y2": 50, "metres": 28, "basis": "measured"}
-    async with at(server, person) as client:
-        asked = await client.call_tool("estimate_gsd", arguments)
-    async with Client(server) as client:
-        told = await client.call_tool(
-            "estimate_gsd", {**arguments, "region": "europe", "known_lengths": [line]}
-        )
-        untold = await client.call_tool("estimate_gsd", arguments)
-    assert asked.structured_content == told.structured_content
-    assert told.structured_content is not None
-    assert told.structured_content["status"] == "ok"
-    (form,) = person.asked
-    # the person reads what was found, and why it is not enough
-    assert form.message.startswith(text_of(untold))
-    fields = list(form.requested_schema["properties"])
+    answers = {"region": "europe", "known_lengths": [line]}
+
+    async def talk() -> tuple[CallToolResult, CallToolResult, CallToolResult]:
+        async with at(server, person) as client:
+            result = await client.call_tool("estimate_gsd", arguments)
+        async with Client(server) as client:
+            as_arguments = await client.call_tool("estimate_gsd", {**arguments, **answers})
+            without_answer = await client.call_tool("estimate_gsd", arguments)
+        return result, as_arguments, without_answer
+
+    results = anyio.run(talk)
+    (form,) = person.forms
+    return Conversation(form, *results)
+
+
+def test_an_answer_counts_as_an_argument(conversation: Conversation) -> None:
+    content = conversation.as_arguments.structured_content
+    assert conversation.result.structured_content == content
+    assert content is not None
+    assert content["status"] == "ok"
+
+
+def test_the_form_begins_with_the_result(conversation: Conversation) -> None:
+    assert conversation.form.message.startswith(text_of(conversation.without_answer))
+
+
+def test_the_form_has_optional_fields_for_the_missing_values(conversation: Conversation) -> None:
+    schema = conversation.form.requested_schema
+    fields = list(schema["properties"])
     assert fields == ["region", "height_m", "height_basis", "focal_35mm", "known_length"]
-    assert (
-        "pixels of the image of 640 x 512 px"
-        in form.requested_schema["properties"]["known_length"]["description"]
-    )
-    assert not form.requested_schema.get("required")
+    assert not schema.get("required")
+
+
+def test_the_form_names_the_callers_coordinates(conversation: Conversation) -> None:
+    field = conversation.form.requested_schema["properties"]["known_length"]
+    assert "pixels of the image of 640 x 512 px" in field["description"]
 
 
 @pytest.mark.parametrize(
@@ -78,7 +110,7 @@ async def test_without_an_answer_the_low_result_stands(
         untold = await client.call_tool("estimate_gsd", by_path(images / "two.png"))
     assert result.structured_content == untold.structured_content
     assert text_of(result) == text_of(untold)
-    assert len(answered.asked) == 1
+    assert len(answered.forms) == 1
 
 
 async def test_what_is_known_or_would_not_help_is_not_asked(
@@ -96,14 +128,14 @@ async def test_what_is_known_or_would_not_help_is_not_asked(
         await client.call_tool(
             "estimate_gsd", {**by_path(images / "two.png"), "known_lengths": [line]}
         )
-    asked = [list(form.requested_schema["properties"]) for form in person.asked]
-    assert asked == [["height_m", "height_basis", "focal_35mm", "known_length"], ["known_length"]]
+    fields = [list(form.requested_schema["properties"]) for form in person.forms]
+    assert fields == [["height_m", "height_basis", "focal_35mm", "known_length"], ["known_length"]]
     assert (
-        "320 x 256" in person.asked[0].requested_schema["properties"]["known_length"]["description"]
+        "320 x 256" in person.forms[0].requested_schema["properties"]["known_length"]["description"]
     )
 
 
-async def test_clients_of_older_revisions_and_those_that_cannot_ask_get_the_low_result_at_once(
+async def test_clients_without_forms_get_the_low_result_at_once(
     server: MCPServer[object], settings: Settings, images: Path
 ) -> None:
     person = Person("accept", height_m=30, focal_35mm=24)
@@ -112,7 +144,7 @@ async def test_clients_of_older_revisions_and_those_that_cannot_ask_get_the_low_
     for client in (at(server, person, "legacy"), at(never, person), Client(server)):
         async with client:
             results.append(await client.call_tool("estimate_gsd", by_path(images / "two.png")))
-    assert not person.asked
+    assert not person.forms
     assert (
         results[0].structured_content
         == results[1].structured_content
@@ -122,19 +154,18 @@ async def test_clients_of_older_revisions_and_those_that_cannot_ask_get_the_low_
     assert results[0].structured_content["status"] == "low_confidence"
 
 
-async def test_the_second_call_needs_nothing_of_the_first_so_that_any_server_of_many_answers_it(
-    settings: Settings, images: Path
-) -> None:
-    here, elsewhere = (create_server(create_services(settings)) for _ in range(2))
+async def test_any_server_can_answer_the_second_call(settings: Settings, images: Path) -> None:
+    here = create_server(create_services(settings))
+    elsewhere = create_server(create_services(settings))
     arguments = by_path(images / "empty.png")
     async with at(here, Person("cancel")) as client:
-        asked = await client.session.call_tool("estimate_gsd", arguments, allow_input_required=True)
-    assert isinstance(asked, mcp.types.InputRequiredResult)
-    assert asked.request_state is None
-    assert asked.input_requests is not None
+        first = await client.session.call_tool("estimate_gsd", arguments, allow_input_required=True)
+    assert isinstance(first, mcp.types.InputRequiredResult)
+    assert first.request_state is None
+    assert first.input_requests is not None
     answers: Any = {
         key: ElicitResult(action="accept", content={"height_m": 30, "focal_35mm": 24})
-        for key in asked.input_requests
+        for key in first.input_requests
     }
     async with Client(elsewhere) as client:
         result = await client.session.call_tool("estimate_gsd", arguments, input_responses=answers)

@@ -19,7 +19,7 @@ from vehanchor_server.tools.messages import answer_of
 pytestmark = pytest.mark.anyio
 
 
-async def test_a_call_gives_the_librarys_record_and_a_sentence(
+async def test_a_call_gives_the_librarys_record_with_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path, era: str
 ) -> None:
     expected = vehanchor.estimate_gsd(
@@ -85,17 +85,17 @@ async def test_arguments_reach_the_library(
     assert "Region europe: cars of 4.50 m." in text_of(by_region)
 
 
-async def test_lines_of_known_length_are_read_in_the_callers_frame_and_held_against_the_vehicles(
+async def test_known_lengths_are_in_the_callers_frame(
     server: MCPServer[object], images: Path
 ) -> None:
     line = {"x1": 10, "y1": 10, "x2": 110, "y2": 10, "metres": 200}
     frame = {"width_px": 320, "height_px": 256}
-    heard = await called(
+    result = await called(
         server, "estimate_gsd", images / "cars.png", frame=frame, known_lengths=[line]
     )
     # 2 m/px of the frame, which is half as large
-    assert "The given line, assumed, gives 1 m/px" in text_of(heard)
-    assert "rulers_disagree" in [warning["code"] for warning in record_of(heard)["warnings"]]
+    assert "The given line, assumed, gives 1 m/px" in text_of(result)
+    assert "rulers_disagree" in [warning["code"] for warning in record_of(result)["warnings"]]
     short = [{**line, "x2": 11}]
     refused = await called(
         server, "estimate_gsd", images / "cars.png", frame=frame, known_lengths=short
@@ -108,9 +108,9 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
 ) -> None:
     plain = record_of(await called(server, "estimate_gsd", images / "cars.png"))
     n = plain["details"]["n_detections"]
-    told: dict[str, Any] = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
+    corrections: dict[str, Any] = {"drop": str(n), "add": [{"x1": 1, "y1": 2, "x2": 21, "y2": 2}]}
     frame = {"width_px": plain["image_width_px"] // 2, "height_px": plain["image_height_px"] // 2}
-    result = await called(server, "estimate_gsd", images / "cars.png", **told, frame=frame)
+    result = await called(server, "estimate_gsd", images / "cars.png", **corrections, frame=frame)
     record = record_of(result)
     assert (record["details"]["by_hand"], record["confidence"] <= 0.99) == (
         {"dropped": 1, "added": 1},
@@ -125,14 +125,14 @@ async def test_vehicles_are_corrected_by_hand_in_the_callers_frame(
     )
 
 
-async def test_a_height_is_a_ruler_and_makes_a_scale_without_vehicles(
+async def test_a_height_makes_a_scale_without_vehicles(
     server: MCPServer[object], images: Path
 ) -> None:
     height: dict[str, Any] = {"height_m": 100, "height_basis": "measured", "focal_35mm": 24}
-    heard = await called(server, "estimate_gsd", images / "empty.png", **height)
-    assert (record_of(heard)["leading_ruler"], record_of(heard)["n_vehicles"]) == ("height", 0)
-    assert "from given height: safe to use." in text_of(heard)
-    assert "The given height, measured, gives" in text_of(heard)
+    result = await called(server, "estimate_gsd", images / "empty.png", **height)
+    assert (record_of(result)["leading_ruler"], record_of(result)["n_vehicles"]) == ("height", 0)
+    assert "from given height: safe to use." in text_of(result)
+    assert "The given height, measured, gives" in text_of(result)
     assert "give height_m" in text_of(
         await called(server, "estimate_gsd", images / "empty.png", focal_35mm=24)
     )
@@ -150,7 +150,7 @@ def doubtful() -> GsdEstimate:
 LINE = "draw a line over a parking bay or lane dash (known_lengths)"
 CAR = "add a car that has no box (add)"
 REGION = "give the region (region)"
-DROP = "drop boxes that are no cars, see view_image (drop)"
+DROP = "drop boxes that are not cars, see view_image (drop)"
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
     details = doubtful.details.model_copy(
         update={"reference_source": changes.get("reference_source", "model")}
     )
-    told = doubtful.model_copy(update={"reason": changes["reason"], "details": details})
-    words = answer_of([told], (), "short").text
+    estimate = doubtful.model_copy(update={"reason": changes["reason"], "details": details})
+    words = answer_of([estimate], (), "short").text
     assert words.endswith(f"; {', or '.join(remedies)}.")
     assert not {"height", "if it is", "guess"} & set(words.split())

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import anyio
 import numpy as np
 import pytest
 from mcp import Client
@@ -33,7 +35,7 @@ def _among(first: Path, *others: Path, **more: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A root of our own: others count what is in theirs."""
+    """A root for this module alone, because other tests count the files in theirs."""
     root = tmp_path_factory.mktemp("flights").resolve()
     for name, cars in (("two.png", 2), ("more.png", 9), ("empty.png", 0)):
         write_image(root / name, paint_scene(640, 512, cars))
@@ -58,7 +60,7 @@ def server(settings: Settings) -> MCPServer[object]:
 
 @pytest.fixture(scope="module")
 def flight(images: Path) -> Path:
-    """``here.png`` without a car, ``near.png`` beside it with cars at 0.8 of its scale, ``elsewhere.png``."""
+    """``here.png`` without a car, ``near.png`` with cars that overlaps it, ``elsewhere.png``."""
     folder = images / "flight"
     folder.mkdir()
     world = ground(seed=5)
@@ -78,29 +80,50 @@ def flight(images: Path) -> Path:
     return folder
 
 
-async def test_an_image_without_a_car_has_the_scale_of_those_of_its_flight_that_it_overlaps(
+@pytest.fixture(scope="module")
+def overlapping(server: MCPServer[object], flight: Path) -> dict[str, Any]:
+    """The record of an image without cars, with a linked image and an unlinked one."""
+    arguments = _overlapping_call(flight)
+    return record_of(anyio.run(partial(called, server, "estimate_gsd", **arguments)))
+
+
+def _overlapping_call(flight: Path) -> dict[str, Any]:
+    arguments = _among(flight / "here.png", flight / "elsewhere.png", flight / "near.png")
+    return {**arguments, "frame": {"width_px": 250, "height_px": 250}}
+
+
+async def test_an_image_without_cars_has_no_scale_of_its_own(
     server: MCPServer[object], flight: Path
 ) -> None:
-    asked = {
-        **_among(flight / "here.png", flight / "elsewhere.png", flight / "near.png"),
-        "frame": {"width_px": 250, "height_px": 250},
-    }
     alone = record_of(await called(server, "estimate_gsd", flight / "here.png"))
     assert alone["gsd_m_per_px"] is None
-    record = record_of(await called(server, "estimate_gsd", **asked))
-    assert record["gsd_m_per_px"] == pytest.approx(1.25 * CARS_M / LENGTH_PX, rel=0.03)
-    assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * record["gsd_m_per_px"])
-    assert record["rulers"][0]["gsd_m_per_px"] == pytest.approx(record["gsd_m_per_px"], rel=0.01)
-    assert (
-        record["gsd_ci95_low_m_per_px"] < record["gsd_m_per_px"] < record["gsd_ci95_high_m_per_px"]
-    )
-    assert record["scale"]["gsd_m_per_px"] == record["gsd_m_per_px"]
-    assert record["warnings"] == []
-    drawn = await called(server, "view_image", of={"tool": "estimate_gsd", "arguments": asked})
-    assert picture_of(drawn).shape[0] > 250
 
 
-async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_is_told(
+def test_an_image_without_cars_has_the_scale_of_its_flight(overlapping: dict[str, Any]) -> None:
+    gsd = overlapping["gsd_m_per_px"]
+    assert gsd == pytest.approx(1.25 * CARS_M / LENGTH_PX, rel=0.03)
+    assert overlapping["rulers"][0]["gsd_m_per_px"] == pytest.approx(gsd, rel=0.01)
+    assert overlapping["scale"]["gsd_m_per_px"] == gsd
+    assert overlapping["warnings"] == []
+
+
+def test_a_scale_of_a_flight_has_an_interval(overlapping: dict[str, Any]) -> None:
+    gsd = overlapping["gsd_m_per_px"]
+    assert overlapping["gsd_ci95_low_m_per_px"] < gsd < overlapping["gsd_ci95_high_m_per_px"]
+
+
+def test_a_scale_of_a_flight_is_given_in_the_callers_frame(overlapping: dict[str, Any]) -> None:
+    gsd = overlapping["frame"]["gsd_m_per_px"]
+    assert gsd == pytest.approx(2 * overlapping["gsd_m_per_px"])
+
+
+async def test_a_call_about_a_flight_can_be_shown(server: MCPServer[object], flight: Path) -> None:
+    call = {"tool": "estimate_gsd", "arguments": _overlapping_call(flight)}
+    shown = await called(server, "view_image", of=call)
+    assert picture_of(shown).shape[0] > 250
+
+
+async def test_an_unlinked_image_keeps_its_own_scale_with_a_warning(
     server: MCPServer[object], flight: Path
 ) -> None:
     own = record_of(await called(server, "estimate_gsd", flight / "near.png"))
@@ -109,16 +132,16 @@ async def test_an_image_that_nothing_ties_to_the_others_keeps_its_own_scale_and_
             server, "estimate_gsd", **_among(flight / "near.png", flight / "elsewhere.png")
         )
     )
-    assert [each["code"] for each in among["warnings"]] == ["not_linked"]
+    assert [warning["code"] for warning in among["warnings"]] == ["not_linked"]
     assert digits({**among, "warnings": []}) == digits(own)
 
 
 def digits(value: Any) -> Any:
-    """A record with twelve digits: a product of several factors depends on their order by its last bit."""
+    """A record with twelve digits; the last bits of a product depend on its factors' order."""
     if isinstance(value, dict):
-        return {name: digits(each) for name, each in value.items()}
+        return {name: digits(item) for name, item in value.items()}
     if isinstance(value, list):
-        return [digits(each) for each in value]
+        return [digits(item) for item in value]
     return float(f"{value:.12g}") if isinstance(value, float) else value
 
 

@@ -1,4 +1,4 @@
-"""What differs from ``estimate_gsd``: the target, a given scale, the segmenter. The rest is one code path for both."""
+"""``measure_area`` where it differs from ``estimate_gsd``: targets, segmenter, alternatives."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import anyio
 import cv2
 import jsonschema
 import pytest
@@ -53,7 +54,7 @@ async def asked(server: MCPServer[object], arguments: dict[str, Any]) -> CallToo
     return await called(server, "measure_area", **arguments)
 
 
-async def test_a_call_gives_the_librarys_record_and_a_sentence(
+async def test_a_call_gives_the_librarys_record_with_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles
 ) -> None:
     expected = vehanchor.measure_area(
@@ -73,7 +74,7 @@ async def test_a_call_gives_the_librarys_record_and_a_sentence(
     assert "Mask: x 300 to 348, y 330 to 426 in your image." in text_of(result)
 
 
-async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
+async def test_points_include_or_exclude(
     server: MCPServer[object], images: Path, detector_path: Path, segmenter_paths: SamFiles
 ) -> None:
     points = [(324.0, 378.0, True), (200.0, 400.0, False)]
@@ -94,42 +95,63 @@ async def test_points_say_what_is_on_the_object_and_what_is_beside_it(
     assert other["bounding_box"] != expected.model_dump(mode="json")["bounding_box"]
 
 
-async def test_a_point_of_unknown_extent_is_told_with_the_sizes_that_it_may_mean_but_without_boxes(
-    server: MCPServer[object], images: Path
-) -> None:
+class TwoPools(NamedTuple):
+    """Short and full answers about a point that may mean one pool or two."""
+
+    short: dict[str, Any]
+    text: str
+    full: dict[str, Any]
+
+    @property
+    def sizes_m2(self) -> list[float]:
+        return [other["area_m2"] for other in self.full["alternatives"]]
+
+
+@pytest.fixture(scope="module")
+def two_pools(server: MCPServer[object], images: Path) -> TwoPools:
     pools = cv2.imread(str(images / "pool_alone.png"))
     assert pools is not None
-    # beside the first; the toy network takes both in a large crop
+    # A second pool beside the first; the toy network takes both in a large crop.
     pools[330:426, 400:448] = pools[330:426, 300:348]
-    # no file: other tests list the folder
+    # Not as a file: other tests list the folder.
     data = base64.b64encode(cv2.imencode(".png", pools)[1].tobytes()).decode()
-    image = {"kind": "base64", "data": data}
-    asking = {
-        "image": image,
+    arguments = {
+        "image": {"kind": "base64", "data": data},
         "targets": [{"points": [{"x": 162, "y": 189}]}],
         "gsd_m_per_px": 0.15,
+        "frame": {"width_px": 320, "height_px": 256},
         **MEASURED,
     }
-    asking["frame"] = {"width_px": 320, "height_px": 256}
-    short = await asked(server, asking)
-    full = record_of(await asked(server, {**asking, "detail": "full"}))
-    sizes = [each["area_m2"] for each in full["alternatives"]]
-    assert full["status"] == record_of(short)["status"] == "low_confidence"
-    assert sizes == pytest.approx([each["mask_area_px"] * 0.15**2 for each in full["alternatives"]])
-    assert [each["area_m2"] for each in record_of(short)["alternatives"]] == pytest.approx(
-        sizes, rel=0.005
-    )
-    assert "bounding_box" in full["frame"]
-    assert "bounding_box" not in {**record_of(short), **record_of(short)["frame"]}
-    told = text_of(short)
-    assert (
-        "do not rely on it; give a tight box drawn by eye around the object that you mean." in told
-    )
-    assert f"Or you mean {' or '.join(f'{size:.3g} m2' for size in sizes)}." in told
-    assert "Mask:" not in told
+    short = anyio.run(asked, server, arguments)
+    full = anyio.run(asked, server, {**arguments, "detail": "full"})
+    return TwoPools(record_of(short), text_of(short), record_of(full))
 
 
-async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
+def test_a_mask_of_unknown_extent_is_not_usable(two_pools: TwoPools) -> None:
+    assert two_pools.full["status"] == two_pools.short["status"] == "low_confidence"
+    advice = "do not rely on it; give a tight box drawn by eye around the object that you mean."
+    assert advice in two_pools.text
+
+
+def test_alternatives_have_the_scale_of_the_image(two_pools: TwoPools) -> None:
+    expected = [other["mask_area_px"] * 0.15**2 for other in two_pools.full["alternatives"]]
+    assert two_pools.sizes_m2 == pytest.approx(expected)
+
+
+def test_a_short_answer_has_the_alternatives(two_pools: TwoPools) -> None:
+    sizes = [other["area_m2"] for other in two_pools.short["alternatives"]]
+    assert sizes == pytest.approx(two_pools.sizes_m2, rel=0.005)
+    words = " or ".join(f"{size:.3g} m2" for size in two_pools.sizes_m2)
+    assert f"Or you mean {words}." in two_pools.text
+
+
+def test_a_short_answer_omits_the_box_of_a_mask_of_unknown_extent(two_pools: TwoPools) -> None:
+    assert "bounding_box" in two_pools.full["frame"]
+    assert "bounding_box" not in {**two_pools.short, **two_pools.short["frame"]}
+    assert "Mask:" not in two_pools.text
+
+
+async def test_a_mask_that_the_segmenter_doubts_comes_with_a_warning(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:
     server = create_server(
@@ -165,7 +187,7 @@ async def test_a_mask_that_the_segmenter_doubts_is_told_as_such(
         ),
     ],
 )
-async def test_a_target_of_the_wrong_form_is_invalid_by_the_schema_and_told_in_one_line(
+async def test_a_target_of_the_wrong_form_is_refused_in_one_line(
     server: MCPServer[object], images: Path, target: Any, words: str
 ) -> None:
     arguments = {**by_path(images / "pool.png"), **({} if target is ... else {"targets": [target]})}
@@ -177,7 +199,7 @@ async def test_a_target_of_the_wrong_form_is_invalid_by_the_schema_and_told_in_o
         check_shape(arguments, input_schema("measure_area"))
 
 
-async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
+async def test_a_missing_segmenter_stops_only_measure_area(
     settings: Settings, images: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     files = Path("/nowhere/secret.onnx"), Path("/nowhere/decoder.onnx")
@@ -193,9 +215,7 @@ async def test_without_a_segmenter_estimate_gsd_works_and_measure_area_says_so(
     assert not estimate.is_error
 
 
-async def test_a_frame_is_what_the_target_and_the_answer_are_in(
-    server: MCPServer[object], images: Path
-) -> None:
+async def test_targets_are_in_the_callers_frame(server: MCPServer[object], images: Path) -> None:
     half = {name: value / 2 for name, value in POOL_BOX.items()}
     frame = {"width_px": 320, "height_px": 256}
     result = await asked(
@@ -219,11 +239,11 @@ async def test_the_longest_answer_about_an_area_stays_short(
         "frame": frame,
         "detail": "full",
     }
-    found = AreaMeasurement.model_validate(record_of(await asked(server, full)))
-    assert found.estimate is not None
-    assert found.bounding_box is not None
+    area = AreaMeasurement.model_validate(record_of(await asked(server, full)))
+    assert area.estimate is not None
+    assert area.bounding_box is not None
     other = OtherObject(
-        area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=found.bounding_box
+        area_m2=1234.5, mask_area_px=12345, mask_score=0.8, bounding_box=area.bounding_box
     )
     codes = (
         "extent_unknown",
@@ -234,11 +254,11 @@ async def test_the_longest_answer_about_an_area_stays_short(
     )
     notices = tuple(Notice(code=code, message=f"{'A fact ' * 12}. And more.") for code in codes)
     changes = {"reason": "not_cars", "n_vehicles": 24}
-    worst = found.model_copy(
+    worst = area.model_copy(
         update={
             "alternatives": (other, other),
             "warnings": notices,
-            "estimate": found.estimate.model_copy(update=changes),
+            "estimate": area.estimate.model_copy(update=changes),
         }
     )
     answer = answer_of([worst], ["Region europe: cars of 4.85 m."], "short")

@@ -1,4 +1,4 @@
-"""What differs from ``estimate_gsd``: the lines, several answers a call."""
+"""``measure_distance`` where it differs from ``estimate_gsd``: lines, several answers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MEASURED: dict[str, Any] = {"gsd_m_per_px": 0.1, "gsd_basis": "measured"}
 CORNER = {"points": [{"x": 20, "y": 500}, {"x": 320, "y": 500}, {"x": 320, "y": 100}]}
 
 
-async def test_a_call_gives_the_librarys_record_and_a_sentence(
+async def test_a_call_gives_the_librarys_record_with_a_sentence(
     server: MCPServer[object], images: Path, detector_path: Path
 ) -> None:
     expected = vehanchor.measure_distance(
@@ -118,41 +118,56 @@ async def test_a_place_that_may_be_one_of_a_copy_is_questioned(
         {"lines": [far]},
         {"lines": [LINE], "frame": {"width_px": 3136, "height_px": 1000}},
     ):
-        told = await called(server, "measure_distance", image, **MEASURED, **more)
-        assert "smaller copy" not in text_of(told)
+        result = await called(server, "measure_distance", image, **MEASURED, **more)
+        assert "smaller copy" not in text_of(result)
 
 
 SMALL = {"points": [{"x": 20, "y": 50}, {"x": 90, "y": 60}]}
 SHARES = {"points": [{"x": 0.1, "y": 0.2}, {"x": 0.9, "y": 0.2}]}
 
 
-async def test_coordinates_that_look_like_shares_or_per_cent_are_questioned_unless_named(
-    tmp_path: Path,
-) -> None:
-    image = write_image(tmp_path / "large.png", paint_scene(1200, 300, 0))
-    server = create_server(
-        create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process"))
-    )
+@pytest.fixture(scope="module")
+def large_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("large").resolve()
+    return write_image(folder / "large.png", paint_scene(1200, 300, 0))
 
-    async def told(line: Any, **more: Any) -> CallToolResult:
-        return await called(
-            server, "measure_distance", image, lines=[line], detail="short", **MEASURED, **more
-        )
 
-    refused = await told(SHARES)
-    assert error_of(refused) == "invalid_prompt"
-    assert 'coordinates: "fraction"' in text_of(refused)
-    assert not (await told(SHARES, coordinates="fraction")).is_error
-    doubted = await told(SMALL)
+async def measured(image: Path, line: Any, **more: Any) -> CallToolResult:
+    """The short answer about a line, by a server of its own."""
+    settings = Settings(roots=(image.parent,), isolation="in-process")
+    server = create_server(create_services(settings))
+    arguments = {"lines": [line], "detail": "short", **MEASURED, **more}
+    return await called(server, "measure_distance", image, **arguments)
+
+
+async def test_coordinates_that_look_like_shares_are_refused(large_image: Path) -> None:
+    result = await measured(large_image, SHARES)
+    assert error_of(result) == "invalid_prompt"
+    assert 'coordinates: "fraction"' in text_of(result)
+
+
+async def test_shares_are_taken_if_they_are_named(large_image: Path) -> None:
+    assert not (await measured(large_image, SHARES, coordinates="fraction")).is_error
+
+
+async def test_coordinates_that_look_like_per_cent_are_questioned(large_image: Path) -> None:
+    result = await measured(large_image, SMALL)
     assert (
         'all coordinates lie in 0 to 100. If they are pixels, give coordinates: "pixels".'
-        in text_of(doubted)
+        in text_of(result)
     )
-    assert "0 to 100" in str(record_of(doubted)["warnings"])
-    named = await told(SMALL, coordinates="pixels")
-    assert "0 to 100" not in text_of(named)
-    assert "scale 0.100 m/px as stated, scale confidence" in text_of(named)
-    assert text_of(named).endswith("The stated scale is taken as +- 10 %.")
+    assert "0 to 100" in str(record_of(result)["warnings"])
+
+
+async def test_small_coordinates_are_taken_if_they_are_named(large_image: Path) -> None:
+    result = await measured(large_image, SMALL, coordinates="pixels")
+    assert "0 to 100" not in text_of(result)
+
+
+async def test_the_tolerance_of_a_stated_scale_is_in_the_answer(large_image: Path) -> None:
+    text = text_of(await measured(large_image, SMALL, coordinates="pixels"))
+    assert "scale 0.100 m/px as stated, scale confidence" in text
+    assert text.endswith("The stated scale is taken as +- 10 %.")
 
 
 async def test_places_mean_the_same_in_every_kind_of_coordinates(
@@ -162,9 +177,12 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(
         await called(server, "measure_distance", images / "cars.png", lines=[LINE], **MEASURED)
     )
     for coordinates, reach in (("fraction", 1), ("per_mille", 1000)):
-        points = [{"x": at["x"] / 640 * reach, "y": at["y"] / 512 * reach} for at in LINE["points"]]
+        points = [
+            {"x": point["x"] / 640 * reach, "y": point["y"] / 512 * reach}
+            for point in LINE["points"]
+        ]
         lines = [{"points": points}]
-        told = await called(
+        result = await called(
             server,
             "measure_distance",
             images / "cars.png",
@@ -172,4 +190,4 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(
             coordinates=coordinates,
             **MEASURED,
         )
-        assert record_of(told)["distance_m"] == pytest.approx(whole["distance_m"])
+        assert record_of(result)["distance_m"] == pytest.approx(whole["distance_m"])

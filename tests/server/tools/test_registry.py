@@ -2,27 +2,35 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import anyio
 import jsonschema
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
 from mcp.server.mcpserver import Context
 from mcp.server.mcpserver.utilities.func_metadata import FuncMetadata
-from mcp.types import CallToolResult
+from mcp.types import CallToolResult, Tool
 
-from tests.server.conversation import by_path, check_shape, error_of, input_schema, text_of
+from tests.server.conversation import (
+    ERAS,
+    by_path,
+    check_shape,
+    error_of,
+    input_schema,
+    text_of,
+)
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Reading
 from vehanchor_server.app import create_server
 from vehanchor_server.base_model import FrozenModel
-from vehanchor_server.calls.call import run_call
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
+from vehanchor_server.resources import Resources
 from vehanchor_server.schemas import PUBLISHED, schema_files
 from vehanchor_server.services import Services
 from vehanchor_server.tools import registry
@@ -48,7 +56,7 @@ def image_size_tool(services: Services) -> StrictTool:
     async def image_size(
         image: ImageArgument, ctx: Context[Any, Any], detail: DetailArgument = "short"
     ) -> CallToolResult:
-        answer = await run_call(services, ctx, image=image, work=_image_size, question=None)
+        answer = await services.run_call(ctx, image, work=_image_size, question=None)
         return answer.to_result(f"{answer.record.width_px} px wide.")
 
     title = "Tell an image's size"
@@ -57,48 +65,79 @@ def image_size_tool(services: Services) -> StrictTool:
 
 
 @work(Size)
-def _image_size(services: Services, job: Job, source: OpenedImage, _: None) -> Reply[Size]:
+def _image_size(resources: Resources, job: Job, source: OpenedImage, _: None) -> Reply[Size]:
     job.stop.check()
-    with open_raster(source, Reading(limits=services.settings.image_limits)) as raster:
+    with open_raster(source, Reading(limits=resources.settings.image_limits)) as raster:
         return Reply((Size(width_px=raster.width_px, height_px=raster.height_px),))
 
 
-async def test_the_contract_names_every_hint(server: MCPServer[object], era: str) -> None:
-    async with Client(server, mode=era) as client:
-        listed = (await client.list_tools()).tools
-        instructions = client.instructions
-    assert [tool.name for tool in listed] == [
-        "estimate_gsd",
-        "measure_area",
-        "measure_distance",
-        "view_image",
-    ]
-    for tool in listed:
+class Contract(NamedTuple):
+    """What a client reads of a server before its first call."""
+
+    tools: list[Tool]
+    instructions: str
+
+    @property
+    def text(self) -> str:
+        """The instructions and all descriptions."""
+        return " ".join([self.instructions, *(tool.description or "" for tool in self.tools)])
+
+
+@pytest.fixture(scope="module", params=ERAS)
+def contract(request: pytest.FixtureRequest, server: MCPServer[object]) -> Contract:
+    async def read() -> Contract:
+        async with Client(server, mode=request.param) as client:
+            tools = (await client.list_tools()).tools
+            assert client.instructions is not None
+            return Contract(tools, client.instructions)
+
+    return anyio.run(read)
+
+
+def test_the_tools_are_listed_in_order(contract: Contract) -> None:
+    names = [tool.name for tool in contract.tools]
+    assert names == ["estimate_gsd", "measure_area", "measure_distance", "view_image"]
+
+
+def test_every_tool_has_a_title_with_a_short_description(contract: Contract) -> None:
+    for tool in contract.tools:
         assert tool.title
-        assert (tool.output_schema is None) == (tool.name == "view_image")
         assert tool.description
         assert len(tool.description.encode()) < 2048
-        measures_nothing = tool.name == "view_image"
-        assert (
-            measures_nothing
-            or "status is ok" in tool.description
-            or "status ok: use it" in tool.description
-        )
+
+
+def test_only_measuring_tools_have_structured_output(contract: Contract) -> None:
+    for tool in contract.tools:
+        assert (tool.output_schema is None) == (tool.name == "view_image")
+
+
+def test_measuring_tools_explain_the_status(contract: Contract) -> None:
+    for tool in contract.tools:
+        if tool.name != "view_image":
+            description = tool.description or ""
+            assert "status is ok" in description or "status ok: use it" in description
+
+
+def test_every_tool_has_all_hints(contract: Contract) -> None:
+    for tool in contract.tools:
         assert tool.annotations is not None
         assert tool.annotations.read_only_hint
         assert tool.annotations.idempotent_hint
         assert tool.annotations.destructive_hint is False
         assert tool.annotations.open_world_hint is False
-    assert instructions is not None
-    assert "with status ok" in instructions
-    said = " ".join([instructions, *(tool.description or "" for tool in listed)])
-    assert said.count("in at least 9 of 10") == said.count("never a guess") == 1, (
-        "the rule stands once"
-    )
-    assert "0.5" not in said, "the status decides, never a confidence of 0.5"
 
 
-async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
+def test_the_contract_states_the_rule_once(contract: Contract) -> None:
+    assert "with status ok" in contract.instructions
+    assert contract.text.count("in at least 9 of 10") == 1
+    assert contract.text.count("never a guess") == 1
+
+
+def test_the_contract_names_no_limit_of_confidence(contract: Contract) -> None:
+    assert "0.5" not in contract.text, "the status decides, never a confidence of 0.5"
+
+
+async def test_a_new_tool_needs_one_line_in_the_registry(
     monkeypatch: pytest.MonkeyPatch, services: Services, images: Path
 ) -> None:
     published = schema_files()
@@ -165,7 +204,7 @@ async def test_a_new_tool_needs_its_module_and_a_line_in_the_registry(
         ),
     ],
 )
-async def test_wrong_arguments_are_invalid_by_the_schema_and_told_in_one_line(
+async def test_wrong_arguments_are_refused_in_one_line(
     server: MCPServer[object], arguments: dict[str, Any], words: str
 ) -> None:
     async with Client(server) as client:
@@ -212,19 +251,15 @@ _NUMBERS: list[tuple[str, str, Any]] = [  # tool, argument, and where in it a nu
 
 
 def _filled(part: Any, value: Any) -> Any:
-    """The same with a value where ``...`` is."""
+    """The same with a value in the place of ``...``."""
     if isinstance(part, dict):
-        return {key: _filled(each, value) for key, each in part.items()}
-    return (
-        [_filled(each, value) for each in part]
-        if isinstance(part, list)
-        else value
-        if part is ...
-        else part
-    )
+        return {key: _filled(item, value) for key, item in part.items()}
+    if isinstance(part, list):
+        return [_filled(item, value) for item in part]
+    return value if part is ... else part
 
 
-async def test_what_is_no_number_is_not_taken_for_one_nor_what_no_call_means(
+async def test_absurd_numbers_are_refused(
     server: MCPServer[object],
 ) -> None:
     absurd: list[tuple[str, str, Any]] = [
@@ -263,7 +298,7 @@ async def test_a_wrong_argument_is_not_repeated_to_the_caller(server: MCPServer[
     assert "hunter2" not in text_of(result)
 
 
-async def test_a_bug_is_told_without_its_details_and_logged_with_them(
+async def test_only_the_log_has_the_details_of_a_bug(
     server: MCPServer[object],
     images: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -281,18 +316,18 @@ async def test_a_bug_is_told_without_its_details_and_logged_with_them(
 
 
 @pytest.mark.parametrize("deep", [False, True])
-async def test_more_values_than_any_call_has_are_told_without_looking_at_each(
+async def test_too_many_values_are_refused_without_validation(
     server: MCPServer[object], deep: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    looked_at: list[object] = []
+    validated: list[object] = []
     monkeypatch.setattr(
-        FuncMetadata, "validate_arguments", lambda _, arguments: looked_at.append(arguments)
+        FuncMetadata, "validate_arguments", lambda _, arguments: validated.append(arguments)
     )
     many = {f"a{i}": 0 for i in range(100_000)}
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
     assert text_of(result).startswith("invalid_arguments: more than 1000 values.")
-    assert looked_at == []
+    assert validated == []
 
 
 async def test_long_names_are_shortened_before_they_are_told(server: MCPServer[object]) -> None:

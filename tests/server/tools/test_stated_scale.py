@@ -1,4 +1,4 @@
-"""A scale from elsewhere in the measuring tools: measured, it leads; assumed, it is one witness of several."""
+"""A stated scale in the measuring tools: measured, it leads; assumed, it is one witness."""
 
 from __future__ import annotations
 
@@ -50,23 +50,27 @@ def never_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("tool", TOOLS)
 @pytest.mark.parametrize(("more", "half"), [({}, 0.015), ({"gsd_tolerance": 0.003}, 0.003)])
 @pytest.mark.usefixtures("never_searches")
-async def test_a_measured_scale_leads_without_a_search_and_a_detector(
+async def test_a_measured_scale_leads_without_a_search_or_a_detector(
     settings: Settings, images: Path, tool: str, more: dict[str, Any], half: float
 ) -> None:
     server = create_server(
         create_services(replace(settings, detector="/nowhere.onnx", calibration=Path("/nowhere")))
     )
-    found = await measured(
+    record = await measured(
         server, images / "pool.png", tool, gsd_m_per_px=0.15, gsd_basis="measured", **more
     )
-    assert (found["status"], found["gsd_m_per_px"], found["scale_source"]) == ("ok", 0.15, "given")
-    assert (found["estimate"], found["scale_confidence"] >= 0.9) == (None, True)
+    assert (record["status"], record["gsd_m_per_px"], record["scale_source"]) == (
+        "ok",
+        0.15,
+        "given",
+    )
+    assert (record["estimate"], record["scale_confidence"] >= 0.9) == (None, True)
     if tool == "measure_distance":
-        assert found["distance_m"] == pytest.approx(75)
-        bounds = [found["distance_ci95_low_m"] / 500, found["distance_ci95_high_m"] / 500]
+        assert record["distance_m"] == pytest.approx(75)
+        bounds = [record["distance_ci95_low_m"] / 500, record["distance_ci95_high_m"] / 500]
         assert bounds == pytest.approx([0.15 - half, 0.15 + half], rel=0.01)
     else:
-        assert found["area_m2"] == pytest.approx(0.15**2 * found["mask_area_px"])
+        assert record["area_m2"] == pytest.approx(0.15**2 * record["mask_area_px"])
 
 
 @pytest.mark.usefixtures("never_searches")
@@ -110,9 +114,9 @@ async def test_a_tolerance_as_large_as_the_scale_is_refused(
     assert "as large as the scale" in words
 
 
-def chance_of(found: dict[str, Any], kind: str) -> float:
-    (chance,) = (each["p_right"] for each in found["estimate"]["rulers"] if each["kind"] == kind)
-    return float(chance)
+def chance_of(record: dict[str, Any], kind: str) -> float:
+    (ruler,) = [ruler for ruler in record["estimate"]["rulers"] if ruler["kind"] == kind]
+    return float(ruler["p_right"])
 
 
 @pytest.mark.parametrize("tool", TOOLS)
@@ -120,27 +124,29 @@ async def test_an_assumed_scale_that_agrees_is_one_more_witness(
     server: MCPServer[object], images: Path, tool: str
 ) -> None:
     alone = await measured(server, images / "pool_two.png", tool)
-    found = await measured(
+    record = await measured(
         server, images / "pool_two.png", tool, gsd_m_per_px=0.95 * alone["gsd_m_per_px"]
     )
     assert alone["status"] == "low_confidence"
-    assert found["scale_confidence"] > alone["scale_confidence"]
-    assert found["estimate"]["n_vehicles"] == 2, "the image is searched"
-    assert chance_of(found, "stated_scale") > 0.5
+    assert record["scale_confidence"] > alone["scale_confidence"]
+    assert record["estimate"]["n_vehicles"] == 2, "the image is searched"
+    assert chance_of(record, "stated_scale") > 0.5
 
 
 @pytest.mark.parametrize("factor", [0.3, 1.5, 4])
-async def test_an_assumed_scale_that_contradicts_the_cars_makes_nothing_surer_and_is_told(
+async def test_an_assumed_scale_against_the_cars_lowers_the_confidence(
     server: MCPServer[object], images: Path, factor: float
 ) -> None:
     alone = await measured(server, images / "pool.png")
-    found = await measured(server, images / "pool.png", gsd_m_per_px=factor * alone["gsd_m_per_px"])
-    assert found["scale_confidence"] < alone["scale_confidence"]
-    assert found["status"] == "low_confidence"
-    assert "rulers_disagree" in [each["code"] for each in found["warnings"]]
+    record = await measured(
+        server, images / "pool.png", gsd_m_per_px=factor * alone["gsd_m_per_px"]
+    )
+    assert record["scale_confidence"] < alone["scale_confidence"]
+    assert record["status"] == "low_confidence"
+    assert "rulers_disagree" in [each["code"] for each in record["warnings"]]
     if factor != 1.5:  # there the prior of the scene agrees with the stated scale
-        assert found["gsd_m_per_px"] == pytest.approx(alone["gsd_m_per_px"], rel=0.03)
-        assert chance_of(found, "stated_scale") < 0.5
+        assert record["gsd_m_per_px"] == pytest.approx(alone["gsd_m_per_px"], rel=0.03)
+        assert chance_of(record, "stated_scale") < 0.5
 
 
 @pytest.mark.parametrize("image", ["pool.png", "pool_two.png"])
@@ -149,8 +155,8 @@ async def test_an_assumed_scale_that_repeats_the_images_own_changes_nothing(
 ) -> None:
     alone = await measured(server, images / image)
     for factor in (0.985, 1.0, 1.015):
-        found = await measured(server, images / image, gsd_m_per_px=factor * alone["gsd_m_per_px"])
-        assert found == alone, "the same number twice is one witness"
+        record = await measured(server, images / image, gsd_m_per_px=factor * alone["gsd_m_per_px"])
+        assert record == alone, "the same number twice is one witness"
 
 
 async def test_an_assumed_scale_alone_is_never_usable(
@@ -158,14 +164,9 @@ async def test_an_assumed_scale_alone_is_never_usable(
 ) -> None:
     # the prior of the scene agrees
     stated: dict[str, Any] = {"gsd_m_per_px": 0.25, "gsd_tolerance": 0.002}
-    found = await measured(server, images / "empty.png", **stated)
-    assert found["gsd_m_per_px"] == pytest.approx(0.25, rel=0.1)
-    assert (found["status"], found["estimate"]["reason"]) == ("low_confidence", "assumed")
-
-
-# --- The memory
-#
-# ------------------------------------------------------------------------------------------------------
+    record = await measured(server, images / "empty.png", **stated)
+    assert record["gsd_m_per_px"] == pytest.approx(0.25, rel=0.1)
+    assert (record["status"], record["estimate"]["reason"]) == ("low_confidence", "assumed")
 
 
 @pytest.fixture
@@ -174,14 +175,14 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
     from vehanchor.analysis import memory
     from vehanchor.analysis.pipeline import analyse_raster as real
 
-    seen = []
+    calls = []
 
     def counted(*arguments: Any) -> Any:
-        seen.append(arguments)
+        calls.append(arguments)
         return real(*arguments)
 
     monkeypatch.setattr(memory, "analyse_raster", counted)
-    return lambda: len(seen)
+    return lambda: len(calls)
 
 
 async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
@@ -201,7 +202,7 @@ async def estimated(server: MCPServer[object], image: Path, **more: Any) -> Any:
         {"drop": "1", "add": [{"x1": 100, "y1": 480, "x2": 132, "y2": 480}]},
     ],
 )
-async def test_a_measurement_after_an_estimate_with_the_same_arguments_costs_no_second_search(
+async def test_a_measurement_after_an_equal_estimate_costs_no_second_search(
     settings: Settings, images: Path, searches: Callable[[], int], more: dict[str, Any]
 ) -> None:
     server = create_server(create_services(settings))

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from tests.models import blank_image
 from tests.server.conftest import POOL, POOL_BOX, paint_scene, with_pool, write_image
 from tests.server.conversation import error_of, picture_of, text_of
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.images import path_access
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -38,28 +37,39 @@ async def asked(
         return await client.call_tool("view_image", {**named, **more})
 
 
-def seen_in(result: CallToolResult) -> dict[str, Any]:
-    """What the text says: sizes of image and picture, the part and the grid, or the names of a list."""
+def facts_in(result: CallToolResult) -> dict[str, Any]:
+    """The facts in the text: sizes, part and grid of a picture, or the names of a list."""
     assert not result.is_error, text_of(result)
     assert result.structured_content is None
     first, *lines = text_of(result).splitlines()
     if "Image of" not in first:
-        names = []
-        folder = ""
-        for line in lines:
-            folder = folder if line.startswith("  ") else line
-            names += [f"{folder}{line[2:]}"] if line.startswith("  ") else []
-        return {"images": names, "images_total": int(first.split()[0])}
-    numbers = [int(each) for each in re.findall(r"(\d+) x (\d+) px", first)[:2] for each in each]
+        return {"images": _listed_names(lines), "images_total": int(first.split()[0])}
+    image_size, picture_size = re.findall(r"(\d+) x (\d+) px", first)[:2]
     part = re.search(r"x (\d+) to (\d+), y (\d+) to (\d+)", first)
-    names = ["image_width_px", "image_height_px", "picture_width_px", "picture_height_px"]
-    grid = int(re.findall(r"Grid lines are (\d+) image", first)[0])
-    corners = (
-        dict(zip(("x_min", "x_max", "y_min", "y_max"), map(int, part.groups()), strict=True))
-        if part
-        else None
-    )
-    return {**dict(zip(names, numbers, strict=True)), "grid_px": grid, "part": corners}
+    corners = None
+    if part is not None:
+        names = ("x_min", "x_max", "y_min", "y_max")
+        corners = dict(zip(names, map(int, part.groups()), strict=True))
+    return {
+        "image_width_px": int(image_size[0]),
+        "image_height_px": int(image_size[1]),
+        "picture_width_px": int(picture_size[0]),
+        "picture_height_px": int(picture_size[1]),
+        "grid_px": int(re.findall(r"Grid lines are (\d+) image", first)[0]),
+        "part": corners,
+    }
+
+
+def _listed_names(lines: Iterable[str]) -> list[str]:
+    """The paths of a list, in which each folder stands once above its indented files."""
+    names = []
+    folder = ""
+    for line in lines:
+        if line.startswith("  "):
+            names.append(f"{folder}{line[2:]}")
+        else:
+            folder = line
+    return names
 
 
 async def test_the_picture_has_the_size_that_is_declared(
@@ -67,11 +77,11 @@ async def test_the_picture_has_the_size_that_is_declared(
 ) -> None:
     for long_side_px in (256, 1568):
         result = await asked(server, images / "pool.png", long_side_px=long_side_px)
-        seen = seen_in(result)
+        viewed = facts_in(result)
         picture = picture_of(result)
-        assert (seen["picture_width_px"], seen["picture_height_px"]) == picture.shape[1::-1]
-        assert seen["picture_width_px"] == long_side_px
-        assert (seen["image_width_px"], seen["image_height_px"]) == (640, 512)
+        assert (viewed["picture_width_px"], viewed["picture_height_px"]) == picture.shape[1::-1]
+        assert viewed["picture_width_px"] == long_side_px
+        assert (viewed["image_width_px"], viewed["image_height_px"]) == (640, 512)
         assert f"picture of {long_side_px} x " in text_of(result)
 
 
@@ -79,71 +89,77 @@ async def test_what_is_pointed_at_in_the_picture_is_there_in_the_image(
     server: MCPServer[object], images: Path
 ) -> None:
     result = await asked(server, images / "pool.png", long_side_px=320)
-    seen = seen_in(result)
+    viewed = facts_in(result)
     picture = picture_of(result)[:, :, ::-1].astype(int)
     pool = np.argwhere(np.abs(picture - [40, 140, 210]).max(2) < 40)
-    (top, left) = pool.min(0)
-    (bottom, right) = pool.max(0) + 1
-    box = {
+    top, left = pool.min(0)
+    bottom, right = pool.max(0) + 1
+    target = {
         "x_min": float(left) - 2,
         "y_min": float(top) - 2,
         "x_max": float(right) + 2,
         "y_max": float(bottom) + 2,
     }
-    frame = {"width_px": seen["picture_width_px"], "height_px": seen["picture_height_px"]}
+    frame = {"width_px": viewed["picture_width_px"], "height_px": viewed["picture_height_px"]}
     arguments = {
         "image": {"kind": "path", "path": str(images / "pool.png")},
-        "targets": [{"box": box}],
+        "targets": [{"box": target}],
         "frame": frame,
         "detail": "full",
     }
     async with Client(server) as client:
         area = await client.call_tool("measure_area", arguments)
     assert area.structured_content is not None
-    found = area.structured_content["bounding_box"]
-    assert [found[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")] == pytest.approx(
-        POOL_CORNERS, abs=2
-    )
-
-
-POOL_CORNERS = [POOL[0], POOL[1], POOL[2], POOL[3]]
+    box = area.structured_content["bounding_box"]
+    corners = [box[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")]
+    assert corners == pytest.approx(list(POOL), abs=2)
 
 
 async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(
     server: MCPServer[object], images: Path
 ) -> None:
     result = await asked(server, images / "pool.png", part=POOL_BOX, long_side_px=400)
-    seen = seen_in(result)
+    viewed = facts_in(result)
     picture = picture_of(result)
-    assert seen["part"] == POOL_BOX
+    assert viewed["part"] == POOL_BOX
     assert max(picture.shape) == 400
     assert "shows x 294 to 354, y 324 to 432: in the image, x = 294 + " in text_of(result)
-    factor = (POOL_BOX["x_max"] - POOL_BOX["x_min"]) / seen["picture_width_px"]
-    middle = picture[round((378 - 324) / factor) + 3, round((324 - 294) / factor) + 3, ::-1].astype(
-        int
-    )
+    factor = (POOL_BOX["x_max"] - POOL_BOX["x_min"]) / viewed["picture_width_px"]
+    row = round((378 - 324) / factor) + 3
+    column = round((324 - 294) / factor) + 3
+    middle = picture[row, column, ::-1].astype(int)
     assert np.abs(middle - [40, 140, 210]).max() < 30
-    share = {name: value / (640 if name[0] == "x" else 512) for name, value in POOL_BOX.items()}
-    again = seen_in(
-        await asked(
-            server, images / "pool.png", part=share, coordinates="fraction", long_side_px=400
-        )
+
+
+async def test_a_part_may_be_given_in_fractions(server: MCPServer[object], images: Path) -> None:
+    in_pixels = await asked(server, images / "pool.png", part=POOL_BOX, long_side_px=400)
+    fractions = {
+        "x_min": POOL_BOX["x_min"] / 640,
+        "y_min": POOL_BOX["y_min"] / 512,
+        "x_max": POOL_BOX["x_max"] / 640,
+        "y_max": POOL_BOX["y_max"] / 512,
+    }
+    in_fractions = await asked(
+        server, images / "pool.png", part=fractions, coordinates="fraction", long_side_px=400
     )
-    assert again == seen
+    assert facts_in(in_fractions) == facts_in(in_pixels)
 
 
 async def test_the_grids_lines_lie_where_their_numbers_say(tmp_path: Path) -> None:
     image = write_image(tmp_path / "even.png", blank_image(640, 512))
-    server = create_server(
-        create_services(Settings(roots=(tmp_path.resolve(),), isolation="in-process"))
-    )
-    result = await asked(server, image, long_side_px=640)
-    step = seen_in(result)["grid_px"]
-    assert step == 100
-    grey = picture_of(result).astype(int).mean(2)[300:380]  # between the numbers along the edges
-    lighter = [x for x in range(2, 638) if grey[:, x].mean() > grey[:, [x - 2, x + 2]].mean() + 5]
-    assert {round(x / step) * step for x in lighter} == {100, 200, 300, 400, 500, 600}
-    assert all(abs(x - round(x / step) * step) <= 1 for x in lighter)
+    result = await asked(_served(tmp_path), image, long_side_px=640)
+    assert facts_in(result)["grid_px"] == 100
+    grey = picture_of(result).astype(int).mean(2)
+    # Mean of each column between the numbers along the edges.
+    columns = grey[300:380].mean(axis=0)
+    lines = set()
+    for x in range(2, 638):
+        beside = (columns[x - 2] + columns[x + 2]) / 2
+        if columns[x] > beside + 5:
+            number = round(x / 100) * 100
+            lines.add(number)
+            assert abs(x - number) <= 1
+    assert lines == {100, 200, 300, 400, 500, 600}
 
 
 @pytest.mark.parametrize(
@@ -178,7 +194,7 @@ async def test_what_cannot_be_shown_is_told(
 async def test_a_limited_enlargement_is_told(server: MCPServer[object], images: Path) -> None:
     part = {"x_min": 10, "y_min": 10, "x_max": 60, "y_max": 40}
     small = await asked(server, images / "pool.png", part=part, long_side_px=1024)
-    assert seen_in(small)["picture_width_px"] == 200
+    assert facts_in(small)["picture_width_px"] == 200
     assert "smaller than the 1024 px asked for: it is enlarged 4 times, the most" in text_of(small)
     whole = await asked(server, images / "pool.png", long_side_px=512)
     assert "smaller" not in text_of(whole)
@@ -199,28 +215,36 @@ def _served(*roots: Path) -> MCPServer[object]:
 async def test_without_an_image_those_below_the_roots_are_named(
     server: MCPServer[object], images: Path
 ) -> None:
-    named = seen_in(await asked(server))["images"]
+    named = facts_in(await asked(server))["images"]
     assert [Path(name).relative_to(images).as_posix() for name in named] == [
-        "cars.png", "empty.png", "large.png", "pool.png", "pool_alone.png", "pool_large.png", "pool_two.png",
-        "small.png", "two.png", "sub dir/cars é.png",
-    ]  # fmt: skip
-    assert seen_in(await asked(server, Path(named[-1])))["image_width_px"] == 640
+        "cars.png",
+        "empty.png",
+        "large.png",
+        "pool.png",
+        "pool_alone.png",
+        "pool_large.png",
+        "pool_two.png",
+        "small.png",
+        "two.png",
+        "sub dir/cars é.png",
+    ]
+    assert facts_in(await asked(server, Path(named[-1])))["image_width_px"] == 640
 
 
 async def test_many_images_come_in_pages(tmp_path: Path) -> None:
     for number in range(120):
         (tmp_path / f"{number:03}.jpg").touch()
     server = _served(tmp_path)
-    seen = [
-        name for page in (1, 2, 3) for name in seen_in(await asked(server, page=page))["images"]
-    ]
-    assert seen == [str(tmp_path.resolve() / f"{number:03}.jpg") for number in range(120)]
+    names = []
+    for page in (1, 2, 3):
+        names += facts_in(await asked(server, page=page))["images"]
+    assert names == [str(tmp_path.resolve() / f"{number:03}.jpg") for number in range(120)]
     assert text_of(await asked(server, page=1)).startswith("120 images, 1 to 50 on page 1 of 3:")
     words = text_of(await asked(server, page=1))
     assert words.count(str(tmp_path.resolve())) == 1
     assert words.splitlines()[1:4] == [f"{tmp_path.resolve()}{os.sep}", "  000.jpg", "  001.jpg"]
     assert text_of(await asked(server, page=9)) == "120 images, none on page 9 of 3."
-    assert seen_in(await asked(server, page=3))["images_total"] == 120
+    assert facts_in(await asked(server, page=3))["images_total"] == 120
 
 
 async def test_what_links_lead_to_is_not_named(tmp_path: Path) -> None:
@@ -232,7 +256,7 @@ async def test_what_links_lead_to_is_not_named(tmp_path: Path) -> None:
     (inside / "notes.txt").touch()
     (inside / "folder").symlink_to(outside, target_is_directory=True)
     (inside / "file.jpg").symlink_to(outside / "a.jpg")
-    assert seen_in(await asked(_served(inside)))["images"] == [str(inside.resolve() / "a.jpg")]
+    assert facts_in(await asked(_served(inside)))["images"] == [str(inside.resolve() / "a.jpg")]
 
 
 async def test_a_server_without_roots_names_none() -> None:
@@ -244,9 +268,9 @@ async def test_a_part_of_a_large_image_is_read_alone(tmp_path: Path) -> None:
     server = _served(tmp_path)
     whole = await asked(server, image)
     part = await asked(server, image, part=POOL_BOX)
-    assert seen_in(whole)["picture_width_px"] == 1024
+    assert facts_in(whole)["picture_width_px"] == 1024
     assert "give that size as frame" in text_of(whole)
-    assert seen_in(part)["grid_px"] == 10
+    assert facts_in(part)["grid_px"] == 10
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems store no such names")
@@ -258,19 +282,17 @@ async def test_names_that_are_no_text_are_left_out(tmp_path: Path) -> None:
         create_server(create_services(Settings(roots=(tmp_path,), isolation="in-process")))
     ) as client:
         result = await client.call_tool("view_image", {})
-    assert seen_in(result)["images"] == [str(tmp_path / "good.png")]
+    assert facts_in(result)["images"] == [str(tmp_path / "good.png")]
 
 
-async def test_a_listing_takes_a_slot_and_has_the_deadline(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_listing_counts_as_a_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listing = threading.Event()
     goes_on = threading.Event()
 
-    def slow_walk(root: Path, stop: Stop) -> Iterator[Path]:
+    def slow_walk(root: Path, check_stop: Callable[[], None]) -> Iterator[Path]:
         listing.set()
         while not goes_on.wait(0.01):
-            stop.check()
+            check_stop()
         yield root / "a.png"
 
     monkeypatch.setattr(path_access, "_images_below", slow_walk)

@@ -39,17 +39,20 @@ async def drawn(
     arguments: dict[str, Any] | None = None,
     **more: Any,
 ) -> CallToolResult:
-    asked = {"image": by_path(image)["image"], **(CALLS[tool] if arguments is None else arguments)}
+    arguments_of_call = {
+        "image": by_path(image)["image"],
+        **(CALLS[tool] if arguments is None else arguments),
+    }
     async with Client(server) as client:
         return await client.call_tool(
-            "view_image", {"of": {"tool": tool, "arguments": asked}, **more}
+            "view_image", {"of": {"tool": tool, "arguments": arguments_of_call}, **more}
         )
 
 
 def near(picture: np.ndarray, rgb: tuple[int, int, int], within: int) -> np.ndarray:
     """Where a decoded picture has a colour."""
-    found: np.ndarray = np.abs(picture[:, :, ::-1].astype(int) - rgb).max(2) < within
-    return found
+    is_colour: np.ndarray = np.abs(picture[:, :, ::-1].astype(int) - rgb).max(2) < within
+    return is_colour
 
 
 @pytest.mark.parametrize("tool", CALLS)
@@ -73,23 +76,22 @@ async def test_the_words_of_the_call_stand_before_a_picture_with_its_vehicles(
 async def test_a_call_that_is_computed_again_gives_the_same_picture(
     settings: Settings, images: Path
 ) -> None:
-    seen = []
+    contents = []
     tool = "measure_area"
     for is_remembered in (True, False):
         server = create_server(create_services(settings))
         if is_remembered:
             async with Client(server) as client:
                 await client.call_tool(tool, {**by_path(images / "pool.png"), **CALLS[tool]})
-        seen.append((await drawn(server, images / "pool.png", tool)).content)
-    assert seen[0] == seen[1]
+        contents.append((await drawn(server, images / "pool.png", tool)).content)
+    assert contents[0] == contents[1]
 
 
 async def test_an_area_is_cut_to_the_object(server: MCPServer[object], images: Path) -> None:
-    decoded = picture_of(
-        await drawn(server, images / "pool_alone.png", "measure_area", {**TARGETS, **STATED})
-    )
-    # box of 60 x 108 px with a margin of 54 px: 168 x 216 px, four times enlarged
-    pool = near(decoded, (97, 134, 195), 12)
+    arguments = {**TARGETS, **STATED}
+    result = await drawn(server, images / "pool_alone.png", "measure_area", arguments)
+    # A box of 60 x 108 px with a margin of 54 px: 168 x 216 px, four times enlarged.
+    pool = near(picture_of(result), (97, 134, 195), 12)
     assert pool.sum() > 0.1 * 4 * 168 * 4 * 216, "the pool is small in its picture"
     rows, columns = np.nonzero(pool)
     shape = (POOL[3] - POOL[1]) / (POOL[2] - POOL[0])
@@ -97,21 +99,27 @@ async def test_an_area_is_cut_to_the_object(server: MCPServer[object], images: P
 
 
 async def test_a_distance_is_cut_to_the_line(server: MCPServer[object], images: Path) -> None:
-    picture = picture_of(await drawn(server, images / "empty.png", "measure_distance"))
-    # 200 x 100 px of the image, four times enlarged, with the line of 100 px in the middle
-    blue, green, red = picture[190:210].astype(int).transpose(2, 0, 1)
-    columns = np.nonzero(((red - green > 25) & (blue - green > 10)).any(axis=0))[0]
+    result = await drawn(server, images / "empty.png", "measure_distance")
+    # 200 x 100 px of the image, four times enlarged, with the line of 100 px in the middle.
+    rows = picture_of(result)[190:210].astype(int)
+    blue, green, red = rows.transpose(2, 0, 1)
+    is_line = (red - green > 25) & (blue - green > 10)
+    columns = np.nonzero(is_line.any(axis=0))[0]
     assert (columns[0], columns[-1]) == pytest.approx((200, 600), abs=12)
 
 
-async def test_the_picture_has_the_requested_side_and_shows_all_targets(
+async def test_the_picture_of_all_targets_has_the_requested_side(
     server: MCPServer[object], images: Path
 ) -> None:
     other = {"x_min": 600, "y_min": 700, "x_max": 660, "y_max": 760}
-    asked = {"targets": [{"box": POOL_BOX}, {"box": other}], **STATED}
+    arguments_of_call = {"targets": [{"box": POOL_BOX}, {"box": other}], **STATED}
     for side_px in (300, 1568):
         result = await drawn(
-            server, images / "pool_large.png", "measure_area", asked, long_side_px=side_px
+            server,
+            images / "pool_large.png",
+            "measure_area",
+            arguments_of_call,
+            long_side_px=side_px,
         )
         decoded = picture_of(result)
         assert side_px / 2 < max(decoded.shape[:2]) <= side_px
@@ -123,22 +131,22 @@ async def test_a_part_shows_the_numbered_vehicles_of_that_part(
     server: MCPServer[object], images: Path
 ) -> None:
     part = {"x_min": 20, "y_min": 20, "x_max": 160, "y_max": 120}
-    decoded = picture_of(
-        await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560)
-    )
+    result = await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560)
+    decoded = picture_of(result)
     assert decoded.shape[1] == 560
-    (_, columns) = np.nonzero(near(decoded[:400], KEPT_RGB, 60))
+    _, columns = np.nonzero(near(decoded[:400], KEPT_RGB, 60))
     assert columns.min() < 280 < columns.max(), "two vehicles of this part, at x 60 and 130"
 
 
-async def test_arguments_come_as_text_and_the_image_may_stand_beside_them(
+async def test_arguments_may_come_as_text_beside_the_image(
     server: MCPServer[object], images: Path
 ) -> None:
     expected = await drawn(server, images / "pool.png", "measure_area")
-    of = {"tool": "measure_area", "arguments": json.dumps(TARGETS)}
+    call = {"tool": "measure_area", "arguments": json.dumps(TARGETS)}
+    image = by_path(images / "pool.png")["image"]
     async with Client(server) as client:
-        named = {"of": of, "image": by_path(images / "pool.png")["image"]}
-        assert (await client.call_tool("view_image", named)).content == expected.content
+        result = await client.call_tool("view_image", {"of": call, "image": image})
+    assert result.content == expected.content
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import json
 import signal
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,7 +85,7 @@ def discover(**headers: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("era", ERAS)
-async def test_tools_are_listed_and_called(base: str, images: Path, era: str) -> None:
+async def test_tools_can_be_called(base: str, images: Path, era: str) -> None:
     reports: list[float] = []
 
     async def on_progress(progress: float, total: float | None, message: str | None) -> None:
@@ -109,30 +109,34 @@ async def test_requests_need_no_session(base: str) -> None:
     params = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client_info}
     legacy = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": params}
     async with httpx.AsyncClient(timeout=60) as client:
-        for asked in (
+        for request in (
             discover(),
             {"json": legacy, "headers": {"Accept": "application/json, text/event-stream"}},
         ):
-            answer = await client.post(f"{base}/mcp", **asked)
+            answer = await client.post(f"{base}/mcp", **request)
             assert answer.status_code == 200
             assert "mcp-session-id" not in answer.headers
 
 
-async def test_health_tells_alive_from_ready(settings: Settings) -> None:
+def _poll(client: httpx.Client, url: str, is_settled: Callable[[httpx.Response], bool]) -> None:
+    """Wait until an answer of the server fulfils a condition."""
+    deadline = time.monotonic() + 30
+    while not is_settled(client.get(url)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+
+
+def test_a_server_with_loaded_models_is_ready(settings: Settings) -> None:
     with served(settings) as base, httpx.Client(timeout=60) as client:
         assert client.get(f"{base}/healthz").json() == {"status": "alive"}
-        deadline = time.monotonic() + 30
-        while client.get(f"{base}/readyz").status_code != 200 and time.monotonic() < deadline:
-            time.sleep(0.05)
+        _poll(client, f"{base}/readyz", lambda answer: answer.status_code == 200)
         assert client.get(f"{base}/readyz").json() == {"status": "ready"}
-    with (
-        served(Settings(detector="/nowhere.onnx", isolation="in-process")) as base,
-        httpx.Client(timeout=60) as client,
-    ):
+
+
+def test_a_server_without_its_model_is_alive_but_not_ready() -> None:
+    settings = Settings(detector="/nowhere.onnx", isolation="in-process")
+    with served(settings) as base, httpx.Client(timeout=60) as client:
         assert client.get(f"{base}/healthz").status_code == 200
-        deadline = time.monotonic() + 30
-        while client.get(f"{base}/readyz").json()["error"] is None and time.monotonic() < deadline:
-            time.sleep(0.05)
+        _poll(client, f"{base}/readyz", lambda answer: answer.json()["error"] is not None)
         answer = client.get(f"{base}/readyz")
         assert answer.status_code == 503
         assert answer.json() == {"status": "loading", "error": "model_not_found"}
@@ -207,7 +211,7 @@ async def test_an_oidc_server_says_where_to_get_a_token(settings: Settings) -> N
         ({"Origin": "https://console.test"}, 200),
     ],
 )
-def test_foreign_hosts_and_origins_are_refused(
+def test_foreign_hosts_or_origins_are_refused(
     guarded: str, headers: dict[str, str], status: int
 ) -> None:
     with httpx.Client(timeout=60) as client:
@@ -233,7 +237,7 @@ async def test_bodies_over_the_limit_are_refused(base: str) -> None:
         assert client.get(f"{base}/healthz").status_code == 200
 
 
-async def test_a_client_that_hangs_up_frees_its_place(
+async def test_a_client_that_hangs_up_frees_its_slot(
     settings: Settings, images: Path, tiles: Tiles
 ) -> None:
     tiles.least_s = 0.1
@@ -243,13 +247,11 @@ async def test_a_client_that_hangs_up_frees_its_place(
             await tiles.begun()
             group.cancel_scope.cancel()
         async with Client(f"{base}/mcp") as client:
-            while (
-                error_of(
-                    result := await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
-                )
-                == "busy"
-            ):
+            # The slot is free when a call is not refused as busy any more.
+            result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
+            while error_of(result) == "busy":
                 await anyio.sleep(0.02)
+                result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
     assert error_of(result) == "image_undecodable", text_of(result)
     assert tiles.n_begun < N_TILES_LARGE
 
@@ -265,17 +267,28 @@ async def test_a_stream_without_an_end_is_refused(base: str) -> None:
     assert (answer.status_code, answer.headers["allow"]) == (405, "POST")
 
 
-@pytest.mark.promise("requests")
-@pytest.mark.slow
-def test_a_head_without_an_end_is_refused_and_an_idle_connection_closed() -> None:
+@pytest.fixture(scope="module")
+def quick_server() -> Iterator[tuple[str, int]]:
+    """Host and port of a server as a process of its own."""
     with http_server("--isolation", "in-process", "--threads", "1") as server:
         host, port = server.url.removeprefix("http://").removesuffix("/mcp").split(":")
-        with socket.create_connection((host, int(port)), timeout=10) as endless:
-            endless.sendall(b"GET /healthz HTTP/1.1\r\nX: " + b"a" * (33 << 10))
-            assert endless.recv(4096).startswith(b"HTTP/1.1 400")
-        with socket.create_connection((host, int(port)), timeout=10) as idle:
-            idle.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
-            while idle.recv(4096):
-                pass
+        yield host, int(port)
         server.process.send_signal(signal.SIGTERM)
         assert server.process.wait(20) in (0, -signal.SIGTERM)
+
+
+@pytest.mark.promise("requests")
+@pytest.mark.slow
+def test_a_head_without_an_end_is_refused(quick_server: tuple[str, int]) -> None:
+    with socket.create_connection(quick_server, timeout=10) as connection:
+        connection.sendall(b"GET /healthz HTTP/1.1\r\nX: " + b"a" * (33 << 10))
+        assert connection.recv(4096).startswith(b"HTTP/1.1 400")
+
+
+@pytest.mark.promise("requests")
+@pytest.mark.slow
+def test_an_idle_connection_is_closed(quick_server: tuple[str, int]) -> None:
+    with socket.create_connection(quick_server, timeout=10) as connection:
+        connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        while connection.recv(4096):
+            pass

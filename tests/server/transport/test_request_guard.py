@@ -66,7 +66,7 @@ def with_unknown(unknown: bytes, *, modern: bool, nested: bool) -> dict[str, Any
 
 @pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
-def test_very_many_unknown_arguments_are_refused_and_freeze_nothing(
+def test_very_many_unknown_arguments_freeze_nothing(
     base: str, unknown: bytes, modern: bool
 ) -> None:
     request = with_unknown(unknown, modern=modern, nested=modern)
@@ -76,9 +76,9 @@ def test_very_many_unknown_arguments_are_refused_and_freeze_nothing(
     def probe() -> None:
         with httpx.Client(timeout=60) as client:
             while not stop.is_set():
-                asked = time.monotonic()
+                started = time.monotonic()
                 assert client.get(f"{base}/healthz", timeout=30).status_code == 200
-                slowest[0] = max(slowest[0], time.monotonic() - asked)
+                slowest[0] = max(slowest[0], time.monotonic() - started)
 
     thread = threading.Thread(target=probe)
     thread.start()

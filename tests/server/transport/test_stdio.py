@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -91,36 +91,88 @@ def ended(process: subprocess.Popen[bytes], seconds: float = 60) -> tuple[int, s
     return status, process.stderr.read().decode()
 
 
-def test_a_list_comes_before_any_model_and_a_call_leaves_a_line_of_json_and_nothing_else(
-    start: Starter, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    process = start()
-    assert process.stdin is not None
-    assert process.stdout is not None
-    process.stdin.write(message("tools/list"))
-    process.stdin.flush()
-    answer = json.loads(process.stdout.readline())
-    assert answer["result"]["tools"][0]["name"] == "estimate_gsd"
-    maps = Path(f"/proc/{process.pid}/maps").read_text() if sys.platform == "linux" else ""
-    assert not [name for name in ("onnxruntime", "cv2") if name in maps]
-    process.stdin.write(
-        message("tools/call", name="estimate_gsd", arguments=by_path(images / "cars.png"))
-    )
-    process.stdin.flush()
-    answer = json.loads(process.stdout.readline())
-    process.stdin.close()
-    status, stderr = ended(process)
-    assert answer["result"]["structuredContent"]["status"] == "ok"
-    assert process.stdout.read() == b""
-    assert status == 0  # the end of stdin ends it
-    lines = [json.loads(line) for line in stderr.splitlines()]
-    (logged,) = [line for line in lines if line["logger"] == "vehanchor_server.calls"]
-    assert logged["tool"] == "estimate_gsd"
-    assert logged["status"] == "ok"
-    assert logged["megapixels"] == pytest.approx(0.328)
-    assert logged["ms"] > 0
-    assert list(tmp_path.iterdir()) == []  # no socket of the workers
+class Session(NamedTuple):
+    """A server that listed its tools, answered one call, and ended with its stdin.
+
+    Attributes:
+        libraries: memory maps after the listing; empty on systems without them.
+        listing: the answer to the listing.
+        answer: the answer to the call.
+        rest: the rest of stdout.
+        status: exit status.
+        log: the lines of stderr.
+        left_over: files in the temporary folder.
+    """
+
+    libraries: str
+    listing: dict[str, Any]
+    answer: dict[str, Any]
+    rest: bytes
+    status: int
+    log: list[dict[str, Any]]
+    left_over: list[Path]
+
+
+@pytest.fixture(scope="module")
+def session(settings: Settings, images: Path, tmp_path_factory: pytest.TempPathFactory) -> Session:
+    temporary = tmp_path_factory.mktemp("temporary")
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("VEHANCHOR_")
+    }
+    with subprocess.Popen(
+        command(settings),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**environment, "TMPDIR": str(temporary)},
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            process.stdin.write(message("tools/list"))
+            process.stdin.flush()
+            listing = json.loads(process.stdout.readline())
+            libraries = ""
+            if sys.platform == "linux":
+                libraries = Path(f"/proc/{process.pid}/maps").read_text()
+            arguments = by_path(images / "cars.png")
+            process.stdin.write(message("tools/call", name="estimate_gsd", arguments=arguments))
+            process.stdin.flush()
+            answer = json.loads(process.stdout.readline())
+            process.stdin.close()
+            status, stderr = ended(process)
+            rest = process.stdout.read()
+        finally:
+            process.kill()
+    log = [json.loads(line) for line in stderr.splitlines()]
+    left_over = list(temporary.iterdir())
+    return Session(libraries, listing, answer, rest, status, log, left_over)
+
+
+def test_the_tools_are_listed_before_any_model_is_loaded(session: Session) -> None:
+    assert session.listing["result"]["tools"][0]["name"] == "estimate_gsd"
+    assert not [name for name in ("onnxruntime", "cv2") if name in session.libraries]
+
+
+def test_stdout_has_only_answers(session: Session) -> None:
+    assert session.answer["result"]["structuredContent"]["status"] == "ok"
+    assert session.rest == b""
+
+
+def test_a_call_is_one_line_in_the_log(session: Session) -> None:
+    (line,) = [line for line in session.log if line["logger"] == "vehanchor_server.calls"]
+    assert line["tool"] == "estimate_gsd"
+    assert line["status"] == "ok"
+    assert line["megapixels"] == pytest.approx(0.328)
+    assert line["ms"] > 0
+
+
+def test_the_end_of_stdin_ends_the_server(session: Session) -> None:
+    assert session.status == 0
+
+
+def test_the_server_leaves_no_socket_of_its_workers(session: Session) -> None:
+    assert session.left_over == []
 
 
 def _wait_for(condition: Callable[[], bool], seconds: float = 60) -> bool:
@@ -131,7 +183,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float = 60) -> bool:
 
 
 def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
-    """Start a call that takes seconds, and wait until its progress shows that tiles are searched."""
+    """Start a call that takes seconds, and wait until it searches tiles."""
     assert process.stdin is not None
     assert process.stdout is not None
     call = json.loads(
@@ -146,7 +198,7 @@ def _until_computing(process: subprocess.Popen[bytes], images: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("by_signal", [True, False])
-def test_sigterm_and_the_end_of_stdin_end_it_in_the_middle_of_a_call(
+def test_sigterm_or_the_end_of_stdin_ends_a_running_call(
     start: Starter, images: Path, by_signal: bool
 ) -> None:
     process = start(slow=True)
@@ -213,7 +265,8 @@ async def called(server, images, calls):
 
 def main():
     images, detector, encoder, decoder, calls = sys.argv[1:]
-    settings = Settings(roots=(Path(images),), detector=detector, segmenter=(Path(encoder), Path(decoder)), threads=1)
+    segmenter = (Path(encoder), Path(decoder))
+    settings = Settings(roots=(Path(images),), detector=detector, segmenter=segmenter, threads=1)
     services = create_services(settings)
     try:
         listed, answers = anyio.run(called, create_server(services), images, json.loads(calls))
@@ -235,7 +288,8 @@ def test_no_decoder_is_imported_after_every_tool_was_called(
     root.mkdir()
     for name in ("cars.png", "pool.png", "notes.txt"):
         shutil.copy(images / name, root)
-    cars, pool = ({"kind": "path", "path": str(root / name)} for name in ("cars.png", "pool.png"))
+    cars = {"kind": "path", "path": str(root / "cars.png")}
+    pool = {"kind": "path", "path": str(root / "pool.png")}
     box = {"box": {"x_min": 294, "y_min": 324, "x_max": 354, "y_max": 432}}
     calls = [
         ("view_image", {}),

@@ -1,4 +1,4 @@
-"""``vehanchor view``: who gets in, and what the page can ask for."""
+"""``vehanchor view``: access, and the requests of the page."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def address(
         threads=1,
         isolation="in-process",
     )
-    with viewing(settings, tmp_path_factory.mktemp("view").resolve() / "dropped") as found:
-        yield found
+    with viewing(settings, tmp_path_factory.mktemp("view").resolve() / "dropped") as own_address:
+        yield own_address
 
 
 def asked(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def drop(address: Address, name: str, data: bytes) -> httpx.Response:
     )
 
 
-def test_what_is_no_photograph_is_not_kept(address: Address) -> None:
+def test_only_photographs_are_kept(address: Address) -> None:
     for name, data in (
         ("notes.txt", b"no picture"),
         ("empty.jpg", b""),
@@ -158,7 +158,7 @@ def test_what_is_no_photograph_is_not_kept(address: Address) -> None:
     ):
         reply = drop(address, name, data)
         assert reply.status_code == 415, name
-        assert reply.text.startswith(f"{name} is no photograph to measure: ")
+        assert reply.text.startswith(f"{name} is not a photograph to measure: ")
 
 
 def test_a_photograph_above_the_limit_is_not_kept(
@@ -174,15 +174,13 @@ def test_a_photograph_above_the_limit_is_not_kept(
 
 
 @pytest.mark.slow
-def test_the_command_says_where_the_page_is_and_leaves_nothing_behind(
-    images: Path, tmp_path: Path
-) -> None:
+def test_the_command_serves_the_page_until_a_signal(images: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "vehanchor", "view", str(images / "cars.png"), "--no-browser"]
     environment = {"TMPDIR": str(tmp_path), "PATH": "/usr/bin:/bin"}
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stderr is not None
-        said = process.stderr.readline()
-        (url,) = re.findall(r"http://127\.0\.0\.1:\d+/[\w-]{32}/#\S+", said)
+        line = process.stderr.readline()
+        (url,) = re.findall(r"http://127\.0\.0\.1:\d+/[\w-]{32}/#\S+", line)
         assert url.endswith("/cars.png")
         assert WEB.get(url, timeout=20).status_code == 200
         assert len(list(tmp_path.glob("vehanchor-view-*"))) == 1
@@ -191,12 +189,14 @@ def test_the_command_says_where_the_page_is_and_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_not_there_and_a_port_that_is_taken_are_told(
-    tmp_path: Path, address: Address
-) -> None:
-    missing = CliRunner().invoke(app, ["view", str(tmp_path / "none"), "--no-browser"])
-    assert (missing.exit_code, "give an existing directory" in missing.stderr) == (2, True)
-    taken = CliRunner().invoke(
-        app, ["view", str(tmp_path), "--no-browser", "--port", str(address.port)]
-    )
-    assert (taken.exit_code, "use another --port" in taken.stderr) == (2, True)
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["view", str(tmp_path / "none"), "--no-browser"])
+    assert result.exit_code == 2
+    assert "give an existing directory" in result.stderr
+
+
+def test_a_port_that_is_taken_is_refused(tmp_path: Path, address: Address) -> None:
+    arguments = ["view", str(tmp_path), "--no-browser", "--port", str(address.port)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert "use another --port" in result.stderr

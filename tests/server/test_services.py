@@ -1,8 +1,8 @@
+"""Calls within the capacity of a server: progress, slots, deadline and cancellation."""
+
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +15,6 @@ from tests.server.conftest import N_TILES_LARGE
 from tests.server.conversation import by_path, error_of, reported
 from tests.tiles import Tiles
 from vehanchor_server.app import create_server
-from vehanchor_server.calls.capacity import Capacity, Stop
-from vehanchor_server.errors import CallError
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import Settings
 
@@ -31,7 +29,7 @@ async def stop_requested(services: Services) -> None:
 
 
 @pytest.mark.parametrize(("name", "n_reports"), [("small.png", 4), ("large.png", 5)])
-async def test_progress_is_reported_three_to_five_times_and_rises(
+async def test_progress_rises_in_three_to_five_reports(
     server: MCPServer[object], images: Path, name: str, n_reports: int, era: str
 ) -> None:
     reports: list[float] = []
@@ -73,7 +71,7 @@ async def test_over_capacity_a_call_is_refused_at_once(
     assert services.capacity.running == 0
 
 
-async def test_the_deadline_ends_a_call_and_frees_its_place(
+async def test_a_call_at_its_deadline_frees_its_slot(
     settings: Settings, images: Path, tiles: Tiles
 ) -> None:
     tiles.least_s = 0.1
@@ -85,7 +83,7 @@ async def test_the_deadline_ends_a_call_and_frees_its_place(
     assert services.capacity.running == 0
 
 
-async def test_cancelling_stops_the_work_and_frees_its_place(
+async def test_a_cancelled_call_frees_its_slot(
     services: Services, images: Path, tiles: Tiles, era: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "vehanchor_server.calls")
@@ -100,14 +98,13 @@ async def test_cancelling_stops_the_work_and_frees_its_place(
         while services.capacity.running:
             await anyio.sleep(0.01)
         assert tiles.n_begun == 1
-        assert [getattr(record, "fields", {}).get("status") for record in caplog.records][
-            -1
-        ] == "cancelled"
+        last_line = caplog.records[-1]
+        assert getattr(last_line, "fields", {})["status"] == "cancelled"
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert not result.is_error
 
 
-async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
+async def test_lack_of_memory_outside_models_has_its_own_code(
     server: MCPServer[object], images: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def hungry(*_: object, **__: object) -> None:
@@ -117,75 +114,3 @@ async def test_want_of_memory_outside_decoding_and_models_is_told_by_its_code(
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
     assert error_of(result) == "out_of_memory"
-
-
-def work_until_stopped(stop: Stop) -> None:
-    while True:
-        stop.check()
-        time.sleep(0.005)
-
-
-async def test_a_place_is_taken_until_the_thread_has_ended() -> None:
-    capacity = Capacity(1, 5)
-    began = threading.Event()
-    release = threading.Event()
-
-    def work() -> None:  # does not listen to stop requests
-        began.set()
-        release.wait()
-
-    async with anyio.create_task_group() as group:
-
-        async def deaf() -> None:
-            await capacity.run(lambda stop: capacity.in_thread(stop, work))
-
-        group.start_soon(deaf)
-        while not began.is_set():
-            await anyio.sleep(0.001)
-        group.cancel_scope.cancel()
-        with anyio.CancelScope(shield=True):
-            await anyio.sleep(0.05)
-            assert capacity.running == 1
-            with pytest.raises(CallError, match="busy"):
-                await capacity.run(lambda stop: capacity.in_thread(stop, lambda: None))
-            release.set()
-    assert capacity.running == 0
-
-
-async def test_whatever_stopped_work_raises_ends_in_the_cancellation() -> None:
-    capacity = Capacity(1, 0.1)
-
-    def terminated(stop: Stop) -> None:
-        while not stop.requested:
-            time.sleep(0.005)
-        raise RuntimeError("Exiting due to terminate flag being set to true.")
-
-    with pytest.raises(CallError, match="deadline_exceeded"):
-        await capacity.run(lambda stop: capacity.in_thread(stop, lambda: terminated(stop)))
-
-
-async def test_closing_stops_what_runs_and_accepts_nothing_more() -> None:
-    capacity = Capacity(2, 5)
-    codes: list[str] = []
-
-    async def call() -> None:
-        try:
-            await capacity.run(
-                lambda stop: capacity.in_thread(stop, lambda: work_until_stopped(stop))
-            )
-        except CallError as error:
-            codes.append(error.code)
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(call)
-        while not capacity.running:
-            await anyio.sleep(0.001)
-        capacity.close()
-    await call()
-    assert codes == ["server_stopping", "server_stopping"]
-
-
-async def test_the_deadline_counts_before_the_thread_as_well() -> None:
-    capacity = Capacity(1, 0.1)
-    with pytest.raises(CallError, match="deadline_exceeded"):
-        await capacity.run(lambda _: anyio.sleep(5))

@@ -1,0 +1,130 @@
+"""A measuring call: its work, its records in words, and hints about its coordinates."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from vehanchor.records import GsdEstimate
+from vehanchor_server.calls.reply import MAX_SIDE_PX
+from vehanchor_server.errors import CallError
+from vehanchor_server.tools.messages import answer_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mcp.server.mcpserver import Context
+
+    from vehanchor_server.calls.reply import Detail, Reply
+    from vehanchor_server.calls.task import Work
+    from vehanchor_server.images.argument import AnyImage
+    from vehanchor_server.services import Services
+    from vehanchor_server.tools.messages import Answer, AnyRecord
+    from vehanchor_server.tools.scale_arguments import CallerOptions, Question
+
+_LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
+_PER_CENT = 100
+
+
+async def run_measuring_call(
+    services: Services,
+    ctx: Context[Any, Any],
+    *,
+    image: AnyImage,
+    work: Work[Any],
+    question: Question[Any],
+    points: Sequence[tuple[float, float]] = (),
+    more: Sequence[AnyImage] = (),
+    detail: Detail,
+) -> tuple[Reply[Any], Answer]:
+    """Run the work of a call, and describe its records in words.
+
+    Args:
+        services: the server's parts.
+        ctx: the call's context.
+        image: the image argument.
+        work: the work.
+        question: its question.
+        points: points of the subjects, in the caller's coordinates.
+        more: other images.
+        detail: extent of the answer.
+
+    Raises:
+        CallError: ``invalid_prompt`` for probable fractions, or as ``Services.run_call``.
+    """
+    options = question.options
+    all_points = [*points, *_points_of_options(options)]
+    _refuse_probable_fractions(all_points, options)
+    reply = await services.run_call(ctx, image, work=work, question=question, more=more)
+    hints = [
+        *_hints_about_scale(options, reply.record),
+        *_hints_about_coordinates(all_points, options, reply.record),
+    ]
+    return reply, answer_of(reply.records, hints, detail)
+
+
+def _points_of_options(options: CallerOptions) -> list[tuple[float, float]]:
+    """Return both ends of the lines and vehicles among the options."""
+    known_lengths = options.get("known_lengths", ())
+    added_vehicles = options.get("add", ())
+    points = []
+    for line in (*known_lengths, *added_vehicles):
+        points.append((line.x1, line.y1))
+        points.append((line.x2, line.y2))
+    return points
+
+
+def _refuse_probable_fractions(
+    points: Sequence[tuple[float, float]], options: CallerOptions
+) -> None:
+    """Refuse coordinates that look like fractions, unless the caller names their units.
+
+    Raises:
+        CallError: ``invalid_prompt``.
+    """
+    if not points or "coordinates" in options:
+        return
+    if all(0 <= value <= 1 for point in points for value in point):
+        raise CallError(
+            "invalid_prompt",
+            "all coordinates lie in 0 to 1. For shares of the sides give coordinates: "
+            '"fraction", for pixels "pixels".',
+        )
+
+
+def _hints_about_scale(options: CallerOptions, record: AnyRecord) -> list[str]:
+    """State what the call made of a region or of a stated scale."""
+    hints = []
+    estimate = record if isinstance(record, GsdEstimate) else record.estimate
+    if "region" in options and estimate is not None:
+        details = estimate.details
+        if details.reference_source == "region":
+            hints.append(f"Region {options['region']}: cars of {details.reference_length_m:.2f} m.")
+    if "gsd_m_per_px" in options and "gsd_tolerance" not in options:
+        hints.append("The stated scale is taken as +- 10 %.")
+    return hints
+
+
+def _hints_about_coordinates(
+    points: Sequence[tuple[float, float]], options: CallerOptions, record: AnyRecord
+) -> list[str]:
+    """Warn of coordinates that may be percentages, or pixels of a smaller copy.
+
+    Naming the units, or a frame, silences both warnings.
+    """
+    if not points or "frame" in options or "coordinates" in options:
+        return []
+    width = record.image_width_px
+    height = record.image_height_px
+    size = f"The image has {width} x {height} px"
+    if max(width, height) > _LARGE_PX and all(x <= _PER_CENT and y <= _PER_CENT for x, y in points):
+        return [
+            f"{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "
+            '"pixels".'
+        ]
+    # A host may have shown its model a copy of at most MAX_SIDE_PX.
+    reduction = MAX_SIDE_PX / max(width, height)
+    copy_width = width * reduction
+    copy_height = height * reduction
+    if reduction < 1 and all(x <= copy_width and y <= copy_height for x, y in points):
+        return [f"{size}. If you used a smaller copy, give its size as frame."]
+    return []
