@@ -36,11 +36,11 @@ def _each_image_is_looked_at_once() -> Iterator[None]:
     """Remember what the scene-scale and court networks and the fit of courts say: four fifths of an estimate here."""
     seen: dict[Any, Any] = {}
 
-    def ran(session: Any, names: Any, inputs: Any, runtime: Any, described: str) -> Any:
-        key = described, runtime.threads, hashlib.sha256(inputs["tiles"]).digest()
+    def ran(session: Any, names: Any, feeds: Any, runtime: Any, described: str) -> Any:
+        key = described, runtime.threads, hashlib.sha256(feeds["tiles"]).digest()
         if key not in seen:
             seen[key] = run_session(
-                session, names, feeds=inputs, runtime=runtime, described=described
+                session, names, feeds=feeds, runtime=runtime, described=described
             )
         return seen[key]
 
