@@ -213,8 +213,8 @@ def test_a_table_reports_bad_lines_and_finds_labels_beside_its_images(tmp_path: 
     assert sorted(issue.reason for issue in data.issues) == [
         "duplicate_name", "malformed_row", "malformed_row", "no_image"
     ]  # fmt: skip
-    assert [image.path.stem for image in data.chosen(set_name="y").images] == ["b", "c"]
-    assert [image.path.stem for image in data.chosen(limit=1).images] == ["a"]
+    assert [image.path.stem for image in data.select(set_name="y").images] == ["b", "c"]
+    assert [image.path.stem for image in data.select(limit=1).images] == ["a"]
     table.write_text("name,gsd\na,0.1\n")
     with pytest.raises(InvalidParameterError, match=r"no line of the table can be used.*line 2"):
         survey_table(table)
