@@ -88,8 +88,8 @@ def _sahi(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
     def sliced(pixels: Any) -> Any:
         return get_sliced_prediction(
             pixels, network, slice_height=TILE_PX, slice_width=TILE_PX, overlap_height_ratio=share,
-            overlap_width_ratio=share, perform_standard_pred=False, postprocess_match_threshold=NMS_IOU,
-            verbose=0,
+            overlap_width_ratio=share, perform_standard_pred=False,
+            postprocess_match_threshold=NMS_IOU, verbose=0,
         )  # fmt: skip
 
     rgb = image[:, :, ::-1].copy()

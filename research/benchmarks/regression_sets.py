@@ -129,7 +129,6 @@ def false_boxes(image: Sighted) -> int:
 
 
 # --- Where the images come from
-# --------------------------------------------------------------------------------------
 
 
 def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
@@ -216,8 +215,6 @@ def corrected(found: Sighted, file: str) -> Sighted:
 
 
 # --- The tables
-#
-# ------------------------------------------------------------------------------------------------------
 
 
 def people_sets(data: Path, detector: Detector, held_out: bool) -> dict[str, list[Sighted]]:

@@ -345,6 +345,6 @@ def draw_marking(
 
 
 LOOKALIKES: tuple[Draw, ...] = (
-    draw_box, draw_box, draw_air_conditioner, draw_row, draw_bench, draw_playground, draw_skylight, draw_shadow,
-    draw_bush, draw_boat, draw_marking,
+    draw_box, draw_box, draw_air_conditioner, draw_row, draw_bench, draw_playground, draw_skylight,
+    draw_shadow, draw_bush, draw_boat, draw_marking,
 )  # fmt: skip

@@ -54,11 +54,9 @@ _MOVED_SHARE = 0.35  # of the labelled cars give a box that does not fit
 _LEAST_LENGTH_PX = 8.0
 LOOKED_AT = Path(__file__).with_name("looked_at.csv")
 _TYPE_OF_BODY = {
-    "kei": "kei", "kei truck": "kei", "city": "small", "suv": "suv", "minivan": "van", "van": "van", "pickup": "pickup",
-    "single "
-        "cab": "pickup", "crew "
-            "cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
-    "semitrailer": "lorry", "caravan": "trailer",
+    "kei": "kei", "kei truck": "kei", "city": "small", "suv": "suv", "minivan": "van", "van": "van",
+    "pickup": "pickup", "single " "cab": "pickup", "crew " "cab": "pickup", "flatbed": "pickup",
+    "truck": "lorry", "bus": "lorry", "semitrailer": "lorry", "caravan": "trailer",
 }  # fmt: skip
 _OTHER = KINDS.index("other")
 _LORRY = KINDS.index("lorry")

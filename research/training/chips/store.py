@@ -56,9 +56,10 @@ class Rows(NamedTuple):
         count = len(lengths_px)
         nothing = np.zeros(len(lengths_px), np.float32)
         return cls(
-            np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8), np.full((count, 5), np.nan, np.float32),
-            np.full(count, np.nan, np.float32), lengths_px.astype(np.float32), nothing, nothing,
-            np.full(count, set_name), np.full(count, file),
+            np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8),
+            np.full((count, 5), np.nan, np.float32), np.full(count, np.nan, np.float32),
+            lengths_px.astype(np.float32), nothing, nothing, np.full(count, set_name),
+            np.full(count, file),
         )  # fmt: skip
 
     @classmethod

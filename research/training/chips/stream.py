@@ -333,6 +333,7 @@ class ChipStream:
             torch.tensor(v, dtype=torch.float32) for v in (target.log_metres, target.metres_weight)
         )
         return Batch(
-            torch.from_numpy(np.ascontiguousarray(chip.transpose(2, 0, 1))), car, torch.tensor(target.kind),
-            kind_weight, torch.from_numpy(edges), turned, edge_weight, metres, metres_weight,
+            torch.from_numpy(np.ascontiguousarray(chip.transpose(2, 0, 1))), car,
+            torch.tensor(target.kind), kind_weight, torch.from_numpy(edges), turned, edge_weight,
+            metres, metres_weight,
         )  # fmt: skip

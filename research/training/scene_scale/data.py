@@ -48,9 +48,9 @@ _HELD_OUT_PHOTOGRAPHS = 4  # the last of a flight, with the last ground
 _FINEST_SHARE = 0.75  # of its native metres a pixel a source is resampled to: beyond is blur
 _FINEST_FLIGHT_SHARE = 0.6  # reduced copies are sharp to the pixel
 _SET_WEIGHT = {
-    "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0, "estonia_port": 0.7,
-    "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0, "seneca": 0.8, "scene": 1.0,
-    "chia": 1.5,
+    "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0,
+    "estonia_port": 0.7, "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0,
+    "seneca": 0.8, "scene": 1.0, "chia": 1.5,
 }  # fmt: skip
 # of the crops by any angle, which softens them; the others in one of the eight symmetries
 _TURNED_SHARE = 0.25

@@ -106,8 +106,6 @@ def by_eye(asked: Asked) -> str:
 
 
 # --- What is asked
-#
-# ---------------------------------------------------------------------------------------------------
 
 
 NAMES_OF_CEILINGS = {
@@ -176,8 +174,6 @@ def test_the_rectangle_is_just_outside_the_box_at_any_size(max_side: int, factor
 
 
 # --- What is read
-#
-# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)
@@ -196,8 +192,6 @@ def test_refusals_count_as_an_error_of_100_percent_and_are_counted(
 
 
 # --- The service
-#
-# -----------------------------------------------------------------------------------------------------
 
 
 def test_an_entry_whose_requests_all_fail_is_reported_and_the_others_are_asked(
@@ -319,8 +313,6 @@ def jpeg() -> str:
 
 
 # --- The agent
-#
-# -------------------------------------------------------------------------------------------------------
 
 
 def box_target(tools: list[dict[str, Any]], corners: list[float]) -> dict[str, Any]:

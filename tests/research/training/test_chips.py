@@ -87,8 +87,8 @@ def _batch(n: int) -> Batch:
     nothing = torch.full((n, 4), torch.nan)
     return Batch(
         torch.zeros(n, 3, CHIP_ROWS, CHIP_COLUMNS, dtype=torch.uint8), torch.full((n,), torch.nan),
-        torch.full((n,), -1), torch.ones(n), nothing, torch.zeros(n), torch.zeros(n), nothing[:, :2],
-        torch.zeros(n, 2),
+        torch.full((n,), -1), torch.ones(n), nothing, torch.zeros(n), torch.zeros(n),
+        nothing[:, :2], torch.zeros(n, 2),
     )  # fmt: skip
 
 
