@@ -209,7 +209,7 @@ class _Canvas:
         from_ends = w / 2 - np.abs(self.u - np.float32(x))
         from_sides = h / 2 - np.abs(self.v - np.float32(y))
         inset = np.minimum(from_ends, from_sides)
-        return np.clip(inset / self.step + 0.5, 0, 1)
+        return np.asarray(np.clip(inset / self.step + 0.5, 0, 1))
 
     def _visible(self, w: float, h: float) -> float:
         """Compute the contrast of a rectangle that can be smaller than a pixel."""

@@ -187,7 +187,13 @@ class Site:
         self.stain(np.vstack([path + normal, (path - normal)[::-1]]), level)
 
     def target(self, category: Category, *polygons: ArrayLike, area: float | None = None) -> None:
-        """Add an object to be masked: polygons whose union has that area (default: the area of the only polygon)."""
+        """Add an object to be masked.
+
+        Args:
+            category: its category.
+            polygons: its outline.
+            area: area of the union; None for one polygon.
+        """
         placed = tuple(self.frame.points(polygon) for polygon in polygons)
         self.world.targets.append(
             Target(category, placed, polygon_area(placed[0]) if area is None else area)
