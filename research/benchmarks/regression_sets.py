@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
-_LEAST_SCORE = 0.15
+_MIN_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
 _LOOKED_AT = Path(chips.__file__).with_name("looked_at.csv")
 _SAME_PLACE = 0.35  # of a length
@@ -136,7 +136,7 @@ def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
     ground = load_scene_scale()
     with open_raster(image) as raster:
         found = ImageSearch(
-            raster, detector, Search(min_score=_LEAST_SCORE), prior=ground.predict(raster)
+            raster, detector, Search(min_score=_MIN_SCORE), prior=ground.predict(raster)
         ).searched()
         return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
 

@@ -36,7 +36,7 @@ DRAWS = 3  # for each image
 # log spread, chance wrong
 _STATED = {"camera": (0.13, 0.05), "height": (0.064, 0.05), "known_length": (0.015, 0.05)}
 _LIE = (math.log(1.5), math.log(5.0))
-_LEAST_CARS = 5
+_MIN_CARS = 5
 _PROBABLY = 0.5
 _SEED = 17
 
@@ -92,7 +92,7 @@ def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
 
 def _seen(witnesses: Sequence[Witness], true_gsd: float, usable: bool) -> Seen:
     cars, *ground = witnesses
-    return Seen(cars, tuple(ground), true_gsd, usable and cars.n >= _LEAST_CARS)
+    return Seen(cars, tuple(ground), true_gsd, usable and cars.n >= _MIN_CARS)
 
 
 def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Witness], float]:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 # ucas has too few labels, some displaced
 _CAR_M = {"jekhor": 4.3, "drashti": 3.9, "dota": 4.6, "crossings": 4.8}
-_LEAST_CARS = 2  # of an oriented set
+_MIN_CARS = 2  # of an oriented set
 _LEVEL_RATIO = 1.9  # of an upright box's sides, from which on its car stands level in it
 _BORDER_PX = 3
 _NEAR = np.log(1.5)
@@ -65,7 +65,7 @@ def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
         cars = read_labels(folder / "labels" / f"{Path(row['file']).stem}.txt").of_class(
             "small-vehicle"
         )
-        if len(cars) >= _LEAST_CARS:
+        if len(cars) >= _MIN_CARS:
             yield row["set"], folder / row["file"], float(np.median(boxes_from_corners(cars)[:, 2]))
 
 

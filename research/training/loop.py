@@ -27,7 +27,7 @@ _CHECKPOINT = "checkpoint.pt"
 
 
 class Examples(Protocol):
-    """An endless, seeded stream of examples that can be entered anywhere; ``DataLoader`` reads it by index."""
+    """Endless, seeded stream of examples, which ``DataLoader`` reads by index from anywhere."""
 
     def __getitem__(self, index: int, /) -> Any:
         """The example of an index: always the same one."""
@@ -168,7 +168,7 @@ def _batches(examples: Examples, recipe: Recipe, first: int) -> Iterator[Any]:
     """The batches from a step on."""
     size = recipe.batch or 1
     loader: DataLoader[Any] = DataLoader(
-        examples,  # type: ignore[arg-type]  # torch asks for its own base class, and uses __getitem__ alone
+        examples,  # type: ignore[arg-type]  # DataLoader uses only __getitem__
         batch_size=recipe.batch,
         sampler=range(first * size, recipe.schedule.steps * size),
         num_workers=recipe.workers,

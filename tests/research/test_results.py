@@ -1,4 +1,4 @@
-"""Results are data: the page, the README and the documents take their numbers from the data files."""
+"""Results are data: the page, the README and the documents take numbers from the data files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Measure labelled cars of known scale: ``python -m research.training.chips.bodies CHIPS.onnx READ.npz STORE ...``.
+"""Measure labelled cars of known scale for the chip network.
+
+``python -m research.training.chips.bodies CHIPS.onnx READ.npz STORE ...``.
 
 A box gives no body. The edges of a first chip network, times the scale, give thousands of bodies
 from which a second one learns metres by looks. Writes ``bodies.npz`` into each store, and

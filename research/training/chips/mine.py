@@ -237,7 +237,7 @@ def detect(
 
 
 def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_PX) -> TrainImage:
-    """Cut a part of a large image, if possible around a labelled car; cars that it cuts are ignored."""
+    """Cut a part of a large image, if possible around a labelled car; cars it cuts are ignored."""
     height, width = sample.image.shape[:2]
     if max(height, width) <= side_px:
         return sample

@@ -1,4 +1,4 @@
-"""The chip network: from a candidate with its surroundings to what it is, where its edges lie, and its metres."""
+"""Chip network: from a candidate with its surroundings to its kind, edges and metres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stored chips: what the network trains on, larger than a chip so that it can be turned, scaled and shifted."""
+"""Stored chips, which are larger than a chip so that training can turn, scale and shift them."""
 
 from __future__ import annotations
 

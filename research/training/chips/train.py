@@ -1,4 +1,4 @@
-"""Train the chip network: ``python -m research.training.chips.train RUN --stores ... --readings R``.
+"""Train the chip network: ``python -m research.training.chips.train RUN --stores S --readings R``.
 
 Resumes from ``RUN/checkpoint.pt`` if that exists; at the end it writes ``RUN/chips.onnx``.
 """

@@ -29,7 +29,7 @@ TENNIS_M = 23.77
 BASKETBALL_M = 28.3
 _LABELS = Path(__file__).with_name("tennis.csv")
 _SHARES = (0.45, 0.25, 0.30)  # real courts, rendered scenes, places without
-_MOST_EMPTY = 300
+_MAX_EMPTY = 300
 # weight of cells of a real tile that nobody marked: courts at its edge are not marked
 _UNSURE = 0.2
 _SPREAD_CELLS = 0.9
@@ -109,7 +109,7 @@ def load_empty(data: Path) -> list[Picture]:
         for row in csv.DictReader(handle):
             if row["split"] == "train":
                 found.append((data / "gsd" / row["file"], float(row["gsd_m_per_px"])))
-    order = np.random.default_rng(0).permutation(len(found))[:_MOST_EMPTY]
+    order = np.random.default_rng(0).permutation(len(found))[:_MAX_EMPTY]
     return [Picture(_read(found[index][0]), found[index][1], (), True) for index in order]
 
 
@@ -126,7 +126,7 @@ class CropStream:
         self.seed = seed
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pixels ``[3, 96, 96]`` in 0..1, targets ``[5, 12, 12]``, weights of the two heats ``[2, 12, 12]``."""
+        """Make pixels ``[3, 96, 96]`` in 0..1, targets ``[5, 12, 12]``, weights ``[2, 12, 12]``."""
         rng = np.random.default_rng((self.seed, index))
         group = self.groups[int(rng.choice(3, p=_SHARES))]
         picture = group[int(rng.integers(len(group)))]

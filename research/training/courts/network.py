@@ -25,7 +25,10 @@ def _convolution(inputs: int, outputs: int, stride: int, dilation: int) -> nn.Se
 
 
 class CourtNet(nn.Module):
-    """Three strided and four dilated convolutions; ``[n, 3, h, w]`` in 0..1 to ``[n, 5, h / 8, w / 8]``."""
+    """Network of three strided and four dilated convolutions.
+
+    Maps ``[n, 3, h, w]`` in 0..1 to ``[n, 5, h / 8, w / 8]``.
+    """
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,6 @@
-"""Calibrate a trained detector on the train split: ``python -m research.training.detector.calibrate RUN OUT.json``.
+"""Calibrate a trained detector on the train split.
+
+``python -m research.training.detector.calibrate RUN OUT.json``.
 
 Writes what ``export.py --calibration`` puts into the file:
 
@@ -76,7 +78,7 @@ class Found(NamedTuple):
 
 
 def region_lengths(lengths_m: list[tuple[str, float]]) -> dict[str, float]:
-    """Median of the images' modal lengths, metres, for each region, from pairs of set and modal length."""
+    """Compute the median of the images' modal lengths for each region, metres."""
     return {
         region: float(np.median([length for name, length in lengths_m if name == set_name]))
         for set_name, region in REGION_OF_SET.items()
@@ -84,7 +86,10 @@ def region_lengths(lengths_m: list[tuple[str, float]]) -> dict[str, float]:
 
 
 def mean_error(found: list[Found], min_score: float) -> float:
-    """Mean GSD error on images with labelled cars, each region's own reference length used; 1 without an estimate."""
+    """Compute the mean GSD error on images with labelled cars; 1 without an estimate.
+
+    Each region has its own reference length.
+    """
     modes: list[tuple[str, float]] = []
     n_without = 0
     for image, detections in found:
@@ -117,7 +122,7 @@ def matched_lengths(
 
 
 class LengthPairs(NamedTuple):
-    """Lengths of the same cars, pixels, all ``[n]``, and the set of images that each car is from."""
+    """Lengths of the same cars in pixels, all ``[n]``, and the set of images of each car."""
 
     found: NDArray[np.float64]
     labelled: NDArray[np.float64]

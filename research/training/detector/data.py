@@ -1,4 +1,4 @@
-"""Labelled images to training crops: sampling, geometric and photometric augmentation, dense targets."""
+"""Training crops from labelled images: sampling, augmentation, dense targets."""
 
 from __future__ import annotations
 
@@ -55,7 +55,10 @@ class TrainImage(NamedTuple):
 
 
 def group_of(name: str, set_name: str) -> str:
-    """The group of an image: neighbours and frames of one video stay on one side of the train/dev line."""
+    """Return the group of an image.
+
+    Neighbours and frames of one video stay on one side of the train/dev line.
+    """
     stem = name.rsplit("/", 1)[-1].rsplit(".", 1)[0]
     if set_name == "cannes":
         return (
@@ -69,7 +72,10 @@ def group_of(name: str, set_name: str) -> str:
 
 
 def is_dev(name: str, set_name: str) -> bool:
-    """Whether a train image belongs to the held-out tenth (by a checksum of its group: stable for ever)."""
+    """Return whether a train image belongs to the held-out tenth.
+
+    A checksum of its group decides, so it never changes.
+    """
     return (
         set_name != "jekhor"
         and zlib.crc32(group_of(name, set_name).encode()) % _DEV_SHARE == HELD_OUT
@@ -96,7 +102,7 @@ def read_corrections(path: Path) -> dict[str, list[Correction]]:
 def load_train_images(
     vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False
 ) -> list[TrainImage]:
-    """Load the training part of ``shared/data/vehicles``, its labels corrected; or its held-out tenth alone."""
+    """Load the training part of ``shared/data/vehicles``, or its held-out tenth."""
     known = read_corrections(corrections)
     out = []
     with (vehicles / "index.csv").open(newline="") as handle:
@@ -109,7 +115,10 @@ def load_train_images(
 
 
 def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainImage:
-    """An image with its labels corrected: cars added, doubtful places and labels that nobody sees ignored."""
+    """Load an image with corrected labels.
+
+    Cars are added; doubtful places and labels without a visible car are ignored.
+    """
 
     def of(*kinds: str) -> NDArray[np.float64]:
         return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(
@@ -156,7 +165,10 @@ class Crop(NamedTuple):
 
 
 def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
-    """Cut a rotated, flipped, rescaled crop; cars at the crop's edge and out of the length range become ignored."""
+    """Cut a rotated, flipped, rescaled crop.
+
+    Cars at the crop's edge or outside the range of lengths are ignored.
+    """
     scale = _drawn_scale(rng, sample)
     focus = _drawn_focus(rng, sample, scale)
     turn = rng.uniform(0, 2 * np.pi)
@@ -229,7 +241,7 @@ def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> 
 def _reduced(
     image: NDArray[np.uint8], focus: NDArray[np.float64], scale: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """The part around the focus, reduced by averaging (no aliasing), and the affine map from the image to it."""
+    """Cut the part around the focus, reduced by averaging; return it with its affine map."""
     height, width = image.shape[:2]
     reduce = min(1.0, scale * 1.15)
     if reduce >= 0.95:
@@ -253,7 +265,7 @@ def _reduced(
 
 
 def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The boxes that a crop shows whole and at a length to learn, and the corners of those to ignore."""
+    """Select the boxes that a crop shows whole and at a length to learn, and corners to ignore."""
     corners = box_corners(boxes)
     near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
     boxes = boxes[near]
@@ -268,7 +280,7 @@ def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def lay_over(top: Crop, bottom: Crop) -> Crop:
-    """Fill what ``top`` leaves uncovered with ``bottom``, so that small source images do not waste the crop."""
+    """Fill with ``bottom`` what ``top`` leaves uncovered, so that small images waste nothing."""
     image = np.where(top.covered[:, :, None], top.image, bottom.image)
     below = _hidden_by(top.covered, bottom)
     return Crop(
@@ -355,7 +367,7 @@ class Target(NamedTuple):
 
 
 def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Target:
-    """Draw oriented Gaussians at the centres and spread each box's numbers over the cells around it."""
+    """Draw oriented Gaussians at the centres, and spread each box's numbers over near cells."""
     side = CROP_PX // STRIDE_PX
     heat = np.zeros((side, side), np.float32)
     care = np.ones((side, side), np.uint8)
@@ -420,7 +432,7 @@ class CropStream:
             self._pick[name] = weight / weight.sum()
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, Target]:
-        """Draw a set by weight, an image in it (those with more cars a little more often), then a crop.
+        """Draw a set by weight, an image in it, then a crop; images with more cars are more likely.
 
         Returns:
             The image ``[3, h, w]`` uint8 and its target.

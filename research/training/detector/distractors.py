@@ -78,7 +78,10 @@ def _rectangles(
     paints: list[NDArray[np.float32]],
     shadow: float,
 ) -> _Layer:
-    """A regular array; ``size`` and ``pitch`` in pixels along and across, ``shadow`` the share of a side it falls."""
+    """Draw a regular array.
+
+    ``size`` and ``pitch`` are in pixels along and across; ``shadow`` is a share of a side.
+    """
     colour, opacity = layer
     height, width = opacity.shape
     sun = rng.uniform(0, 2 * np.pi)

@@ -1,4 +1,6 @@
-"""Write the detector in eight bits: ``python -m research.training.detector.quantise MODEL.onnx OUT.onnx``.
+"""Write the detector in eight bits.
+
+``python -m research.training.detector.quantise MODEL.onnx OUT.onnx``.
 
 Static quantisation after training: every convolution but the last ones of the two heads, weights a
 scale a channel, activations by what crops of train images (never of the held-out tenth, never of

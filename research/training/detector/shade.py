@@ -72,7 +72,7 @@ def darken_cars(
 def cast_shadow(
     rng: np.random.Generator, image: NDArray[np.uint8], middle: NDArray[np.float64], car_px: float
 ) -> NDArray[np.uint8]:
-    """Darken a straight-sided area of one to eight cars' lengths, a little blue, its edge hard or soft."""
+    """Darken a straight-sided area of one to eight cars' lengths with a hard or soft edge."""
     sides = car_px * np.exp(rng.uniform(np.log(1.0), np.log(8.0), 2))
     corners = cv2.boxPoints((middle.tolist(), sides.tolist(), float(rng.uniform(0, 180))))
     corners = corners + rng.normal(0, 0.15, corners.shape) * sides.min()

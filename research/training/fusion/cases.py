@@ -1,4 +1,6 @@
-"""Images to calibrate the chance of a scale on, and to report it: ``python -m research.training.fusion.cases RUN``.
+"""Collect images on which the chance of a scale is calibrated and reported.
+
+``python -m research.training.fusion.cases RUN``.
 
 ``fit``: the held-out tenth of the train images, whole and as windows with one to four cars at
 several resolutions; the odd numbers of ``chia/``, reduced; rendered scenes of mixed fleets.
@@ -36,7 +38,7 @@ from vehanchor_evaluation.table import survey_table
 
 _WINDOWS = {"fit": 4, "val": 2}  # of an image
 _TRIALS = 40  # to find one window
-_MOST_CARS = 4
+_MAX_CARS = 4
 _WINDOW_PX = (200, 640)
 _FACTORS = (1.0, 0.7, 0.5)
 _COARSEST_M_PER_PX = 0.3
@@ -80,7 +82,7 @@ def known_images(data: Path, split: str) -> list[tuple[Path, str, float]]:
 
 
 def labelled_centres(image: Path) -> np.ndarray | None:
-    """``[n, 2]`` centres of the labelled cars of an image in ``vehicles/`` or ``upright/``; None without labels."""
+    """Read the centres ``[n, 2]`` of the labelled cars of an image; None without labels."""
     labels = image.parent.parent / "labels" / f"{image.stem}.txt"
     return read_labels(labels, []).of_class(SMALL_VEHICLE).mean(axis=1) if labels.exists() else None
 
@@ -128,7 +130,7 @@ def windows(whole: Picture, split: str, folder: Path) -> Iterator[Picture]:
             side = np.minimum(np.exp(rng.uniform(*np.log(_WINDOW_PX))) / factor, size).astype(int)
             corner = rng.integers(0, size - side + 1)
             cars = int(((centres > corner) & (centres < corner + side)).all(axis=1).sum())
-            if 1 <= cars <= _MOST_CARS:
+            if 1 <= cars <= _MAX_CARS:
                 cut = pixels[corner[1] : corner[1] + side[1], corner[0] : corner[0] + side[0]]
                 file = folder / f"{whole.set}_{whole.file.stem}_{number}.png"
                 yield reduced(cut, factor, Picture(file, whole.set, whole.gsd_m_per_px, cars))
@@ -144,7 +146,10 @@ def reduced(pixels: np.ndarray, factor: float, picture: Picture) -> Picture:
 
 
 def chia(data: Path, split: str, folder: Path) -> Iterator[Picture]:
-    """Crops and nadir copies of ``chia/`` without metadata: odd numbers reduced (``fit``), even numbers as they are."""
+    """List crops and nadir copies of ``chia/`` without metadata.
+
+    Odd numbers are reduced (``fit``), even numbers are not.
+    """
     for kind, table in (("crops", "crops.csv"), ("copies", "table.csv")):
         with (data / "chia" / table).open(newline="") as handle:
             rows = [row for row in csv.DictReader(handle) if row["gsd_m_per_px"]]

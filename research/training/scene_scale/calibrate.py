@@ -1,4 +1,6 @@
-"""Fit how a network's answers combine: ``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
+"""Fit how a network's answers combine.
+
+``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
 
 The cases (``cases.py``) should be of networks that never saw the sets they are asked about: what
 the shipped network says of a new place is as good as that. Every set counts alike. Fitted are the
@@ -34,9 +36,9 @@ _CHOICES: dict[str, Sequence[float]] = {
     "finer": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
 }
 _ROUNDS = 2
-_LEAST_COVER = 0.9
+_MIN_COVER = 0.9
 _COVER_WEIGHT = 2.0
-_LEAST_CASES = 15  # of a set whose cover counts
+_MIN_CASES = 15  # of a set whose cover counts
 _WITHIN = 1.5
 
 
@@ -65,17 +67,17 @@ def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
     for case in cases:
         _, low, high = _row(case, calibration)
         held.setdefault(case.set, []).append(low < 0 < high)
-    return float(min(np.mean(each) for each in held.values() if len(each) >= _LEAST_CASES))
+    return float(min(np.mean(each) for each in held.values() if len(each) >= _MIN_CASES))
 
 
 def fit(cases: Sequence[Case]) -> SceneCalibration:
     """Find the calibration of the highest score by coordinate ascent.
 
-    Where intervals hold in less than ``_LEAST_COVER`` of a set's images, that weighs against it.
+    Where intervals hold in less than ``_MIN_COVER`` of a set's images, that weighs against it.
     """
 
     def worth(option: SceneCalibration) -> float:
-        lacking = max(0.0, _LEAST_COVER - least_cover(cases, option))
+        lacking = max(0.0, _MIN_COVER - least_cover(cases, option))
         return log_score(cases, option) - _COVER_WEIGHT * lacking
 
     best = BEGIN

@@ -47,11 +47,13 @@ _GOOD_IOU = 0.7
 _Z_95 = 1.96
 _OFFSETS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _SMOOTHINGS = (0.0, 0.5, 0.7, 0.85, 1.0)
-_MOST_TOO_LARGE = 0.01
+_MAX_TOO_LARGE = 0.01
 
 
 def mask_area_log_sd(trials: list[Trial], least_score: float) -> float:
-    """Sd of log(area / true area) whose 95 % interval holds that share of the masks scored at least ``least_score``.
+    """Compute the sd of log(area / true area) of masks scored at least ``least_score``.
+
+    Its 95 % interval holds that share of the masks.
 
     The errors have heavy tails (a mask is right, or it is of something else): a plain standard
     deviation would be set by a few failures. The 90 % quantile is used and scaled as if Gaussian
@@ -111,11 +113,11 @@ def finished(
 
 
 def best_choice(by_choice: dict[tuple[float, float], list[Trial]]) -> tuple[float, float]:
-    """Smoothing and offset of the best mean IoU at which no category is too large; none of either where all are."""
+    """Choose smoothing and offset by the mean IoU, with no category too large; None without any."""
     allowed = [
         choice
         for choice, trials in by_choice.items()
-        if max(area_bias(trials).values()) <= _MOST_TOO_LARGE
+        if max(area_bias(trials).values()) <= _MAX_TOO_LARGE
     ]
     return max(
         allowed,

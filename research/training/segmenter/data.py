@@ -35,7 +35,7 @@ _SOURCE_WEIGHT = {"swimming-pool": 0.27, "building": 0.33, "scene": 0.15, "shape
 _MAX_ENLARGEMENT = 5.0
 # black, and SAM's mean, which pads its inputs
 _FILLS = ((0.0, 0.0, 0.0), (123.675, 116.28, 103.53))
-_LEAST_SOLIDITY = 0.72
+_MIN_SOLIDITY = 0.72
 _DEV_SHARE = 10  # one train group in ten is held out: the mask's uncertainty is measured there
 HELD_OUT = 0
 
@@ -127,7 +127,10 @@ def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) 
 
 
 def is_sound(sample: MaskImage, item: MaskObject) -> bool:
-    """Whether a mask is fit to learn from: ragged pools are where the semi-automatic outline lost the shaded half."""
+    """Return whether a mask can train.
+
+    Ragged pools are those whose semi-automatic outline lost the shaded half.
+    """
     if sample.category != "swimming-pool" or sample.source != "real":
         return True
     inside = (sample.mask[item.y0 : item.y1, item.x0 : item.x1] == item.id).astype(np.uint8)
@@ -135,18 +138,18 @@ def is_sound(sample: MaskImage, item: MaskObject) -> bool:
     hull = cv2.contourArea(cv2.convexHull(np.concatenate(outlines))) + 0.5 * (
         item.x1 - item.x0 + item.y1 - item.y0
     )
-    return bool(inside.sum() >= _LEAST_SOLIDITY * hull)
+    return bool(inside.sum() >= _MIN_SOLIDITY * hull)
 
 
 class Example(NamedTuple):
-    """One training crop: ``image`` ``[s, s, 3]`` and the object's ``mask`` coverage ``[s, s]`` in 0..1."""
+    """Training crop: ``image`` ``[s, s, 3]``, and coverage ``mask`` ``[s, s]`` in 0..1."""
 
     image: NDArray[np.uint8]
     mask: NDArray[np.float32]
 
 
 def _turn(rng: np.random.Generator) -> float:
-    """Any angle half of the time, else nearly a multiple of a right angle: boxes fit there as users draw them."""
+    """Draw any angle, or nearly a multiple of a right angle, at which users' boxes fit."""
     if rng.random() < 0.5:
         return float(rng.uniform(0, 2 * np.pi))
     return float(rng.integers(4)) * np.pi / 2 + float(rng.normal(0, 0.08))
@@ -160,7 +163,7 @@ def cut(
     focus: tuple[float, float],
     number: int | None,
 ) -> Example:
-    """A turned, flipped, rescaled crop centred at ``focus`` of the image, with the mask of one object (or none)."""
+    """Cut a turned, flipped, rescaled crop around ``focus``, with one mask or none."""
     height, width = sample.image.shape[:2]
     reach = 0.75 * side / scale + 2
     x0 = int(max(0, focus[0] - reach))
@@ -262,7 +265,7 @@ def draw_prior(rng: np.random.Generator, coverage: NDArray[np.float32]) -> NDArr
 
 
 class Batch(NamedTuple):
-    """Uint8 ``image`` ``[b, 3, s, s]``, the prompt, and ``target`` coverage ``[b, 1, s / 2, s / 2]``."""
+    """Batch: uint8 ``image`` ``[b, 3, s, s]``, prompt, ``target`` ``[b, 1, s / 2, s / 2]``."""
 
     image: torch.Tensor
     prompt: Prompt
@@ -286,7 +289,7 @@ CROP_SIZES = (
 
 @dataclass
 class BatchStream:
-    """An endless, seeded stream of whole batches, sizes mixed; the k-th is the same whenever it is asked for."""
+    """Endless, seeded stream of whole batches of mixed sizes; the k-th is always the same."""
 
     images: list[MaskImage]
     seed: int

@@ -1,4 +1,4 @@
-"""Composited shapes: something with an outline and a surface of its own, pasted on a real background.
+"""Composited shapes: an outline with its own surface, pasted on a real background.
 
 They teach "the closed thing that touches the sides of the box" beyond the two categories with real
 masks: irregular roofs, blobs, discs with rings, stadium ovals, rows of panels, with aprons, shadows
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _FINE = 2  # outlines are drawn at twice the resolution and reduced: soft edges
 _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
-_LEAST_CONTRAST = 14.0  # grey levels between the shape and what surrounds it
+_MIN_CONTRAST = 14.0  # grey levels between the shape and what surrounds it
 
 
 def _turned(points: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -192,8 +192,8 @@ def composite(
         if inside.any() and ring.any():
             gap = surface[inside].mean(axis=0) - image[ring].mean(axis=0)
             size = float(np.abs(gap).mean())
-            if size < _LEAST_CONTRAST:
-                surface = surface + (_LEAST_CONTRAST - size) * (1.0 if gap.mean() >= 0 else -1.0)
+            if size < _MIN_CONTRAST:
+                surface = surface + (_MIN_CONTRAST - size) * (1.0 if gap.mean() >= 0 else -1.0)
         edge = cv2.GaussianBlur(cover, (0, 0), soft)[:, :, None]
         image = image + edge * (surface - image)
 

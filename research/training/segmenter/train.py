@@ -55,7 +55,7 @@ def main() -> None:
     stream = BatchStream(images, seed=options.seed)
     print(f"{len(images)} masks, objects: {stream.counts()}", flush=True)
     network = Segmenter()
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in torch's stub
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     schedule = Schedule(options.steps, _PEAK_RATE, warm_up=80, last=0.01)
     recipe = Recipe(schedule, batch=None, average=0.995, bfloat16=options.bfloat16, log_every=25)
     train(network, stream, losses, recipe, options.run)

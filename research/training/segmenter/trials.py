@@ -56,7 +56,7 @@ class Trial(NamedTuple):
 def read_targets(
     folder: Path, split: str, wanted: Callable[[str], bool] | None = None
 ) -> Iterator[Target]:
-    """Objects of one split of ``shared/data/segments``; ``wanted`` chooses by the image's file name."""
+    """Load objects of a split of ``shared/data/segments``; ``wanted`` selects by file name."""
     rng = np.random.default_rng(_SEED)
     with (folder / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == split]

@@ -1,4 +1,6 @@
-"""Write the verifier in eight bits: ``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
+"""Write the verifier in eight bits.
+
+``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
 
 Its convolutions get eight bits, the two layers at its end stay; activations by chips of ``RUN``'s
 training part.

@@ -1,4 +1,6 @@
-"""Train the verifier: ``python -m research.training.verifier.train RUN``, after ``research.training.verifier.mine``.
+"""Train the verifier, after ``research.training.verifier.mine``.
+
+``python -m research.training.verifier.train RUN``.
 
 Writes ``RUN/verifier.onnx``: ``chips`` ``[n, 3, 48, 48]`` float32 in 0..1 to ``logit`` ``[n]``.
 Resumes from ``RUN/checkpoint.pt`` when it exists.

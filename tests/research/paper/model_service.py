@@ -1,4 +1,4 @@
-"""A local service that speaks the Anthropic Messages API and the OpenAI Chat Completions API, for tests.
+"""Local service with the Anthropic Messages and OpenAI Chat Completions APIs, for tests.
 
 What the model says is a function of what it is shown: the picture as pixels, the text, and results
 of tools.
@@ -104,7 +104,10 @@ def model_service(service: ModelService) -> Iterator[ModelService]:
 
 
 def red_rectangle(picture: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """The inside of the red rectangle: x1, y1, x2, y2, as the first and the first beyond pixels that are not red."""
+    """Find the inside of the red rectangle: x1, y1, x2, y2.
+
+    These are the first pixel, and the first one beyond, that is not red.
+    """
     red = (picture[:, :, 0] > 170) & (picture[:, :, 1] < 90) & (picture[:, :, 2] < 90)
     ys, xs = np.nonzero(red)
     x1 = xs.min()

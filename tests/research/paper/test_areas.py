@@ -1,4 +1,4 @@
-"""The paper's benchmark of areas: written as iSAID and DOTA are, chosen, measured, and stated by a model."""
+"""The paper's benchmark of areas: written as iSAID and DOTA are, sampled, measured, stated."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def write_isaid_pictures(
     objects: Objects,
     first: int = 1,
 ) -> None:
-    """The instance and the category picture of an image of ``size`` (height, width); numbers are 3001 apart."""
+    """Draw instance and category picture of an image of ``size``; numbers are 3001 apart."""
     ids = np.zeros((*size, 3), np.uint8)
     colours = np.zeros((*size, 3), np.uint8)
     for index, (category, mask) in enumerate(objects):

@@ -78,7 +78,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModelService]:
 
 @pytest.fixture
 def run(data: Path, service: ModelService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``python -m research.paper vlm`` against the service, into ``out`` of an empty working folder."""
+    """Run ``python -m research.paper vlm`` against the service, into ``out`` of an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
@@ -326,7 +326,7 @@ def box_target(tools: list[dict[str, Any]], corners: list[float]) -> dict[str, A
 
 
 class Planner:
-    """A model that does as it is told: measures the rectangle's corners, and states what the tool said."""
+    """Act as a model that measures the rectangle's corners and states what the tool returned."""
 
     def __init__(self) -> None:
         self.seen: list[Asked] = []
