@@ -1,8 +1,8 @@
-"""Compare Ray with local workers: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
+"""Compare Ray with local workers: ``python -m research.benchmarks.batch``.
 
-Ray runs on simulated nodes of one CPU each (its own cluster utility: all of them processes of this
-machine), beside as many local workers, by the rows from the first to the last; rows lost and
-doubled are counted.
+Prints Markdown; ``--record`` keeps it. Ray runs on simulated nodes of one CPU each (its own cluster
+utility: all of them processes of this machine), beside as many local workers, by the rows from the
+first to the last; rows lost and doubled are counted.
 """
 
 from __future__ import annotations

@@ -82,10 +82,20 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
     towns = pictures(data, town, SETS[town])
     fields = pictures(data, "empty", "table.csv")
     where = layout(side // CELL_PX, share, rng)
-    profile = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "tiled": True,
-               "blockxsize": 512, "blockysize": 512, "compress": "jpeg", "photometric": "ycbcr",
-               "jpeg_quality": 92,
-               "bigtiff": "if_safer"}  # fmt: skip
+    profile = {
+        "driver": "GTiff",
+        "width": side,
+        "height": side,
+        "count": 3,
+        "dtype": "uint8",
+        "tiled": True,
+        "blockxsize": 512,
+        "blockysize": 512,
+        "compress": "jpeg",
+        "photometric": "ycbcr",
+        "jpeg_quality": 92,
+        "bigtiff": "if_safer",
+    }
     with rasterio.open(out, "w", **profile) as file:
         for row in range(side // CELL_PX):
             for column in range(side // CELL_PX):

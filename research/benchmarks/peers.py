@@ -53,7 +53,7 @@ _BARE = "ONNX Runtime alone"
 _SIDE_PX = 4096
 _TILE_PX = 1024
 _SCENES = {"200": (0.15, 12), "2,000": (0.1, None), "15,000": (0.3, None)}
-"""Images by their number of vehicles: metres a pixel, and the most vehicles in a sixteenth of the image; None: full."""
+"""Images by number of vehicles: metres a pixel, and vehicles in a sixteenth of it (None: full)."""
 
 
 class Pass(NamedTuple):
@@ -115,7 +115,7 @@ def write_work(folder: Path) -> tuple[Path, list[Path], Path]:
 
 
 def search_here(model: Path, image: Path) -> Pass:
-    """This library's search: every tile at full resolution, merged exactly. Run in a fresh process."""
+    """Search with this library: every tile at full resolution. Run it in a fresh process."""
     read = cv2.imread(str(image))
     if read is None:
         raise FileNotFoundError(image)

@@ -1,4 +1,6 @@
-"""Run one tool inside the peers' own environment, for ``peers.py``: ``python peers_inside.py TOOL MODEL TILES IMAGE``.
+"""Run one tool inside the peers' own environment, for ``peers.py``.
+
+``python peers_inside.py TOOL MODEL TILES IMAGE``.
 
 IMAGE may be several files. Nothing of this project is imported here, and nothing here by this
 project: ultralytics is under the AGPL. Each line printed is JSON of an image: seconds, CPU seconds,

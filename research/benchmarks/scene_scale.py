@@ -85,7 +85,7 @@ def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
 
 
 def level_lengths(corners: NDArray[np.float64], ends: NDArray[np.int_]) -> NDArray[np.float64]:
-    """The longer sides of upright boxes ``[n, 4, 2]`` that are clearly longer one way and whole in the image."""
+    """Measure the longer sides of upright boxes ``[n, 4, 2]`` that are clearly longer one way."""
     low = corners.min(axis=1)
     high = corners.max(axis=1)
     sides = np.sort(high - low, axis=1)

@@ -1,4 +1,4 @@
-"""Measure the figures of speed in one run, beside other tools: ``python -m research.benchmarks.seconds``.
+"""Measure all figures of speed in one run: ``python -m research.benchmarks.seconds``.
 
 Prints Markdown; ``--record`` keeps it. It takes seven minutes on two quiet cores and needs no
 network access, if ``peers.py`` has made its environment (``--environment``). The speed of the bare
@@ -82,7 +82,7 @@ def search(environment: Path, rounds: int) -> list[Row]:
 
 
 def photographs(folder: Path) -> list[Row]:
-    """Adaptive search of photographs of 12 megapixels beside the full one, and two workers beside one."""
+    """Compare adaptive with full search of 12 megapixels, and two workers with one."""
     engine = Engine(runtime=Runtime(threads=1))
     ratios = []
     changes = []
@@ -126,7 +126,7 @@ def photographs(folder: Path) -> list[Row]:
 
 
 def car_park() -> list[Row]:
-    """All networks on a car park from edge to edge, adaptively, beside the bare detector on all tiles; one thread."""
+    """Compare all networks, adaptively, with the bare detector on all tiles; one thread."""
     image = large_scene()
     engine = Engine(runtime=Runtime(threads=1))
     options = onnxruntime.SessionOptions()

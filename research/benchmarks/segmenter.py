@@ -1,4 +1,6 @@
-"""Measure a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
+"""Measure a segmenter on real masks.
+
+``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
 
 Every object of at least 15 px a side is prompted by its bounding box, each side moved by up to 5 %
 of the box (fixed seed). Beside it, on the same prompts: GrabCut. Prints Markdown; ``--record``

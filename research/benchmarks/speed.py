@@ -1,8 +1,8 @@
-"""Measure speed and memory: ``python -m research.benchmarks.speed``. Prints Markdown; ``--record`` keeps it.
+"""Measure speed and memory: ``python -m research.benchmarks.speed``.
 
-The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in
-turns, and against all of its own networks; ``--detector`` names other files that take turns with
-it.
+Prints Markdown; ``--record`` keeps it. The whole pipeline on a 4096 x 4096 scene is timed against
+bare ONNX Runtime on the same tiles, in turns, and against all of its own networks; ``--detector``
+names other files that take turns with it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Commands ``python -m research.paper questions`` and ``agents``: planners with and without tools."""
+"""Commands ``python -m research.paper questions`` and ``agents``: planners and their tools."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class QuestionsRequest:
 
 @plain_command(QuestionsRequest)
 def questions(request: QuestionsRequest) -> None:
-    """Compare a scripted planner with tools and one that guesses the scale: how far, does it fit."""
+    """Compare a scripted planner with tools with one that guesses the scale: distance, fit."""
     data = survey_known_scale(table=request.table, set_name=request.set_name, split=request.split)
     asked = questions_of_photographs(data.images, request.limit)
     with open_tools(sorted({question.image.resolve().parent for question in asked})) as tools:
@@ -72,7 +72,8 @@ def _line(row: PlannerScore) -> str:
     cost = [
         f"{value:.1f}" if value else "-" for value in (row.calls_per_right, row.tokens_per_right)
     ]
-    return f"| {' | '.join([row.name, *map(str, (row.questions, row.right, row.wrong, row.no_answer)), *cost])} |"
+    counts = [str(n) for n in (row.questions, row.right, row.wrong, row.no_answer)]
+    return f"| {' | '.join([row.name, *counts, *cost])} |"
 
 
 def _print_wrong(planner: str, outcomes: Sequence[Outcome]) -> None:
@@ -97,7 +98,7 @@ class AgentsRequest(PlannerRequest):
     limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of pictures.")] = 40
 
     def questions(self) -> list[tuple[SetQuestion, Path]]:
-        """Return the questions with their pictures, rendered if necessary; photographs only with their folder."""
+        """Return the questions with their pictures; those of photographs only with their folder."""
         chosen = [
             each for each in question_set() if each.scene is not None or self.data is not None
         ][: self.limit]
@@ -106,7 +107,7 @@ class AgentsRequest(PlannerRequest):
 
 @plain_command(AgentsRequest)
 def agents(request: AgentsRequest) -> None:
-    """Score planners on pictures with recognised things, traps among them: acted or abstained, rightly or not.
+    """Score planners on pictures with recognised objects, traps among them: acted or abstained.
 
     Each picture has a task of distance, of fit and of direction. The scripted planner does them
     with and without the recognised things. With --provider and --model, a real model also does. Its

@@ -1,4 +1,4 @@
-"""Area benchmark modelled on the paper's RS-GSD: objects of iSAID with known masks in images of known scale.
+"""Area benchmark modelled on the paper's RS-GSD: objects of iSAID with masks and known scale.
 
 The paper's benchmark has 100 entries in 8 categories of iSAID, and oversamples irregular objects.
 It names three of the categories; the other five are our choice of immobile objects. Vehicles (the
@@ -157,7 +157,7 @@ def _annotated_images(
 
 
 def quotas(available: Mapping[str, int], n_entries: int | None) -> dict[str, int]:
-    """Divide entries among categories: irregular ones get twice as many, and none gets more than it has.
+    """Divide entries among categories: irregular ones get twice as many, none more than it has.
 
     Entries that a small category cannot fill go to the others by the same weights. Entries left by
     rounding go to the largest remainders.
