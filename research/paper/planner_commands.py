@@ -116,8 +116,8 @@ def agents(request: AgentsRequest) -> None:
     """Score planners on pictures with recognised objects, traps among them: acted or abstained.
 
     Each picture has a task of distance, of fit and of direction. The scripted planner does them
-    with and without the recognised objects. With --provider and --model, a real model also does. Its
-    key comes from the environment.
+    with and without the recognised objects. With --provider and --model, a real model also does.
+    Its key comes from the environment.
     """
     request.check_model()
     questions = request.questions()

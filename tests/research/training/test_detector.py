@@ -122,7 +122,7 @@ def test_the_correction_is_the_inverse_of_the_bias() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_network_started_from_an_exported_file_computes_what_the_file_computes(
+def test_a_network_started_from_a_file_computes_the_same(
     tmp_path: Path,
 ) -> None:
     torch.manual_seed(1)
