@@ -54,7 +54,7 @@ class Run(NamedTuple):
 
 @contextmanager
 def simulated_cluster(n_nodes: int) -> Iterator[None]:
-    """A head that computes nothing and nodes of one CPU each, this process connected to it."""
+    """Start a head without work and nodes of one CPU each, and connect this process to it."""
     import ray
     from ray.cluster_utils import Cluster
 

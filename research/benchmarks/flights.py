@@ -73,7 +73,7 @@ def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.ui
 
 
 def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """The largest square inside the image turned by any angle; a quarter turn of a small one."""
+    """Cut the largest square inside the image at any angle; turn a small one by right angles."""
     side = min(image.shape[:2])
     if side < 400:
         return np.ascontiguousarray(np.rot90(image, int(rng.integers(4))))

@@ -38,7 +38,7 @@ SETS = {"cannes": "table.csv", "saopaulo": "table.csv", "estonia": "upright.csv"
 
 
 def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
-    """Images of the val split, BGR, at 0.2 m/px; the empty ones as they are."""
+    """Load images of the val split, BGR, at 0.2 m/px; empty ones stay as they are."""
     found = []
     with (data / "gsd" / table).open() as lines:
         for row in csv.DictReader(lines):
@@ -108,7 +108,7 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
 
 
 def search(image: Path, effort: str, threads: int | None) -> str:
-    """One line of a table for one image and effort."""
+    """Format one line of a table for one image and effort."""
     detector = load_detector(resolve_model(), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
     started = time.perf_counter()

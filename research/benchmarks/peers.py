@@ -77,7 +77,7 @@ class Pass(NamedTuple):
 
 
 def make_environment(folder: Path) -> Path:
-    """The interpreter of the peers' environment, made where there is none."""
+    """Return the interpreter of the peers' environment; make it if necessary."""
     python = folder / "bin" / "python"
     packages = (*_PACKAGES, f"onnxruntime=={metadata.version('onnxruntime')}")
     stamp = folder / "requirements.txt"

@@ -58,7 +58,7 @@ class Prior(NamedTuple):
 
 
 def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
-    """Set, photograph and median length of its cars in pixels, where people's boxes are turned."""
+    """List set, photograph and median length of its cars in pixels, with turned boxes."""
     with (folder / "index.csv").open(newline="") as handle:
         rows = [
             row for row in csv.DictReader(handle) if row["split"] == "val" and row["set"] in _CAR_M
@@ -72,7 +72,7 @@ def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
 
 
 def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
-    """The same where they are upright, by the cars that stand level in them and are not cut off."""
+    """List the same with upright boxes, by whole cars that are parallel to their box."""
     with (folder / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["set"] in _CAR_M]
     for row in rows:
@@ -96,7 +96,7 @@ def level_lengths(corners: NDArray[np.float64], ends: NDArray[np.int_]) -> NDArr
 
 
 def row(name: str, priors: list[Prior]) -> str:
-    """A line of the table."""
+    """Format a line of the table."""
     errors = np.array([prior.log_error for prior in priors])
     scales = [prior.gsd_m_per_px for prior in priors]
     return (

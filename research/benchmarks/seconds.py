@@ -59,7 +59,7 @@ def printed(module: str, *options: str) -> list[Table]:
 
 
 def tile_ms() -> float:
-    """Milliseconds of the bare network for a tile, all cores; median of 15."""
+    """Measure the milliseconds of the bare network for a tile, all cores; median of 15."""
     session = onnxruntime.InferenceSession(str(resolve_model()), providers=["CPUExecutionProvider"])
     tile = np.random.default_rng(0).random((1, 3, 1024, 1024), np.float32)
     return 1000 * statistics.median(
@@ -68,7 +68,7 @@ def tile_ms() -> float:
 
 
 def search(environment: Path, rounds: int) -> list[Row]:
-    """The search with one detector beside the other tools."""
+    """Compare the search with one detector with the other tools."""
     (table,) = printed("peers", "--environment", str(environment), "--rounds", str(rounds))
     rows: list[Row] = []
     for vehicles in ("200", "2,000", "15,000"):
@@ -149,7 +149,7 @@ def car_park() -> list[Row]:
 
 
 def start(folder: Path) -> list[Row]:
-    """Starts, warm calls and memory."""
+    """Measure starts, warm calls and memory."""
     small = folder / "small.png"
     cv2.imwrite(
         str(small), render_scene(0.15, width_px=256, height_px=256, seed=5).image[:, :, ::-1]

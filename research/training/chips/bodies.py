@@ -28,7 +28,7 @@ _RENDERED = ("scene", "pasted")
 
 
 def measured(answers: ChipAnswers, candidate_m: NDArray[np.float64]) -> Bodies:
-    """Bodies of candidates whose lengths in metres are known."""
+    """Measure the bodies of candidates whose lengths in metres are known."""
     logs = np.log(answers.sizes * candidate_m[:, None])
     return Bodies(
         logs.astype(np.float32), (1 / (1 + (answers.log_size_sd / _OWN_SD) ** 2)).astype(np.float32)

@@ -51,7 +51,7 @@ class Exported(nn.Module):
         self.network = network
 
     def forward(self, chips: Tensor) -> tuple[Tensor, ...]:
-        """All answers."""
+        """Compute all answers."""
         said: Answers = self.network(chips)
         return tuple(said._replace(edge_log_sd=said.edge_log_sd + math.log(_EDGE_SD)))
 

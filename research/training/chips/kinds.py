@@ -23,6 +23,6 @@ UNKNOWN = -1
 
 
 def kind_index(read: str) -> int:
-    """Index of a kind as the readings name it, or -1 for one that an eye could not tell."""
+    """Return the index of a kind as the readings name it; -1 for unknown."""
     name = _READ.get(read, read)
     return KINDS.index(name) if name in KINDS else UNKNOWN

@@ -78,7 +78,7 @@ def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
 
 
 def photographs(data: Path) -> Iterator[Drawn]:
-    """All photographs."""
+    """List all photographs."""
     seen = _looked_at()
     for folder, sets in (("upright", ("estonia", "crossings")), ("vehicles", ("jekhor",))):
         with (data / folder / "index.csv").open(newline="") as handle:

@@ -52,7 +52,7 @@ class Rows(NamedTuple):
 
     @classmethod
     def unlabelled(cls, lengths_px: NDArray[np.floating], set_name: str, file: str) -> Rows:
-        """Candidates of these lengths in an image: no cars, of unknown type, found by nobody."""
+        """Make rows of candidates of these lengths: not cars, of unknown type, found by nobody."""
         count = len(lengths_px)
         nothing = np.zeros(len(lengths_px), np.float32)
         return cls(
@@ -64,7 +64,7 @@ class Rows(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:
-        """All rows, one part after the other."""
+        """Join all rows, one part after the other."""
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

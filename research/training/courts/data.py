@@ -68,7 +68,7 @@ def _read(path: Path) -> NDArray[np.uint8]:
 
 
 def load_real(data: Path) -> list[Picture]:
-    """The tennis tiles that train, with the courts of ``tennis.csv``."""
+    """Load the tennis tiles that train, with the courts of ``tennis.csv``."""
     courts: dict[str, list[Court]] = {}
     with _LABELS.open(newline="") as handle:
         for row in csv.DictReader(handle):
@@ -84,7 +84,7 @@ def load_real(data: Path) -> list[Picture]:
 
 
 def load_rendered(folder: Path) -> list[Picture]:
-    """Scenes of ``render_scenes courts``."""
+    """Load scenes of ``render_scenes courts``."""
     out = []
     for facts in sorted(folder.glob("*.json")):
         told = json.loads(facts.read_text())
@@ -99,7 +99,7 @@ def load_rendered(folder: Path) -> list[Picture]:
 
 
 def load_empty(data: Path) -> list[Picture]:
-    """Places of the training splits that are not named for their courts."""
+    """Load places of the training splits that are not named for their courts."""
     found = [
         (p.path, p.gsd_m_per_px)
         for p in places(data)
@@ -144,7 +144,7 @@ class CropStream:
 def _crop(
     picture: Picture, gsd: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], list[Court]]:
-    """A crop at a scale, turned at random and mirrored, and the courts in its pixels."""
+    """Cut a crop at a scale, turned at random and mirrored, and its courts in pixels."""
     factor = picture.gsd_m_per_px / gsd
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     reduced = cv2.resize(picture.pixels, None, fx=factor, fy=factor, interpolation=method)

@@ -44,7 +44,7 @@ class CourtNet(nn.Module):
             cast("Tensor", self.head.bias)[:2] = _RARE
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Outputs of each cell."""
+        """Compute the outputs of each cell."""
         seen = self.stem(pixels - 0.4)
         for layer in self.body:
             seen = seen + layer(seen)

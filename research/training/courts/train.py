@@ -56,7 +56,7 @@ class Exported(nn.Module):
         self.network = network
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """``[n, 5, h / 8, w / 8]`` of ``[n, 3, h, w]`` uint8."""
+        """Compute ``[n, 5, h / 8, w / 8]`` from ``[n, 3, h, w]`` uint8."""
         seen = self.network(tiles.float() / 255.0)
         return torch.cat([torch.sigmoid(seen[:, :2]), seen[:, 2:]], dim=1)
 

@@ -90,7 +90,7 @@ class Correction(NamedTuple):
 
 
 def read_corrections(path: Path) -> dict[str, list[Correction]]:
-    """Corrections of the train labels by the image's file name."""
+    """Load the corrections of the train labels by the image's file name."""
     out: dict[str, list[Correction]] = {}
     with path.open(newline="") as handle:
         for row in csv.DictReader(handle):
@@ -220,7 +220,7 @@ def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
 
 
 def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> NDArray[np.float64]:
-    """The image point in the middle of the crop: near clutter, near a car, or anywhere."""
+    """Draw the image point in the middle of the crop: near clutter, near a car, or anywhere."""
     height, width = sample.image.shape[:2]
     if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
         focus = (
@@ -292,13 +292,13 @@ def lay_over(top: Crop, bottom: Crop) -> Crop:
 
 
 def distracted(rng: np.random.Generator, crop: Crop) -> Crop:
-    """A crop with striped or gridded things drawn over a part of it."""
+    """Draw striped or gridded objects over a part of a crop."""
     image, hides = draw_distractors(rng, crop.image)
     return _hidden_by(hides, crop)._replace(image=image)
 
 
 def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
-    """The crop's boxes without those that ``cover`` hides; those that it cuts are ignored."""
+    """Select the boxes that ``cover`` does not hide; boxes that it cuts are ignored."""
     corners = box_corners(crop.boxes)
     probe = np.concatenate([corners, crop.boxes[:, None, :2]], axis=1)
     cells = np.clip(np.floor(probe), 0, CROP_PX - 1).astype(int)

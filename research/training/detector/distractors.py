@@ -140,7 +140,7 @@ def _posts(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
 
 
 def _slabs(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
-    """Tombs, crates, containers, pontoons: plain, of a few paints, with shadows."""
+    """Draw tombs, crates, containers or pontoons: plain, of a few paints, with shadows."""
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.2, 4.5), thick)
     pitch = (size[0] * rng.uniform(1.15, 2.0), thick * rng.uniform(1.25, 2.6))

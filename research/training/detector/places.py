@@ -26,7 +26,7 @@ class Place(NamedTuple):
 
 
 def places(data: Path) -> list[Place]:
-    """The images of ``shared/data`` that may train and have no oriented labels."""
+    """List the images of ``shared/data`` that may train and have no oriented labels."""
     out = []
     with (data / "upright" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):

@@ -60,7 +60,7 @@ def crops(vehicles: Path, count: int, seed: int = 0) -> Iterator[NDArray[np.floa
 
 
 def quantised_nodes(model: onnx.ModelProto) -> list[str]:
-    """Names of the nodes that get 8 bits: the network's, but the last convolutions of its heads."""
+    """List the nodes that get 8 bits: all but the last convolutions of the network's heads."""
     nodes = [
         node
         for node in model.graph.node

@@ -115,7 +115,7 @@ def _draw_branch(
     length_px: float,
     car_px: float,
 ) -> None:
-    """One crooked branch, thinner than a pixel where the cars are short."""
+    """Draw one crooked branch, thinner than a pixel where the cars are short."""
     bends = heading + np.cumsum(rng.normal(0, 0.35, 4))
     steps = np.stack([np.cos(bends), np.sin(bends)], axis=1) * length_px / 4
     path = foot + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])

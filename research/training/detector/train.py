@@ -29,7 +29,7 @@ _STATISTICS_CROPS = 64
 def losses(
     network: nn.Module, batch: tuple[Tensor, Target], device: torch.device
 ) -> Mapping[str, Tensor]:
-    """Loss of the heat map and of the boxes' numbers."""
+    """Compute the loss of the heat map and of the boxes' numbers."""
     image, raw = batch
     pixels = image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
     heat, shape = detection_loss(network(pixels), Target(*(part.to(device) for part in raw)))

@@ -52,7 +52,7 @@ def density_of(case: Case, calibration: SceneCalibration) -> NDArray[np.float64]
 
 
 def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
-    """The mean log density (per unit of log m/px) at the truth, every set alike."""
+    """Compute the mean log density (per unit of log m/px) at the truth, every set alike."""
     scores: dict[str, list[float]] = {}
     for case in cases:
         density = density_of(case, calibration)
@@ -62,7 +62,7 @@ def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
 
 
 def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
-    """The share of images whose interval holds the truth, in the set where it holds least."""
+    """Compute the share of intervals that hold the truth, in the set where it is lowest."""
     held: dict[str, list[bool]] = {}
     for case in cases:
         _, low, high = _row(case, calibration)
@@ -112,7 +112,7 @@ def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
 
 
 def _row(case: Case, calibration: SceneCalibration) -> tuple[float, float, float]:
-    """Logs of the density's median and of its interval's ends over the truth."""
+    """Compute the logs of the density's median and of its interval's ends over the truth."""
     density = density_of(case, calibration)
     median = np.interp(0.5, np.cumsum(density), GRID + GRID_STEP / 2)
     low, high = np.log(credible_interval(density)) - np.log(case.gsd_m_per_px)

@@ -84,7 +84,7 @@ class Source(NamedTuple):
 
 
 def sources(data: Path) -> list[Source]:
-    """Every file of ``shared/data`` that may train and has a scale, each once."""
+    """List every file of ``shared/data`` that may train and has a scale, each once."""
     out = [
         *_listed(data, "gsd/table.csv"),
         *_listed(data, "gsd/upright.csv"),
@@ -165,7 +165,7 @@ def _listed(data: Path, index: str, split: str = "train") -> list[Source]:
 
 
 def _segments(data: Path, split: str = "train") -> list[Source]:
-    """Images that have masks and are in no other table, nor in a val split anywhere."""
+    """List images that have masks and are in no other table, nor in a val split."""
     elsewhere = {Path(row["file"]).stem for row in _rows(data / "vehicles" / "index.csv")}
     out = []
     for row in _rows(data / "segments" / "index.csv"):
@@ -179,7 +179,7 @@ def _segments(data: Path, split: str = "train") -> list[Source]:
 
 
 def _cars_as_rulers(data: Path) -> list[Source]:
-    """``jekhor``: the median length of an image's cars is ``_CAR_M``."""
+    """List ``jekhor``: the median length of an image's cars is ``_CAR_M``."""
     out = []
     for row in _rows(data / "vehicles" / "index.csv"):
         stem = Path(row["file"]).stem
@@ -243,7 +243,7 @@ def _load(source: Source) -> ScaledImage:
 
 
 def coarsest_m_per_px(image: ScaledImage) -> float:
-    """The scale at which a whole tile is the largest square of an image."""
+    """Compute the scale at which a whole tile is the largest square of an image."""
     return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
 
 

@@ -56,7 +56,7 @@ class SceneScaleNet(nn.Module):
         )
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """Log-probabilities ``[n, bins]``."""
+        """Compute log-probabilities ``[n, bins]``."""
         seen = self.stem(tiles)
         pooled = []
         for stage in self.stages:

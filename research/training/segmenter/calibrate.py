@@ -66,13 +66,13 @@ def mask_area_log_sd(trials: list[Trial], least_score: float) -> float:
 
 
 def least_trusted_score(trials: list[Trial]) -> float:
-    """The predicted IoU that 95 of 100 good masks (IoU of 0.7 and more) reach."""
+    """Compute the predicted IoU that 95 of 100 good masks (IoU of 0.7 and more) reach."""
     good = [t.score for t in trials if t.iou >= _GOOD_IOU]
     return math.floor(100 * float(np.percentile(good, 5))) / 100
 
 
 def area_bias(trials: list[Trial]) -> dict[str, float]:
-    """Median of area / true area - 1 by category."""
+    """Compute the median of area / true area - 1 by category."""
     categories = sorted({t.category for t in trials})
     return {
         name: float(np.median([t.area_ratio for t in trials if t.category == name])) - 1
@@ -94,7 +94,7 @@ def see(contract: SamContract, target: Target) -> MaskLogits:
 def finished(
     view: MaskLogits, smoothing: float, offset: float
 ) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
-    """The mask of the whole image that smoothed and raised logits give, and its score."""
+    """Compute the mask of the whole image from smoothed and raised logits, and its score."""
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
         logits = smoothed(torch.from_numpy(view.logits)[None, None], smoothing)[

@@ -62,7 +62,7 @@ class MaskImage(NamedTuple):
 
 
 def group_of(name: str) -> str:
-    """The group of an image: neighbours stay on one side of the train/dev line."""
+    """Return the group of an image: neighbours stay on one side of the train/dev line."""
     parts = name.rsplit("/", 1)[-1].rsplit(".", 1)[0].split("_")
     if parts[0] == "cannes":
         tile = int(parts[1])
@@ -73,7 +73,7 @@ def group_of(name: str) -> str:
 
 
 def is_dev(group: str) -> bool:
-    """Whether a group belongs to the held-out tenth (by checksum: stable for ever)."""
+    """Return whether a group belongs to the held-out tenth, by a checksum that never changes."""
     return zlib.crc32(group.encode()) % _DEV_SHARE == HELD_OUT
 
 
@@ -116,7 +116,7 @@ def load_scenes(folder: Path) -> list[MaskImage]:
 
 
 def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) -> list[MaskObject]:
-    """Every object whose bounding box is at least that large both ways."""
+    """List every object whose bounding box is at least that large both ways."""
     out = []
     for index, sample in enumerate(images):
         for number in np.unique(sample.mask)[1:]:
@@ -258,7 +258,7 @@ def draw_prompt(
 
 
 def draw_prior(rng: np.random.Generator, coverage: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
+    """Draw logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
     moved = np.roll(coverage, rng.integers(-2, 3, 2), axis=(0, 1))
     soft = cv2.GaussianBlur(moved, (0, 0), float(rng.uniform(0.8, 3.0)))
     return ((soft - rng.uniform(0.3, 0.7)) * rng.uniform(6, 16)).astype(np.float32)
@@ -304,7 +304,7 @@ class BatchStream:
                 self._objects.setdefault(name, []).append(item)
 
     def counts(self) -> dict[str, int]:
-        """Number of objects from each source."""
+        """Count the objects from each source."""
         return {name: len(items) for name, items in self._objects.items()}
 
     def __getitem__(self, index: int) -> Batch:
@@ -315,7 +315,7 @@ class BatchStream:
         return self.batch(rng, CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())])
 
     def batch(self, rng: np.random.Generator, size: CropSize) -> Batch:
-        """One batch."""
+        """Make one batch."""
         names = [name for name in _SOURCE_WEIGHT if name == "shape" or name in self._objects]
         weight = np.array([_SOURCE_WEIGHT[name] for name in names])
         images: list[NDArray[np.uint8]] = []

@@ -72,7 +72,7 @@ class DecoderGraph(nn.Module):
         has_mask_input: Tensor,
         orig_im_size: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Masks are logits at the original size."""
+        """Compute masks, which are logits at the original size."""
         points = point_coords + 0.5  # SAM's coordinates are pixel indices
         found = self.decoder(
             image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input)

@@ -47,7 +47,7 @@ def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64
 
 
 def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
-    """Polygons (their union is the shape) of about unit half size, not yet turned."""
+    """Draw polygons, whose union is the shape, of about unit half size, not yet turned."""
     kind = rng.choice(7, p=(0.22, 0.14, 0.16, 0.12, 0.12, 0.12, 0.12))
     ratio = float(rng.uniform(0.3, 1.0))
     if kind == 0:  # wings of a building
@@ -99,7 +99,7 @@ def _colour(rng: np.random.Generator) -> NDArray[np.float32]:
 def _surface(
     rng: np.random.Generator, texture: NDArray[np.uint8], polygons: list[NDArray[np.float64]]
 ) -> NDArray[np.float32]:
-    """What covers a shape: a colour or real texture, then ridges, a grid, rings or stripes."""
+    """Draw a shape's surface: a colour or real texture, then ridges, a grid, rings or stripes."""
     side = texture.shape[0]
     grain = texture.astype(np.float32)
     draw = rng.random()
@@ -146,7 +146,7 @@ def _surface(
 def _placed(
     rng: np.random.Generator, length_px: float, focus: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """A drawn outline, turned, at its size and place."""
+    """Draw an outline, turned, at its size and position."""
     outline = _outline(rng)
     turned = _turned(np.concatenate(outline), rng)
     parts = np.split(turned, np.cumsum([len(p) for p in outline])[:-1])

@@ -25,7 +25,7 @@ _PEAK_RATE = 2e-3
 
 
 def losses(network: nn.Module, batch: Batch, device: torch.device) -> Mapping[str, Tensor]:
-    """Loss of the masks and of the predicted IoU."""
+    """Compute the loss of the masks and of the predicted IoU."""
     prompt = Prompt(*(part.to(device) for part in batch.prompt))
     image = batch.image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
     found = network(image, prompt)

@@ -106,7 +106,7 @@ def _row(method: str, category: str, trials: list[Trial]) -> str:
 
 
 def report(by_method: dict[str, list[Trial]]) -> list[str]:
-    """Tables as Markdown lines."""
+    """Format tables as Markdown lines."""
     ours = next(iter(by_method))
     lines = [
         "| category | method | n | mean IoU | median IoU | IoU < 0.5 | median area error | mean "

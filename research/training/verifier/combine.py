@@ -64,7 +64,7 @@ def rescaled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -
 def verifier_logits(
     session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]
 ) -> NDArray[np.float64]:
-    """Logits of ``[n, 48, 48, 3]`` chips."""
+    """Compute logits of ``[n, 48, 48, 3]`` chips."""
     if not len(chips):
         return np.zeros(0)
     batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2)).astype(np.float32) / 255

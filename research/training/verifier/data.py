@@ -145,7 +145,7 @@ def load(path: Path) -> Candidates:
 
 
 def middle(chips: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The chips of ``CHIP_PX`` in the middle of stored ones, ``[n, 48, 48, 3]``."""
+    """Cut chips of ``CHIP_PX`` from the middle of stored ones, ``[n, 48, 48, 3]``."""
     margin = (chips.shape[1] - CHIP_PX) // 2
     return chips[:, margin : margin + CHIP_PX, margin : margin + CHIP_PX]
 
@@ -167,7 +167,7 @@ class ChipStream:
             self._weight.append(np.cumsum(weight))
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """A chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""
+        """Make a chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         car = int(rng.random() < 0.5)
@@ -181,7 +181,7 @@ class ChipStream:
 
 
 def varied(rng: np.random.Generator, stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A chip of a box a little off, mirrored at random, sometimes of a coarser image."""
+    """Cut a chip of a box a little off, mirrored at random, sometimes of a coarser image."""
     scale = np.exp(rng.normal(0, _JITTER))
     turn = rng.normal(0, _TURN)
     flip = rng.choice((-1.0, 1.0), 2)

@@ -30,7 +30,7 @@ class VerifierNet(nn.Module):
         )
 
     def forward(self, chips: Tensor) -> Tensor:
-        """Logits ``[b]``."""
+        """Compute logits ``[b]``."""
         seen = self.body(chips)  # [b, c, 6, 6]
         middle = seen[:, :, 2:4, 1:5].mean(dim=(2, 3))
         whole = seen.mean(dim=(2, 3))

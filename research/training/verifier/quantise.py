@@ -25,7 +25,7 @@ _BATCH = 64
 
 
 def quantised_nodes(model: onnx.ModelProto) -> list[str]:
-    """Names of the nodes that get eight bits."""
+    """List the nodes that get eight bits."""
     return [node.name for node in model.graph.node if node.op_type in ("Conv", "Relu")]
 
 
