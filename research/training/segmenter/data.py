@@ -29,19 +29,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LEAST_SIDE_PX = 10  # smaller objects are no lesson
+# Smaller objects teach nothing.
+LEAST_SIDE_PX = 10
 MAX_POINTS = 6
 _SOURCE_WEIGHT = {"swimming-pool": 0.27, "building": 0.33, "scene": 0.15, "shape": 0.25}
 _MAX_ENLARGEMENT = 5.0
-# black, and SAM's mean, which pads its inputs
+# Black, and the mean with which SAM pads its inputs.
 _FILLS = ((0.0, 0.0, 0.0), (123.675, 116.28, 103.53))
 _MIN_SOLIDITY = 0.72
-_DEV_SHARE = 10  # one train group in ten is held out: the mask's uncertainty is measured there
+# One train group in ten is held out: the mask's uncertainty is measured on it.
+_DEV_SHARE = 10
 HELD_OUT = 0
 
 
 class MaskObject(NamedTuple):
-    """One object of an image: its id in the mask, and its bounding box in whole pixels."""
+    """Object of an image: its id in the mask, and its bounding box in whole pixels."""
 
     image: int
     id: int
@@ -52,13 +54,21 @@ class MaskObject(NamedTuple):
 
 
 class MaskImage(NamedTuple):
-    """One image in memory with one mask of instances; scenes have one for each category."""
+    """Image in memory with one mask of instances; scenes have one for each category.
+
+    Attributes:
+        source: ``real`` or ``scene``.
+        category: category of its objects.
+        group: group of its file.
+        image: ``[h, w, 3]`` RGB.
+        mask: ``[h, w]`` ids; 0 is the background.
+    """
 
     source: str
     category: str
     group: str
-    image: NDArray[np.uint8]  # [h, w, 3] RGB
-    mask: NDArray[np.uint16]  # [h, w], 0 = background
+    image: NDArray[np.uint8]
+    mask: NDArray[np.uint16]
 
 
 def group_of(name: str) -> str:
@@ -135,10 +145,11 @@ def is_sound(sample: MaskImage, item: MaskObject) -> bool:
         return True
     inside = (sample.mask[item.y0 : item.y1, item.x0 : item.x1] == item.id).astype(np.uint8)
     outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    hull = cv2.contourArea(cv2.convexHull(np.concatenate(outlines))) + 0.5 * (
-        item.x1 - item.x0 + item.y1 - item.y0
-    )
-    return bool(inside.sum() >= _MIN_SOLIDITY * hull)
+    hull = cv2.convexHull(np.concatenate(outlines))
+    # Contours run through pixel centres, so half a pixel around them is missing.
+    margin = 0.5 * (item.x1 - item.x0 + item.y1 - item.y0)
+    hull_area = cv2.contourArea(hull) + margin
+    return bool(inside.sum() >= _MIN_SOLIDITY * hull_area)
 
 
 class Example(NamedTuple):
@@ -172,42 +183,41 @@ def cut(
     y1 = int(min(height, focus[1] + reach)) + 1
     part = sample.image[y0:y1, x0:x1]
     ids = sample.mask[y0:y1, x0:x1]
-    chosen = (
-        (ids == number).astype(np.uint8) * 255
-        if number is not None
-        else np.zeros(ids.shape, np.uint8)
-    )
+    part_mask = np.zeros(ids.shape, np.uint8)
+    if number is not None:
+        part_mask[ids == number] = 255
+    # A strong reduction averages first, so that the warp does not alias.
     reduce = min(1.0, scale * 1.1)
-    sx = sy = 1.0
-    if reduce < 0.9:  # average first, so that the warp does not alias
+    sx = 1.0
+    sy = 1.0
+    if reduce < 0.9:
         size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
         sx = size[0] / part.shape[1]
         sy = size[1] / part.shape[0]
         part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        chosen = np.asarray(cv2.resize(chosen, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        small_mask = cv2.resize(part_mask, size, interpolation=cv2.INTER_AREA)
+        part_mask = np.asarray(small_mask, dtype=np.uint8)
     turn = _turn(rng)
     flip = -1.0 if rng.random() < 0.5 else 1.0
-    rotation = (
-        np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]])
-        * scale
-    )
-    matrix = np.column_stack(
-        [rotation / (sx, sy), side / 2 - rotation @ (focus[0] - x0, focus[1] - y0)]
-    )
-    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5  # warpAffine counts from pixel centres
-    fill = (
-        _FILLS[rng.integers(len(_FILLS))]
-        if rng.random() < 0.6
-        else part[::8, ::8].reshape(-1, 3).mean(axis=0)
-    )
-    how = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
-    image = cv2.warpAffine(part, matrix, (side, side), flags=how, borderValue=tuple(fill))
-    mask = cv2.warpAffine(chosen, matrix, (side, side), flags=cv2.INTER_LINEAR)
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    rotation = np.array([[cos * flip, -sin], [sin * flip, cos]]) * scale
+    shift = side / 2 - rotation @ (focus[0] - x0, focus[1] - y0)
+    matrix = np.column_stack([rotation / (sx, sy), shift])
+    # warpAffine counts from pixel centres.
+    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
+    if rng.random() < 0.6:
+        fill = tuple(_FILLS[rng.integers(len(_FILLS))])
+    else:
+        fill = tuple(part[::8, ::8].reshape(-1, 3).mean(axis=0))
+    method = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
+    image = cv2.warpAffine(part, matrix, (side, side), flags=method, borderValue=fill)
+    mask = cv2.warpAffine(part_mask, matrix, (side, side), flags=cv2.INTER_LINEAR)
     return Example(np.asarray(image, np.uint8), np.asarray(mask, np.float32) / np.float32(255.0))
 
 
 def box_of(mask: NDArray[np.float32]) -> NDArray[np.float64] | None:
-    """x0, y0, x1, y1 of what is more than half covered, or None if that is next to nothing."""
+    """Compute x0, y0, x1, y1 of the pixels that are more than half covered; None for too few."""
     x, y, w, h = cv2.boundingRect((mask > 0.5).astype(np.uint8))
     return np.array([x, y, x + w, y + h], float) if min(w, h) >= 4 else None
 
@@ -221,7 +231,7 @@ def jitter(rng: np.random.Generator, box: NDArray[np.float64], share: float) -> 
 def draw_prompt(
     rng: np.random.Generator, mask: NDArray[np.float32], box: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """SAM points ``[6, 2]`` and labels ``[6]``: mostly a box, else points, sometimes both."""
+    """Draw SAM points ``[6, 2]`` and labels ``[6]``: mostly a box, else points, or both."""
     points = np.zeros((MAX_POINTS, 2), np.float32)
     labels = np.full(MAX_POINTS, PADDING, np.float32)
     side = mask.shape[0]
@@ -236,22 +246,26 @@ def draw_prompt(
     depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     deep = np.argwhere(depth >= min(2.0, float(depth.max())))
     window = np.zeros_like(inside)
-    x0, y0, x1, y1 = (
-        int(v)
-        for v in (*(box[:2] - 0.4 * (box[2:] - box[:2])), *(box[2:] + 0.4 * (box[2:] - box[:2])))
-    )
-    window[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 1
-    clear = np.argwhere((cv2.dilate(inside, np.ones((7, 7), np.uint8)) == 0) & (window > 0))
+    # Negative points lie near the box, but clearly outside the object.
+    margin = 0.4 * (box[2:] - box[:2])
+    x0, y0 = np.maximum(0, (box[:2] - margin).astype(int))
+    x1, y1 = np.maximum(0, (box[2:] + margin).astype(int))
+    window[y0:y1, x0:x1] = 1
+    grown = cv2.dilate(inside, np.ones((7, 7), np.uint8))
+    clear = np.argwhere((grown == 0) & (window > 0))
     slot = 2
-    for place, label, count in (
+    for pixels, label, count in (
         (deep, POSITIVE, rng.integers(1, 4)),
         (clear, NEGATIVE, rng.integers(0, 2)),
     ):
-        for _ in range(count if len(place) else 0):
-            row, col = place[rng.integers(len(place))]
+        if not len(pixels):
+            continue
+        for _ in range(count):
+            row, column = pixels[rng.integers(len(pixels))]
+            # The first point is often the innermost one, where users click.
             if slot == 2 and rng.random() < 0.5:
-                row, col = np.unravel_index(int(depth.argmax()), depth.shape)
-            points[slot] = (col + 0.5, row + 0.5)
+                row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+            points[slot] = (column + 0.5, row + 0.5)
             labels[slot] = label
             slot += 1
     return points, labels
@@ -273,11 +287,18 @@ class Batch(NamedTuple):
 
 
 class CropSize(NamedTuple):
-    """One size of training batch: small crops are cheap, large ones teach outlines and context."""
+    """Size of a training batch: small crops are cheap, large ones teach outlines and context.
+
+    Attributes:
+        side_px: side of the crops.
+        batch: crops in a batch.
+        length_px: range of the objects' longer side, log-uniform.
+        share: share of the batches.
+    """
 
     side_px: int
     batch: int
-    length_px: tuple[float, float]  # the object's longer side, log-uniform
+    length_px: tuple[float, float]
     share: float
 
 
@@ -325,22 +346,23 @@ class BatchStream:
         priors = []
         has_prior = []
         while len(images) < size.batch:
-            example = self._draw(rng, names[rng.choice(len(names), p=weight / weight.sum())], size)
+            name = names[rng.choice(len(names), p=weight / weight.sum())]
+            example = self._draw(rng, name, size)
             box = box_of(example.mask)
             if box is None:
                 continue
             point, label = draw_prompt(rng, example.mask, box)
             cells = size.side_px // STRIDE_PX
-            target = np.asarray(
-                cv2.resize(example.mask, (cells, cells), interpolation=cv2.INTER_AREA), np.float32
-            )
-            known = rng.random() < 0.06
+            small = cv2.resize(example.mask, (cells, cells), interpolation=cv2.INTER_AREA)
+            target = np.asarray(small, np.float32)
+            is_given = rng.random() < 0.06
             images.append(photometric(rng, example.image).transpose(2, 0, 1))
             targets.append(target[None])
             points.append(point)
             labels.append(label)
-            priors.append((draw_prior(rng, target) if known else np.zeros_like(target))[None])
-            has_prior.append(np.float32(known))
+            prior = draw_prior(rng, target) if is_given else np.zeros_like(target)
+            priors.append(prior[None])
+            has_prior.append(np.float32(is_given))
         prompt = Prompt(
             *(torch.from_numpy(np.stack(part)) for part in (points, labels, priors, has_prior))
         )
