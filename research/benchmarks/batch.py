@@ -26,7 +26,8 @@ from vehanchor.batch import run_batch
 from vehanchor.models.runtime import Runtime
 
 SIDE_PX = 1024
-N_SCENES = 4  # rendered; the rest are further names of the same files
+# Rendered scenes; the others are further names of the same files.
+N_SCENES = 4
 
 
 def write_images(folder: Path, n_images: int, side_px: int) -> None:
@@ -87,7 +88,7 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
         rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
     came = seen[1:]  # the first call tells that there is none yet
-    # from the first row on, those that come with it would count as if they took no time
+    # Timing starts after the first row, so rows that come with it do not count.
     warm = came[workers - 1 :]
     rate = (len(warm) - 1) / (warm[-1] - warm[0])
     return Run(rate, len(images - rows.keys()), max(len(came), rows.total()) - len(images))

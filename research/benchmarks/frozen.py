@@ -34,8 +34,10 @@ _FOLDERS = (
     "upright",
     "vehicles",
 )
-_PHOTOGRAPHS = 200  # a choice: some three minutes
-_EQUAL = 2e-3  # relative: two units of the table's last digit
+# Our choice, which takes some three minutes.
+_PHOTOGRAPHS = 200
+# Relative tolerance: two units of the table's last digit.
+_EQUAL = 2e-3
 
 
 class Frozen(NamedTuple):

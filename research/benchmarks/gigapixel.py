@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 GSD_M = 0.2
 CELL_PX = 512
-_TOWN_CELLS = 4.0  # standard deviation of the noise that towns grow from, in cells
+# Standard deviation, in cells, of the noise from which towns grow.
+_TOWN_CELLS = 4.0
 SETS = {"cannes": "table.csv", "saopaulo": "table.csv", "estonia": "upright.csv"}
 
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 TILE_PX = 1024
 OVERLAP_PX = 256
-MIN_SCORE = 0.35  # that of the bundled file
+# Least score of the bundled file.
+MIN_SCORE = 0.35
 NMS_IOU = 0.45
 
 Counts = tuple[int, int]

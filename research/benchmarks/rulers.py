@@ -32,8 +32,9 @@ from vehanchor.scale.posterior import Witness, answer
 from vehanchor_evaluation.table import survey_table
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
-DRAWS = 3  # for each image
-# log spread, chance wrong
+# Draws for each image.
+DRAWS = 3
+# Log spread and chance of being wrong of each ruler.
 _STATED = {"camera": (0.13, 0.05), "height": (0.064, 0.05), "known_length": (0.015, 0.05)}
 _LIE = (math.log(1.5), math.log(5.0))
 _MIN_CARS = 5

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
-# ucas has too few labels, some displaced
+# The set ucas is left out: it has too few labels, and some are displaced.
 _CAR_M = {"jekhor": 4.3, "drashti": 3.9, "dota": 4.6, "crossings": 4.8}
 # Cars that a photograph of an oriented set needs.
 _MIN_CARS = 2

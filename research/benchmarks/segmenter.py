@@ -74,7 +74,7 @@ def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
     labels = np.full(crop.shape[:2], cv2.GC_BGD, np.uint8)
     labels[y1 - top : y2 - top, x1 - left : x2 - left] = cv2.GC_PR_FGD
     whole = np.zeros(target.mask.shape, bool)
-    # a box that fills the image leaves nothing to learn the background from
+    # A box that fills the image leaves no background to learn.
     if not (labels == cv2.GC_BGD).any():
         return filled_box(target)
     cv2.setRNGSeed(0)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
 
-# an image of that size is not searched wholly by default
+# An image of that size is not searched wholly by default.
 _EVERY_TILE = ScaleOptions(search=Search(effort="full"))
 
 

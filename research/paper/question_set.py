@@ -38,9 +38,9 @@ Ends: TypeAlias = tuple[tuple[float, float], tuple[float, float]]
 
 _ENDS: Ends = ((0.1, 0.5), (0.9, 0.5))
 _FIT_ENDS: Ends = ((0.5, 0.2), (0.5, 0.8))
-# of the length between the ends: one fits, one does not, one cannot be decided
+# Shares of the length between the ends: one fits, one does not, one cannot be decided.
 _FIT_SHARES = (0.6, 1.6, 1.0)
-# number of directions from the middle, and the distance as a share of the sides
+# Number of directions from the middle, and distance as a share of the sides.
 _DIRECTIONS = 8
 _REACH = 0.35
 _BEARING_TOLERANCE_DEG = 5.0

@@ -46,7 +46,8 @@ CATEGORIES = (
     "baseball-diamond",
     "storage-tank",
 )
-IRREGULAR = ("swimming-pool", "roundabout")  # oversampled in the paper by an unpublished factor
+# The paper oversamples these by an unpublished factor.
+IRREGULAR = ("swimming-pool", "roundabout")
 IRREGULAR_WEIGHT = 2
 _MASKS = "masks"
 
@@ -272,7 +273,7 @@ def _write(folder: Path, candidates: Sequence[_Candidate]) -> None:
             whole_file(folder / INDEX) as partial,
             partial.open("w", newline="", encoding="utf-8") as handle,
         ):
-            # last: it marks the folder as complete
+            # The index is written last: it marks the folder as complete.
             csv.writer(handle, lineterminator="\n").writerows([COLUMNS, *rows])
     except OSError as error:
         raise OutputError(

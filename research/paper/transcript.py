@@ -36,7 +36,8 @@ DEEDS: tuple[Deed, ...] = (
     "abstained rightly",
     "abstained needlessly",
 )
-_TOLERANCE = 0.3  # a choice
+# Relative error of a right action, our choice.
+_TOLERANCE = 0.3
 _CHARACTERS_A_TOKEN = 4
 
 

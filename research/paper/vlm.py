@@ -47,11 +47,13 @@ _AGENT = (
     "frame. In the picture's "
     "pixels the red rectangle has the corners ({x1:.1f}, {y1:.1f}) and ({x2:.1f}, {y2:.1f})."
 )
-MAX_SIDE_PX = 1568  # the longest side that the Messages API does not reduce
+# Longest side that the Messages API does not reduce.
+MAX_SIDE_PX = 1568
 MAX_TURNS = 8
 _RED_RGB = (255, 0, 0)
 _JPEG_QUALITY = 95
-_FAILURES_IN_A_ROW = 5  # then the service is down and further requests would fail
+# After so many failures the service is down, and further requests would fail.
+_FAILURES_IN_A_ROW = 5
 
 
 @dataclass(frozen=True)

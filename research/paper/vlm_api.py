@@ -30,8 +30,10 @@ _KEY_VARIABLES = {
     "openai": "OPENAI_API_KEY",
     "openai-compatible": "OPENAI_API_KEY",
 }
-_NO_KEY = "none"  # for compatible servers without keys: the client requires one
-_REFUSALS = (401, 403, 404)  # the key or the model is wrong: other requests would fail, too
+# The client requires a key, also for compatible servers without keys.
+_NO_KEY = "none"
+# The key or the model is wrong, so other requests would fail, too.
+_REFUSALS = (401, 403, 404)
 _JPEG = "image/jpeg"
 Messages: TypeAlias = list[dict[str, Any]]
 

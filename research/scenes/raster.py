@@ -125,7 +125,7 @@ def sample_noise(
     top = (y / texel + scale / 2 - 0.5) % size
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     border = cv2.BORDER_WRAP
-    # many pixels per texel: cubic interpolation, which OpenCV does not wrap
+    # With many pixels per texel, cubic interpolation, which OpenCV does not wrap.
     if scale < _SMOOTH_BELOW:
         columns = np.arange(-2, math.ceil(left % 1 + scale * width) + 3) + math.floor(left)
         rows = np.arange(-2, math.ceil(top % 1 + scale * height) + 3) + math.floor(top)

@@ -13,7 +13,8 @@ from research.scenes.site import WHITE, Site, jitter
 from research.scenes.truth import CourtKind
 from research.scenes.world import Material, PlacedCourt, Rgb
 
-_TENNIS_M = (23.77, 10.97)  # ITF, outside the lines
+# Outer lines of a tennis court (ITF).
+_TENNIS_M = (23.77, 10.97)
 _SINGLES_HALF_M = 8.23 / 2
 _SERVICE_M = 6.40
 _SURFACES: tuple[Rgb, ...] = (

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CROWN_SPAN = 1.25
-# transparent margin on every side of a vehicle's sprite, as a share of the length
+# Transparent margin on every side of a vehicle's sprite, as a share of the length.
 VEHICLE_PAD = 0.03
 
 _F = NDArray[np.float32]
@@ -64,7 +64,8 @@ class _Car:
     cabin_height: float = 1.45
 
 
-_BASE_HALF_WIDTH = 0.90  # of the greenhouse at its base; a share as in _Car
+# Half width of the greenhouse at its base, a share as in ``_Car``.
+_BASE_HALF_WIDTH = 0.90
 
 _CARS = {
     "city": _Car(0.17, 0.34, roof_rear=0.86, glass_rear=0.955, boot=0.9),

@@ -17,7 +17,7 @@ _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 
 SUBPIXEL_BITS = 4
-# polygons that extend farther beyond a tile are clipped: OpenCV's coordinates are finite
+# Polygons that reach farther beyond a tile are clipped: OpenCV's coordinates are finite.
 _FAR_PX = 6000.0
 
 

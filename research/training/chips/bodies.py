@@ -23,7 +23,8 @@ from vehanchor.detection.chips import ChipAnswers, ChipNetwork
 from vehanchor.models.runtime import Runtime
 from vehanchor.storage.atomic import whole_file
 
-_OWN_SD = 0.06  # of a log length: a body that is known worse counts less
+# Spread of a log length, below which a body has its full weight.
+_OWN_SD = 0.06
 _RENDERED = ("scene", "pasted")
 
 

@@ -24,8 +24,10 @@ from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_ROWS
 from vehanchor.models.zoo import DEFAULT_DETECTOR
 from vehanchor.storage.atomic import whole_file
 
-_LARGE = 256  # numbers of an array that is stored in half precision
-_MIN_SCORE = 0.15  # of the search
+# Larger arrays are stored in half precision.
+_LARGE = 256
+# Least score of the search.
+_MIN_SCORE = 0.15
 # Regions: medians over train images of known scale of the bodies' median length, of vehicles with a
 # score above 0.6 and
 # 3 to 6.5 m, five or more in an image: Cannes, Sao Paulo, US cities, Estonia, Banepa. The reference
@@ -39,7 +41,7 @@ _BODIES = {
         "south_asia": 3.68,
     },
 }  # fmt: skip
-# of the stated spreads: those of training include its blur and shade; by the readings kept back
+# Factor on the stated spreads, measured on held-back readings: training includes blur and shade.
 _EDGE_SD = 0.7
 
 

@@ -17,7 +17,8 @@ _KEPT = {
 }  # stage: channels, columns, rows of the middle
 _HIDDEN = 96
 _N_EDGES = 4
-_MIDDLE_LOG_M = (1.47, 0.585)  # of all cars: 4.35 m by 1.80 m
+# Logs of the mean length and width of all cars: 4.35 m by 1.80 m.
+_MIDDLE_LOG_M = (1.47, 0.585)
 _MIDDLE_EDGES = (-0.48, 0.48, -0.195, 0.195)
 
 

@@ -35,8 +35,10 @@ from vehanchor_evaluation.dota import read_labels
 
 _FITS = 0.5
 _MISSES = 0.15
-_MIN_SCORE = 0.15  # of the detector
-_EDGE = 0.6  # of a candidate's length
+# Least score of the detector.
+_MIN_SCORE = 0.15
+# Distance to the image's edge, in lengths of the candidate, within which it counts neither way.
+_EDGE = 0.6
 _NEAR = 0.5
 
 

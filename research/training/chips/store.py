@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from vehanchor.storage.atomic import whole_file
 
 STORED_PX = 144
-STORED_LENGTH_PX = 36.0  # the candidate's length on a stored chip: four lengths of context
+# Length of the candidate on a stored chip, which shows four lengths of context.
+STORED_LENGTH_PX = 36.0
 UNKNOWN = -1
 _CHIPS = "chips.npy"
 _TABLE = "table.npz"

@@ -8,12 +8,13 @@ import torch
 from torch import Tensor, nn
 
 CELL_PX = 8
-# log odds of tennis and of basketball, cos and sin of twice the angle, log of the length over 44 px
+# Log odds of tennis and of basketball, cos and sin of twice the angle, log of length over 44 px.
 CHANNELS = 5
 LENGTH_PX = 44.0
 _STEM = ((3, 8), (8, 16), (16, 24))
 _DILATIONS = (1, 2, 4, 1)
-_RARE = -4.0  # log odds of a court in a cell before anything is learned
+# Log odds of a court in a cell before training.
+_RARE = -4.0
 
 
 def _convolution(inputs: int, outputs: int, stride: int, dilation: int) -> nn.Sequential:

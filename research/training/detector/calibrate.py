@@ -57,16 +57,19 @@ REGION_OF_SET = {
     "ucm": "north_america",
     "estonia": "northern_europe",
 }
-# modal length of the detector's boxes in Nepal: shared/design/rulers.md
+# Modal length of the detector's boxes in Nepal (shared/design/rulers.md).
 MEASURED_ELSEWHERE = {"south_asia": 3.7}
 _THRESHOLDS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
 _SEARCH_SCORE = 0.1
 _AGGREGATION: Aggregation = "weighted_kde"
-_MAX_LOG_ERROR = 0.25  # beyond, it is another car
-_LABELLED = 5  # cars of an image that counts for its region
+# Beyond this error, the match is another car.
+_MAX_LOG_ERROR = 0.25
+# Labelled cars that an image needs to count for its region.
+_LABELLED = 5
 _CORRECTION_BINS_PX = (11, 13, 16, 20, 26, 34, 46, 64)
 _LENGTH_BINS_PX = (8, 9, 10, 11, 12, 13, 14, 16, 18, 20, 24, 28, 34, 40, 50, 64)
-_MAX_BIAS = 0.03  # of the length, beyond what all bins have in common
+# Largest log bias of a bin of lengths, beyond the bias that all bins share.
+_MAX_BIAS = 0.03
 _SHORT_PX = 24
 
 

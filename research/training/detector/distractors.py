@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_SHIFT = 4  # fractional bits of OpenCV's coordinates
-# colour [h, w, 3] in 0..255 and opacity [h, w] in 0..1
+# Fractional bits of OpenCV's coordinates.
+_SHIFT = 4
+# Colour [h, w, 3] in 0..255, and opacity [h, w] in 0..1.
 _Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 

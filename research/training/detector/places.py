@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 _LOOKED_AT = Path(__file__).with_name("looked_at.csv")
-# from the GPS track, each pair of photographs within a fifth
+# Scales from the GPS track; each pair of photographs agrees within a fifth.
 _FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}
-_EVERY_PHOTOGRAPH = 4  # of a flight: neighbours show the same ground
+# One photograph in four of a flight trains, because neighbours show the same ground.
+_EVERY_PHOTOGRAPH = 4
 _DEV_SHARE = 10
 _HELD_OUT = 0
 

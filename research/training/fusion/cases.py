@@ -36,8 +36,10 @@ from vehanchor_evaluation.dota import SMALL_VEHICLE, read_labels
 from vehanchor_evaluation.search import search_known_scale
 from vehanchor_evaluation.table import survey_table
 
-_WINDOWS = {"fit": 4, "val": 2}  # of an image
-_TRIALS = 40  # to find one window
+# Windows of an image.
+_WINDOWS = {"fit": 4, "val": 2}
+# Random trials to find one window.
+_TRIALS = 40
 _MAX_CARS = 4
 _WINDOW_PX = (200, 640)
 _FACTORS = (1.0, 0.7, 0.5)
@@ -47,7 +49,8 @@ _RENDERED = 80
 _SEEDS = {"fit": 300_000, "val": 400_000}
 _RENDERED_M_PER_PX = (0.03, 0.25)
 _NO_CARS_SHARE = 0.3
-_WITHOUT_CARS = ("harbor", "runway")  # kinds of ``ucm_more``
+# Kinds of ``ucm_more`` without cars.
+_WITHOUT_CARS = ("harbor", "runway")
 _CARS = "labelled_small_vehicles"
 
 

@@ -27,7 +27,8 @@ from vehanchor.scale.density import LOG_STEP as GRID_STEP
 from vehanchor.storage.atomic import whole_file
 
 BEGIN = SceneCalibration(FIRST_LOG_GSD, LOG_STEP, doubt=0.01)
-_OF_BINS = ("first_log_gsd", "log_step")  # fields that are the network's, not fitted
+# Fields that the network determines, which are not fitted.
+_OF_BINS = ("first_log_gsd", "log_step")
 _CHOICES: dict[str, Sequence[float]] = {
     "temperature": tuple(np.exp(np.linspace(np.log(0.35), np.log(3.5), 13))),
     "levels": (0.0, 0.25, 0.5, 0.75, 1.0),
@@ -38,7 +39,8 @@ _CHOICES: dict[str, Sequence[float]] = {
 _ROUNDS = 2
 _MIN_COVER = 0.9
 _COVER_WEIGHT = 2.0
-_MIN_CASES = 15  # of a set whose cover counts
+# Images that a set needs, so that its coverage counts.
+_MIN_CASES = 15
 _WITHIN = 1.5
 
 

@@ -22,8 +22,10 @@ from vehanchor.detection.scene_scale import TILE_PX, read_tile, tile_windows
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.storage.atomic import whole_file
 
-_REDUCED = 2  # random reductions beside each image as it is
-_SMALLEST_PX = 1.25 * TILE_PX  # shorter side of a reduced image
+# Random reductions of each image, beside the image itself.
+_REDUCED = 2
+# Shorter side of the smallest reduced image.
+_SMALLEST_PX = 1.25 * TILE_PX
 
 
 class Case(NamedTuple):

@@ -30,35 +30,45 @@ if TYPE_CHECKING:
 TILE_PX = 160
 FINEST_M_PER_PX = 0.0135
 COARSEST_M_PER_PX = 1.1
-_CAR_M = 4.6  # median length of Munich's and Minsk's cars
-_MIN_CARS = 2  # of an image whose scale they give
-# log standard deviation of these two kinds of label
+# Median length of Munich's and Minsk's cars.
+_CAR_M = 4.6
+# Cars that an image needs, so that they give its scale.
+_MIN_CARS = 2
+# Log standard deviation of these two kinds of label.
 _CAR_SPREAD = 0.07
 _FLIGHT_SPREAD = 0.12
-_HEIGHT_SPREAD = 0.03  # likewise, of a height above take-off
-# the latter are the photographs of tilt/, most of them oblique
+# Log standard deviation of a height above take-off.
+_HEIGHT_SPREAD = 0.03
+# The latter are the photographs of tilt/, most of them oblique.
 _CHECK_ONLY = re.compile(r"harlem|DJI_\d+$")
-# m/px, from the GPS track: each pair within a fifth
+# Scales in m/px from the GPS track; each pair agrees within a fifth.
 _FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}
-_DOWN_DEG = -85.0  # a camera's pitch from here on looks down
-_FULL_FRAME_MM = 36.0  # width of what "35 mm" focal lengths are for
+# From this pitch on, a camera looks down.
+_DOWN_DEG = -85.0
+# Width of the frame to which "35 mm" focal lengths refer.
+_FULL_FRAME_MM = 36.0
 _TILT_WIDTH_PX = 3000
-_EVERY_PHOTOGRAPH = 2  # of a flight: neighbours show the same ground
-_HELD_OUT_PHOTOGRAPHS = 4  # the last of a flight, with the last ground
-_FINEST_SHARE = 0.75  # of its native metres a pixel a source is resampled to: beyond is blur
-_FINEST_FLIGHT_SHARE = 0.6  # reduced copies are sharp to the pixel
+# One photograph in two of a flight trains, because neighbours show the same ground.
+_EVERY_PHOTOGRAPH = 2
+# The last photographs of a flight are held out, with the last ground.
+_HELD_OUT_PHOTOGRAPHS = 4
+# Finest resampling of a source, as a share of its own metres a pixel; beyond is only blur.
+_FINEST_SHARE = 0.75
+# The same for flights, whose reduced copies are sharp to the pixel.
+_FINEST_FLIGHT_SHARE = 0.6
 _SET_WEIGHT = {
     "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0,
     "estonia_port": 0.7, "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0,
     "seneca": 0.8, "scene": 1.0, "chia": 1.5,
 }  # fmt: skip
-# of the crops by any angle, which softens them; the others in one of the eight symmetries
+# Share of crops turned by any angle, which softens them; others have one of eight symmetries.
 _TURNED_SHARE = 0.25
-# of the crops as the detector's, which blurs and sharpens; the others are retouched only
+# Share of crops changed as for the detector, with blur and sharpening; others are retouched.
 _PHOTOMETRIC_SHARE = 0.5
 _BLURRED_SHARE = 0.08
 _NOISE_SHARE = 0.05
-_BLUR_PX = (2.0, 9.0)  # standard deviations; from the upper one on a crop says nothing
+# Standard deviations of the blur; from the upper one on, a crop shows nothing.
+_BLUR_PX = (2.0, 9.0)
 SETS = tuple(name for name in _SET_WEIGHT if name != "scene")
 
 

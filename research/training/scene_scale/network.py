@@ -22,8 +22,10 @@ from research.training.warm_start import load_exported
 if TYPE_CHECKING:
     from pathlib import Path
 
-_CHANNELS = (16, 32, 64, 128, 192)  # at strides 2, 4, 8, 16, 32
-_BOTTLENECK = (32, 64, 96)  # inner width of the residual blocks at strides 4 to 16
+# Channels at strides 2, 4, 8, 16, 32.
+_CHANNELS = (16, 32, 64, 128, 192)
+# Inner width of the residual blocks at strides 4 to 16.
+_BOTTLENECK = (32, 64, 96)
 _BLOCKS = (1, 1, 2, 0)
 _HIDDEN = 64
 

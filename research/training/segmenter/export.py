@@ -24,7 +24,8 @@ from research.training.segmenter.network import EMBEDDING_CHANNELS, STRIDE_PX, P
 
 INPUT_PX = 256
 NAME = "vehanchor-segmenter"
-_REACH_CELLS = 2  # of the smoothing: almost three standard deviations
+# Reach of the smoothing: almost three standard deviations.
+_REACH_CELLS = 2
 
 
 class EncoderGraph(nn.Module):

@@ -10,7 +10,8 @@ from torch.nn import functional
 
 from research.training.segmenter.network import Segmentation
 
-_FAR_WEIGHT = 0.15  # pixels far from the object: mostly trivial background
+# Weight of pixels far from the object, which are mostly trivial background.
+_FAR_WEIGHT = 0.15
 _EDGE_WEIGHT = 3.0
 _NEAR_CELLS = 17
 _EDGE_CELLS = 5

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LEAST_SIDE_PX = 15
-JITTER = 0.05  # of the box's extent, each side, uniform
+# Uniform shift of each side of the box, as a share of its extent.
+JITTER = 0.05
 _SEED = 0
 
 Box = tuple[float, float, float, float]

@@ -24,7 +24,8 @@ from research.training.onnx_file import LICENCE, write_metadata
 from research.training.verifier.data import Candidates, load, middle
 from vehanchor.detection.verifier import Weights
 
-_CHANCE = 0.65  # a missed car costs less than a false one
+# Chance from which a candidate is a car: a missed car costs less than a false one.
+_CHANCE = 0.65
 _RIDGE = 1e-3
 _MIN_SCORE = 0.5
 # Least score of the detector: none of 1,693 hits on the held-out tenth has less, but 44 % of the

@@ -20,25 +20,30 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.verifier import CHIP_LENGTH_PX, CHIP_PX, surroundings
 from vehanchor.storage.atomic import whole_file
 
-STORED_PX = 72  # room for jitter and turns around a chip of 48
+# Side of a stored chip, with room for jitter and turns around a chip of 48.
+STORED_PX = 72
 _CAR_PX = (
     15.0,
     28.0,
     55.0,
     110.0,
 )  # sizes at which an image is searched: at the finer ones a car's parts look like cars
-# an enlarged image has no parts to learn from
+# An enlarged image has no parts to learn from.
 _MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}
 _MIN_SCORE = 0.15
-_MAX_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
-# of a label's length: beyond one, within the other
+# Random false alarms of an image at one size; a harbour has hundreds.
+_MAX_FALSE = 40
+# Distances in lengths of a label: beyond the one, within the other.
 _NEAR = 0.6
 _AT = 0.25
 _LENGTH_RATIO = 1.35
-_PART_RATIO = 0.55  # of a car's length: what is shorter and stands on it is a part of it, no car
-_JITTER = 0.06  # of a length, of place and size
-_TURN = 0.08  # radians
-# on its chip
+# A shorter box on a car, as a share of its length, is a part of it and not a car.
+_PART_RATIO = 0.55
+# Jitter of position and size, as a share of the length.
+_JITTER = 0.06
+# Jitter of the angle, radians.
+_TURN = 0.08
+# Length of the candidate on its chip.
 _CANDIDATE = np.array([[CHIP_PX / 2, CHIP_PX / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])
 
 

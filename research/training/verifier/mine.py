@@ -29,7 +29,8 @@ from vehanchor.detection.detector import Detector
 from vehanchor.models.runtime import Runtime
 
 _DISTRACTED_CROPS = 400
-_CAR_PX = 22.0  # where a crop has none
+# Length of a car in a crop without cars.
+_CAR_PX = 22.0
 
 
 def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) -> list[TrainImage]:

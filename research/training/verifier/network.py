@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from research.training.layers import conv_block
 
-# inputs, outputs, stride
+# Inputs, outputs and stride of each convolution.
 _LAYERS = ((3, 32, 2), (32, 40, 1), (40, 64, 2), (64, 88, 1), (88, 112, 2), (112, 112, 1))
 
 

@@ -28,7 +28,8 @@ from vehanchor.detection.verifier import CHIP_PX
 
 _RATE = 2e-3
 _BATCH = 96
-_SMOOTHING = 0.02  # labels are wrong now and then
+# Labels are wrong now and then.
+_SMOOTHING = 0.02
 
 
 def losses(

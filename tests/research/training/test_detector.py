@@ -75,7 +75,7 @@ def test_crops_move_picture_and_boxes_alike() -> None:
     assert seen > 15
 
 
-# of the TorchScript exporter, which needs no onnxscript
+# The TorchScript exporter, which needs no onnxscript, warns.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: Path) -> None:
     torch.manual_seed(0)
@@ -96,7 +96,7 @@ def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: P
     seen = detector.detect_tile(detector.prepared(image), 1e-6).vehicles
     boxes = seen.boxes
     scores = seen.scores
-    # untrained: near ties
+    # An untrained network has near ties.
     assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)
     assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
 

@@ -124,5 +124,5 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     bare = [open_session(path) for path in export(tmp_path, tmp_path / "bare", {})]
     target = Target("roof", "a", image, np.ones((256, 256), bool), (60.0, 70.0, 180.0, 190.0))
     view = see(recognise_contract(bare[0], bare[1], INPUT_PX), target)
-    # what the calibration judges
+    # The mask that the calibration judges.
     assert (finished(view, smoothing, offset)(target)[0] == found.mask).mean() > 0.999
