@@ -75,10 +75,10 @@ def simulated_cluster(n_nodes: int) -> Iterator[None]:
 
 def run_rows(folder: Path, engine: str, workers: int) -> Run:
     """Run the folder's images."""
-    seen: list[float] = []
+    times: list[float] = []
 
     def tell(_done: int, _total: int) -> None:
-        seen.append(time.perf_counter())
+        times.append(time.perf_counter())
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
@@ -87,7 +87,7 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
         )
         rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
-    came = seen[1:]  # the first call tells that there is none yet
+    came = times[1:]  # the first call tells that there is none yet
     # Timing starts after the first row, so rows that come with it do not count.
     warm = came[workers - 1 :]
     rate = (len(warm) - 1) / (warm[-1] - warm[0])

@@ -40,7 +40,7 @@ SETS = {"cannes": "table.csv", "saopaulo": "table.csv", "estonia": "upright.csv"
 
 def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
     """Load images of the val split, BGR, at 0.2 m/px; empty ones stay as they are."""
-    found = []
+    images = []
     with (data / "gsd" / table).open() as lines:
         for row in csv.DictReader(lines):
             if row["set"] == name and row["split"] == "val":
@@ -50,8 +50,8 @@ def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
                     image = _resized(image, ratio, cv2.INTER_AREA)
                 elif ratio > 1.01:
                     image = _resized(image, ratio, cv2.INTER_CUBIC)
-                found.append(image)
-    return found
+                images.append(image)
+    return images
 
 
 def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uint8]:
@@ -115,17 +115,17 @@ def search(image: Path, effort: str, threads: int | None) -> str:
     started = time.perf_counter()
     cpu = time.process_time()
     with open_raster(image, options.reading) as raster:
-        found = analyse_raster(detector, raster, options).estimate
+        estimate = analyse_raster(detector, raster, options).estimate
     seconds = time.perf_counter() - started
     cpu = time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    details = found.details
+    details = estimate.details
     return (
         f"| {effort} | {image.stem} | {details.tiles_searched} | {details.tiles_total} | "
         f"{details.stopped_because} | "
-        f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | "
-        f"{found.gsd_ci95_low_m_per_px or 0:.3f} to "
-        f"{found.gsd_ci95_high_m_per_px or 0:.3f} | {found.status} | {found.n_vehicles} | "
+        f"{seconds:.0f} | {cpu:.0f} | {estimate.gsd_m_per_px or 0:.4f} | "
+        f"{estimate.gsd_ci95_low_m_per_px or 0:.3f} to "
+        f"{estimate.gsd_ci95_high_m_per_px or 0:.3f} | {estimate.status} | {estimate.n_vehicles} | "
         f"{peak:.0f} |"
     )
 
@@ -148,11 +148,18 @@ def main() -> None:
     )
     searching.add_argument("--threads", type=int)
     add_record_option(searching)
-    chosen = parser.parse_args()
-    if chosen.command == "make":
-        make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed)
+    arguments = parser.parse_args()
+    if arguments.command == "make":
+        make(
+            arguments.data,
+            arguments.out,
+            arguments.side,
+            arguments.towns,
+            arguments.town,
+            arguments.seed,
+        )
         return
-    with recording("speed", ["large"], chosen.record):
+    with recording("speed", ["large"], arguments.record):
         columns = (
             "effort",
             "image",
@@ -166,9 +173,9 @@ def main() -> None:
             "status",
         )
         print(header(*columns, "vehicles", "peak MiB"))
-        for image in chosen.images:
-            for effort in chosen.effort:
-                print(search(image, effort, chosen.threads), flush=True)
+        for image in arguments.images:
+            for effort in arguments.effort:
+                print(search(image, effort, arguments.threads), flush=True)
 
 
 if __name__ == "__main__":

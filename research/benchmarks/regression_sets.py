@@ -79,8 +79,8 @@ class Sighted(NamedTuple):
 
     def above(self, min_score: float) -> Sighted:
         """Keep the boxes of at least this score."""
-        kept = self.scores >= min_score
-        return self._replace(boxes=self.boxes[kept], scores=self.scores[kept])
+        is_kept = self.scores >= min_score
+        return self._replace(boxes=self.boxes[is_kept], scores=self.scores[is_kept])
 
 
 def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArray[np.intp]:

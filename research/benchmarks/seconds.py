@@ -186,8 +186,8 @@ def main() -> None:
             *start(Path(name)),
         ]
         bare: list[Row] = [
-            (f"bare network, {when}: ms a tile", "", [round(each, 1)])
-            for when, each in (("before", before), ("after", tile_ms()))
+            (f"bare network, {when}: ms a tile", "", [round(tile_time, 1)])
+            for when, tile_time in (("before", before), ("after", tile_ms()))
         ]
         print(header("figure", _OURS, "ultralytics", "SAHI", "supervision", "aim"))
         for figure, aim, values in [*bare, *rows]:

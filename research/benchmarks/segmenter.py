@@ -38,12 +38,12 @@ def segmenter_method(segmenter: Segmenter) -> Callable[[Target], tuple[NDArray[n
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
         with open_raster(target.image) as raster:
-            found = segmenter.segment(raster, Prompt(box=target.box))
+            segmentation = segmenter.segment(raster, Prompt(box=target.box))
         whole = np.zeros(target.mask.shape, bool)
-        window = found.window
+        window = segmentation.window
         rows = slice(window.y_px, window.y_px + window.height_px)
-        whole[rows, window.x_px : window.x_px + window.width_px] = found.mask
-        return whole, found.score
+        whole[rows, window.x_px : window.x_px + window.width_px] = segmentation.mask
+        return whole, segmentation.score
 
     return method
 

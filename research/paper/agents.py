@@ -85,7 +85,7 @@ class AgentRun(NamedTuple):
     stopped: str | None
 
 
-def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCaller) -> AgentRun:
+def ask_agent(tasks: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCaller) -> AgentRun:
     """Give a model each task separately, with the picture, the recognised facts and the tools.
 
     The run ends early if the budget is spent, the service refuses the key or the model, or a
@@ -97,9 +97,9 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
     answers: list[Answered] = []
     calls = tokens = 0
     try:
-        for task, path in asked:
+        for task, path in tasks:
             image = checked_file(task.question, path)
-            told = converse(
+            conversation = converse(
                 api,
                 _SYSTEM,
                 text=_words(task, image),
@@ -107,9 +107,9 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
                 tools=tools,
                 max_turns=_MAX_TURNS,
             )
-            calls = calls + len(told.called)
-            tokens = tokens + told.tokens
-            answers.append(_answered(task, image, told.text))
+            calls = calls + len(conversation.called)
+            tokens = tokens + conversation.tokens
+            answers.append(_answered(task, image, conversation.text))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
         return AgentRun(answers, calls, tokens=tokens, stopped=str(error))
     return AgentRun(answers, calls, tokens=tokens, stopped=None)
@@ -123,7 +123,7 @@ def agent_score(
     tokens: int | None = None,
 ) -> AgentScore:
     """Count the deeds in tasks of one kind."""
-    deeds = [each.deed for each in answers]
+    deeds = [answer.deed for answer in answers]
     return AgentScore(
         name=name,
         task=task,

@@ -187,7 +187,7 @@ class Answered:
 def question_set() -> tuple[SetQuestion, ...]:
     """Read the questions."""
     text = Path(__file__).with_suffix(".json").read_text(encoding="utf-8")
-    return tuple(SetQuestion.model_validate(each) for each in json.loads(text))
+    return tuple(SetQuestion.model_validate(entry) for entry in json.loads(text))
 
 
 def picture_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
@@ -221,12 +221,12 @@ def checked_file(question: SetQuestion, path: Path) -> Path:
 
 
 def ask_set(
-    asked: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue: bool
+    tasks: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue: bool
 ) -> list[Answered]:
     """Do tasks with tools: one call for all tasks about a picture that follow each other.
 
     Args:
-        asked: the tasks with their pictures.
+        tasks: the tasks with their pictures.
         tools: the tools; they may read the pictures.
         catalogue: whether the planner gives the tool what it recognises.
 
@@ -234,7 +234,7 @@ def ask_set(
         InvalidParameterError: a picture is missing or another one.
     """
     answers: list[Answered] = []
-    for (_, path), group in groupby(asked, lambda each: (each[0].question, each[1])):
+    for (_, path), group in groupby(tasks, lambda pair: (pair[0].question, pair[1])):
         answers += _ask([task for task, _ in group], tools, path, catalogue=catalogue)
     return answers
 

@@ -67,7 +67,7 @@ class Turn(BaseModel):
         if self.tokens is not None:
             return self.tokens
         return (
-            sum(len(json.dumps(each.arguments)) + len(each.result) for each in self.calls)
+            sum(len(json.dumps(call.arguments)) + len(call.result) for call in self.calls)
             // _CHARACTERS_A_TOKEN
         )
 

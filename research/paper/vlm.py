@@ -213,10 +213,10 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
             y2=y2,
         )
     picture = base64.b64encode(question.jpeg).decode()
-    told = converse(
+    conversation = converse(
         api, SYSTEM, text=text, jpeg_base64=picture, tools=tools, max_turns=query.max_turns
     )
-    reply = told.last
+    reply = conversation.last
     stated = read_area(reply.text)
     problem: str | None = stated.problem
     if problem and reply.refused:
@@ -231,10 +231,10 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
         stated_area_m2=stated.area_m2,
         problem=problem,
         last_line=(reply.text.strip().splitlines() or [""])[-1][:200],
-        turns=told.turns,
-        tool_calls=" ".join(told.called),
-        input_tokens=told.input_tokens,
-        output_tokens=told.output_tokens,
+        turns=conversation.turns,
+        tool_calls=" ".join(conversation.called),
+        input_tokens=conversation.input_tokens,
+        output_tokens=conversation.output_tokens,
     )
 
 

@@ -60,15 +60,15 @@ def clip_polygon(
         if len(current) == 0:
             break
         inside = sign * (current[:, axis] - bound) >= 0
-        kept: list[NDArray[np.float64]] = []
+        clipped: list[NDArray[np.float64]] = []
         for index, point in enumerate(current):
             previous = current[index - 1]
             if inside[index] != inside[index - 1]:
                 share = (bound - previous[axis]) / (point[axis] - previous[axis])
-                kept.append(previous + share * (point - previous))
+                clipped.append(previous + share * (point - previous))
             if inside[index]:
-                kept.append(point)
-        current = np.array(kept, dtype=np.float64).reshape(-1, 2)
+                clipped.append(point)
+        current = np.array(clipped, dtype=np.float64).reshape(-1, 2)
     return current
 
 

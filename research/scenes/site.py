@@ -251,8 +251,8 @@ class Site:
     ) -> None:
         """Add a tree with its trunk at (x, y), unless that place is kept free."""
         rng = self.rng
-        (place,) = self.frame.points([(x, y)])
-        if any(_within(place, frame, rect) for frame, rect in self.kept_free):
+        (centre,) = self.frame.points([(x, y)])
+        if any(_within(centre, frame, rect) for frame, rect in self.kept_free):
             return
         radius = float(np.clip(rng.lognormal(0.85, 0.35), 1.0, 5.5)) if radius is None else radius
         leaves = self.palette.leaves
@@ -263,8 +263,8 @@ class Site:
         height = radius * (rng.uniform(3.2, 4.6) if conical else rng.uniform(1.5, 2.3)) + 0.8
         self.world.trees.append(
             Tree(
-                float(place[0]),
-                float(place[1]),
+                float(centre[0]),
+                float(centre[1]),
                 radius=radius,
                 height=float(height),
                 rgb=rgb,
@@ -355,9 +355,11 @@ class Site:
 
     def vehicle(self, model: VehicleModel, x: float, y: float, angle: float) -> None:
         """Add a vehicle that points towards ``angle``."""
-        (place,) = self.frame.points([(x, y)])
+        (centre,) = self.frame.points([(x, y)])
         self.world.vehicles.append(
-            PlacedVehicle(model, float(place[0]), y=float(place[1]), angle=self.frame.angle + angle)
+            PlacedVehicle(
+                model, float(centre[0]), y=float(centre[1]), angle=self.frame.angle + angle
+            )
         )
 
 

@@ -236,8 +236,8 @@ def _other_game(site: Site) -> None:
     rgb: Rgb = ((206, 190, 80), (90, 130, 190), (190, 90, 80))[int(rng.integers(3))]
     paint = Paint(site, rgb, width=0.05, wear=0.0)
     length, width = (13.41, 6.10) if rng.random() < 0.6 else (18.0, 9.0)
-    at = float(rng.choice([0.0, 0.0, 3.0]))
-    shifted = Paint(site.at(at, 0.0), rgb, width=0.05, wear=0.0)
+    position = float(rng.choice([0.0, 0.0, 3.0]))
+    shifted = Paint(site.at(position, 0.0), rgb, width=0.05, wear=0.0)
     shifted.outline(length, width)
     cross = 2.13 if width < 9 else 3.0
     for x in (-cross, cross):
@@ -246,4 +246,4 @@ def _other_game(site: Site) -> None:
         for end in (-1, 1):
             shifted.line(end * cross, 0, end * length / 2, 0)
     else:
-        paint.line(at, -width / 2, at, width / 2)
+        paint.line(position, -width / 2, position, width / 2)

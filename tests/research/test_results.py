@@ -115,10 +115,10 @@ def test_only_the_option_writes_and_variants_have_own_keys(
     tmp_path: Path,
 ) -> None:
     parser = add_record_option(argparse.ArgumentParser())
-    for given in ([], ["--record", "int8"]):
-        with recording("scale", ["val"], parser.parse_args(given).record, folder=tmp_path):
+    for printed in ([], ["--record", "int8"]):
+        with recording("scale", ["val"], parser.parse_args(printed).record, folder=tmp_path):
             print(PRINTED)
-        assert [path.name for path in tmp_path.iterdir()] == (["scale.json"] if given else [])
+        assert [path.name for path in tmp_path.iterdir()] == (["scale.json"] if printed else [])
     assert list(load("scale", tmp_path)) == ["val_int8"]
 
 

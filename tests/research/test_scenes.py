@@ -172,16 +172,16 @@ def _edges(profile: NDArray[np.float64]) -> tuple[float, float]:
 
 def test_masks_agree_with_the_objects() -> None:
     scene = render_scene(0.25, width_px=512, height_px=512, seed=4, layout="urban")
-    seen = dict.fromkeys(CATEGORIES, 0)
+    cover = dict.fromkeys(CATEGORIES, 0)
     for item in scene.objects:
-        seen[item.category] += 1
-        assert item.instance == seen[item.category]
+        cover[item.category] += 1
+        assert item.instance == cover[item.category]
         pixels = int((scene.masks[item.category] == item.instance).sum())
         assert item.area_m2 == pytest.approx(pixels * 0.25**2)
         assert item.area_m2 <= item.full_area_m2 * 1.1 + 2
     for category, mask in scene.masks.items():
-        assert mask.max() == seen[category]
-    assert seen["building"] > 10
+        assert mask.max() == cover[category]
+    assert cover["building"] > 10
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])

@@ -49,7 +49,7 @@ class Rows(NamedTuple):
 
     def take(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
         """Select rows by a mask or by indices."""
-        return Rows(*(each[which] for each in self))  # type: ignore[arg-type]
+        return Rows(*(column[which] for column in self))  # type: ignore[arg-type]
 
     @classmethod
     def unlabelled(cls, lengths_px: NDArray[np.floating], set_name: str, file: str) -> Rows:

@@ -34,17 +34,17 @@ def losses(
     Source: Zhou et al., Objects as Points, 2019.
     """
     pixels, targets, weights = (part.to(device) for part in batch)
-    seen = network(pixels)
-    heat = seen[:, :2]
-    wanted = targets[:, :2]
+    outputs = network(pixels)
+    heat = outputs[:, :2]
+    heats = targets[:, :2]
     share = torch.sigmoid(heat)
-    peaks = wanted > 0.8
+    peaks = heats > 0.8
     hit = functional.logsigmoid(heat) * (1 - share) ** 2
-    miss = functional.logsigmoid(-heat) * share**2 * (1 - wanted) ** 4
+    miss = functional.logsigmoid(-heat) * share**2 * (1 - heats) ** 4
     n_peaks = peaks.sum().clamp(min=1)
     focal = -(torch.where(peaks, hit, miss) * weights).sum() / n_peaks
-    near = (wanted.amax(dim=1, keepdim=True) > 0.5).float()
-    pose = ((seen[:, 2:] - targets[:, 2:]).abs() * near).sum() / near.sum().clamp(min=1)
+    near = (heats.amax(dim=1, keepdim=True) > 0.5).float()
+    pose = ((outputs[:, 2:] - targets[:, 2:]).abs() * near).sum() / near.sum().clamp(min=1)
     return {"heat": focal, "pose": _POSE_WEIGHT * pose}
 
 

@@ -116,14 +116,14 @@ def load_train_images(
     vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False
 ) -> list[TrainImage]:
     """Load the training part of ``shared/data/vehicles``, or its held-out tenth."""
-    known = read_corrections(corrections)
+    corrections_by_file = read_corrections(corrections)
     out = []
     with (vehicles / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     for row in rows:
         if is_dev(row["file"], row["set"]) == held_out:
             sample = _load(vehicles / row["file"], row["set"], vehicles / "labels")
-            out.append(corrected(sample, known.get(Path(row["file"]).name, [])))
+            out.append(corrected(sample, corrections_by_file.get(Path(row["file"]).name, [])))
     return out
 
 

@@ -88,10 +88,10 @@ def _rectangles(
     sun = rng.uniform(0, 2 * np.pi)
     offset = shadow * min(size) * np.array([np.cos(sun), np.sin(sun)])
     jitter = 0.03 * min(pitch)
-    places = np.stack(
+    centres = np.stack(
         np.meshgrid(np.arange(0, width, pitch[0]), np.arange(0, height, pitch[1])), axis=-1
     ).reshape(-1, 2)
-    places = places + rng.normal(0, jitter, places.shape)
+    centres = centres + rng.normal(0, jitter, centres.shape)
     corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
 
     def fill(moved: NDArray[np.float64], paint: NDArray[np.float32], strength: float) -> None:
@@ -100,12 +100,12 @@ def _rectangles(
         cv2.fillConvexPoly(opacity, polygon, strength, cv2.LINE_8, _SHIFT)
 
     missing = rng.uniform(0, 0.3)
-    for place in places:
+    for centre in centres:
         if rng.random() < missing:
             continue
         if shadow:
-            fill(place + offset, _SHADOW, 0.9)
-        fill(place, paints[rng.integers(len(paints))], 1.0)
+            fill(centre + offset, _SHADOW, 0.9)
+        fill(centre, paints[rng.integers(len(paints))], 1.0)
     return colour, opacity
 
 

@@ -80,10 +80,12 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--crops", type=int, default=96)
-    chosen = parser.parse_args()
-    batches = list(crops(chosen.data / "vehicles", chosen.crops))
-    write_eight_bits(chosen.model, chosen.out, batches=batches, nodes=quantised_nodes, metadata={})
-    print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
+    arguments = parser.parse_args()
+    batches = list(crops(arguments.data / "vehicles", arguments.crops))
+    write_eight_bits(
+        arguments.model, arguments.out, batches=batches, nodes=quantised_nodes, metadata={}
+    )
+    print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

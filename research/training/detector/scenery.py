@@ -23,7 +23,7 @@ CAR_M = 4.5
 
 def load_scenery(data: Path, table: Path = SCENERY, *, held_out: bool = False) -> list[TrainImage]:
     """Load the places that train, with the labels of ``scenery.csv``; lorries are ignored."""
-    known = read_corrections(table)
+    corrections_by_file = read_corrections(table)
     out = []
     for place in places(data):
         if is_held_out(place) != held_out:
@@ -42,5 +42,5 @@ def load_scenery(data: Path, table: Path = SCENERY, *, held_out: bool = False) -
             clutter=np.zeros((0, 2)),
             car_px=CAR_M / place.gsd_m_per_px,
         )
-        out.append(corrected(bare, known.get(place.path.name, [])))
+        out.append(corrected(bare, corrections_by_file.get(place.path.name, [])))
     return out

@@ -209,9 +209,11 @@ def write_table(run: Path, data: Path, split: str) -> Path:
     with whole_file(table) as partial, partial.open("w", newline="") as handle:
         writer = csv.writer(handle)
         writer.writerow(["file", "gsd_m_per_px", "set", "split", _CARS])
-        for each in pictures(data, split, run / "pictures" / split):
-            cars = "" if each.cars is None else each.cars
-            writer.writerow([each.file.resolve(), each.gsd_m_per_px, each.set, split, cars])
+        for picture in pictures(data, split, run / "pictures" / split):
+            cars = "" if picture.cars is None else picture.cars
+            writer.writerow(
+                [picture.file.resolve(), picture.gsd_m_per_px, picture.set, split, cars]
+            )
     return table
 
 
@@ -235,9 +237,9 @@ def copied(detector: Path, folder: Path) -> Path:
     if not copy.exists():
         folder.mkdir(parents=True, exist_ok=True)
         for kind in ("verifier", "chips"):
-            found = auxiliary_model(detector, kind)
-            if found is not None:
-                shutil.copy(found, folder / f"{detector.stem}.{kind}.onnx")
+            model = auxiliary_model(detector, kind)
+            if model is not None:
+                shutil.copy(model, folder / f"{detector.stem}.{kind}.onnx")
         shutil.copy(detector, copy)
     return copy
 

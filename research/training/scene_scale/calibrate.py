@@ -47,8 +47,8 @@ _WITHIN = 1.5
 def density_of(case: Case, calibration: SceneCalibration) -> NDArray[np.float64]:
     """Combine what was seen on an image's tiles, as the library does."""
     levels = [
-        (factor, seen.astype(np.float64).mean(axis=0))
-        for factor, seen in zip(case.factors, case.log_probs, strict=True)
+        (factor, log_probs.astype(np.float64).mean(axis=0))
+        for factor, log_probs in zip(case.factors, case.log_probs, strict=True)
     ]
     return scene_density(levels, calibration)
 
@@ -58,9 +58,9 @@ def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
     scores: dict[str, list[float]] = {}
     for case in cases:
         density = density_of(case, calibration)
-        at = int(np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px))))
-        scores.setdefault(case.set, []).append(float(np.log(density[at] / GRID_STEP)))
-    return float(np.mean([np.mean(each) for each in scores.values()]))
+        truth_bin = int(np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px))))
+        scores.setdefault(case.set, []).append(float(np.log(density[truth_bin] / GRID_STEP)))
+    return float(np.mean([np.mean(of_set) for of_set in scores.values()]))
 
 
 def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
@@ -69,7 +69,7 @@ def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
     for case in cases:
         _, low, high = _row(case, calibration)
         held.setdefault(case.set, []).append(low < 0 < high)
-    return float(min(np.mean(each) for each in held.values() if len(each) >= _MIN_CASES))
+    return float(min(np.mean(of_set) for of_set in held.values() if len(of_set) >= _MIN_CASES))
 
 
 def fit(cases: Sequence[Case]) -> SceneCalibration:
@@ -96,17 +96,17 @@ def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
     ]
     for reduced in (False, True):
         for name in (*sorted({case.set for case in cases}), "all"):
-            chosen = [
+            selected = [
                 case for case in cases if case.reduced == reduced and name in (case.set, "all")
             ]
-            if not chosen:
+            if not selected:
                 continue
-            rows = np.array([_row(case, calibration) for case in chosen])
+            rows = np.array([_row(case, calibration) for case in selected])
             error, low, high = rows.T
             held = np.mean((low < 0) & (high > 0))
             right = np.mean(np.abs(error) < np.log(_WITHIN))
             lines.append(
-                f"{name:12s} {'reduced' if reduced else 'as it is':8s} {len(chosen):6d}"
+                f"{name:12s} {'reduced' if reduced else 'as it is':8s} {len(selected):6d}"
                 f"  {np.median(np.abs(error)):18.3f}  {right:10.0%}  {held:14.0%}"
                 f"  {np.median(np.exp(high - low)):15.2f}"
             )

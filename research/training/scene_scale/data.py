@@ -128,7 +128,7 @@ def load_scenes(folder: Path) -> list[ScaledImage]:
 
 def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[ScaledImage]:
     """Load the images for reports: val splits with a scale, and nadir photographs of ``tilt/``."""
-    found = [
+    photographs = [
         *_listed(data, "gsd/table.csv", "val"),
         *_listed(data, "gsd/upright.csv", "val"),
         *_segments(data, "val"),
@@ -140,7 +140,7 @@ def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[Scaled
                 * _FULL_FRAME_MM
                 / float(row["focal_length_35mm"])
             )
-            found.append(
+            photographs.append(
                 Source(
                     data / "tilt" / row["file"],
                     "tilt",
@@ -149,8 +149,8 @@ def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[Scaled
                     held_out=False,
                 )
             )
-    found += chia_photographs(data, odd=False)
-    return [_load(source) for source in found if source.set not in without]
+    photographs += chia_photographs(data, odd=False)
+    return [_load(source) for source in photographs if source.set not in without]
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

@@ -28,9 +28,9 @@ def losses(
     network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.device
 ) -> Mapping[str, Tensor]:
     """Cross-entropy with the soft targets."""
-    tiles, wanted = (part.to(device) for part in batch)
-    seen = network(tiles.float().div(255.0).contiguous(memory_format=torch.channels_last))
-    return {"entropy": -(wanted * seen).sum(dim=1).mean()}
+    tiles, targets = (part.to(device) for part in batch)
+    outputs = network(tiles.float().div(255.0).contiguous(memory_format=torch.channels_last))
+    return {"entropy": -(targets * outputs).sum(dim=1).mean()}
 
 
 def main() -> None:

@@ -150,16 +150,16 @@ def main() -> None:
     trials = by_choice[smoothing, offset]
     print(f"smoothing {smoothing}, offset {offset}: area bias {area_bias(trials)}", flush=True)
     limit = least_trusted_score(trials)
-    found = {
+    results = {
         "mask_offset": offset,
         "mask_smoothing": smoothing,
         "min_score": limit,
         "mask_area_log_sd": round(mask_area_log_sd(trials, limit), 4),
     }
     with whole_file(options.out) as partial:
-        partial.write_text(json.dumps(found, indent=1) + "\n")
+        partial.write_text(json.dumps(results, indent=1) + "\n")
     print("\n".join(report({"held out": trials})))
-    print(found)
+    print(results)
 
 
 if __name__ == "__main__":

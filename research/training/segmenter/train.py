@@ -28,9 +28,9 @@ def losses(network: nn.Module, batch: Batch, device: torch.device) -> Mapping[st
     """Compute the loss of the masks and of the predicted IoU."""
     prompt = Prompt(*(part.to(device) for part in batch.prompt))
     image = batch.image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
-    found = network(image, prompt)
+    outputs = network(image, prompt)
     loss = segmentation_loss(
-        Segmentation(found.mask.float(), found.iou.float()), batch.target.to(device)
+        Segmentation(outputs.mask.float(), outputs.iou.float()), batch.target.to(device)
     )
     return {"mask": loss.mask, "iou": loss.iou}
 

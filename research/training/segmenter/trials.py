@@ -55,14 +55,14 @@ class Trial(NamedTuple):
 
 
 def read_targets(
-    folder: Path, split: str, wanted: Callable[[str], bool] | None = None
+    folder: Path, split: str, is_wanted: Callable[[str], bool] | None = None
 ) -> Iterator[Target]:
-    """Load objects of a split of ``shared/data/segments``; ``wanted`` selects by file name."""
+    """Load objects of a split of ``shared/data/segments``; ``is_wanted`` selects by file name."""
     rng = np.random.default_rng(_SEED)
     with (folder / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == split]
     for row in rows:
-        if wanted is not None and not wanted(row["image"]):
+        if is_wanted is not None and not is_wanted(row["image"]):
             continue
         image = cv2.imread(str(folder / row["image"]), cv2.IMREAD_COLOR)
         ids = cv2.imread(str(folder / row["mask"]), cv2.IMREAD_UNCHANGED)

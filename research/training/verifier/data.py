@@ -112,22 +112,22 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             scaled = np.asarray(
                 cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8
             )
-            found = detector.detect_tile(detector.prepared(scaled), _MIN_SCORE).vehicles
-            kept = oriented_nms(found.boxes, found.scores)
-            boxes = found.boxes[kept]
-            score = found.scores[kept]
+            vehicles = detector.detect_tile(detector.prepared(scaled), _MIN_SCORE).vehicles
+            survivors = oriented_nms(vehicles.boxes, vehicles.scores)
+            boxes = vehicles.boxes[survivors]
+            score = vehicles.scores[survivors]
             truth = truth_of(
                 boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor
             )
             false = rng.permutation(np.flatnonzero(truth == 0))
             truth[false[_MAX_FALSE:]] = -1
-            known = truth >= 0
+            is_known = truth >= 0
             chips.append(
-                surroundings(scaled, boxes[known], side_px=STORED_PX, length_px=CHIP_LENGTH_PX)
+                surroundings(scaled, boxes[is_known], side_px=STORED_PX, length_px=CHIP_LENGTH_PX)
             )
-            car.append(truth[known] == 1)
-            scores.append(score[known])
-            sets += [sample.set] * int(known.sum())
+            car.append(truth[is_known] == 1)
+            scores.append(score[is_known])
+            sets += [sample.set] * int(is_known.sum())
     return Candidates(
         np.concatenate(chips),
         np.concatenate(car),
@@ -166,9 +166,9 @@ class ChipStream:
         """Weigh the candidates."""
         self._weight = []
         for car in (False, True):
-            chosen = self.candidates.car == car
+            indices = self.candidates.car == car
             weight = np.zeros(len(self.candidates.car))
-            weight[chosen] = weight_of_sets(self.candidates.sets[chosen])
+            weight[indices] = weight_of_sets(self.candidates.sets[indices])
             self._weight.append(np.cumsum(weight))
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -176,10 +176,10 @@ class ChipStream:
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         car = int(rng.random() < 0.5)
-        chosen = min(
+        indices = min(
             int(np.searchsorted(self._weight[car], rng.random())), len(self.candidates.car) - 1
         )
-        cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[chosen]), _CANDIDATE))
+        cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[indices]), _CANDIDATE))
         return torch.from_numpy(np.ascontiguousarray(cut.transpose(2, 0, 1))), torch.tensor(
             float(car)
         )

@@ -69,10 +69,10 @@ def main() -> None:
         if not held_out:
             images += distracted_crops(images, _DISTRACTED_CROPS)
             images += load_scenes(options.scenes) if options.scenes else []
-        found = mined(images, detector)
-        save(found, options.run / f"{name}.npz")
+        candidates = mined(images, detector)
+        save(candidates, options.run / f"{name}.npz")
         print(
-            f"{name}: {found.car.sum()} cars, {(~found.car).sum()} false alarms in "
+            f"{name}: {candidates.car.sum()} cars, {(~candidates.car).sum()} false alarms in "
             f"{len(images)} images",
             flush=True,
         )

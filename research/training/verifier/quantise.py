@@ -35,19 +35,25 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("model", type=Path)
     parser.add_argument("out", type=Path)
-    chosen = parser.parse_args()
-    found = load(chosen.run / "train.npz")
+    arguments = parser.parse_args()
+    candidates = load(arguments.run / "train.npz")
     rng = np.random.default_rng(0)
-    some = np.sort(
-        rng.choice(len(found.car), min(_CHIPS, len(found.car)) // _BATCH * _BATCH, replace=False)
+    sample = np.sort(
+        rng.choice(
+            len(candidates.car), min(_CHIPS, len(candidates.car)) // _BATCH * _BATCH, replace=False
+        )
     )
     chips = (
-        np.ascontiguousarray(middle(found.chips)[some].transpose(0, 3, 1, 2)).astype(np.float32)
+        np.ascontiguousarray(middle(candidates.chips)[sample].transpose(0, 3, 1, 2)).astype(
+            np.float32
+        )
         / 255
     )
     batches = [chips[start : start + _BATCH] for start in range(0, len(chips), _BATCH)]
-    write_eight_bits(chosen.model, chosen.out, batches=batches, nodes=quantised_nodes, metadata={})
-    print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
+    write_eight_bits(
+        arguments.model, arguments.out, batches=batches, nodes=quantised_nodes, metadata={}
+    )
+    print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -37,8 +37,8 @@ def losses(
 ) -> Mapping[str, Tensor]:
     """Cross-entropy of the logit."""
     chips, car = (part.to(device) for part in batch)
-    wanted = car * (1 - 2 * _SMOOTHING) + _SMOOTHING
-    return {"entropy": binary_cross_entropy_with_logits(network(chips.float().div(255.0)), wanted)}
+    target = car * (1 - 2 * _SMOOTHING) + _SMOOTHING
+    return {"entropy": binary_cross_entropy_with_logits(network(chips.float().div(255.0)), target)}
 
 
 def export(network: VerifierNet, out: Path) -> None:
@@ -70,9 +70,9 @@ def report(
     """Tabulate area under the ROC curve and false alarms left at 95 % of the hits, by set."""
     lines = []
     for name in (*np.unique(sets), "all"):
-        chosen = np.ones(len(sets), bool) if name == "all" else sets == name
-        hits = scores[chosen & car]
-        false = scores[chosen & ~car]
+        in_set = np.ones(len(sets), bool) if name == "all" else sets == name
+        hits = scores[in_set & car]
+        false = scores[in_set & ~car]
         if len(hits) > 5 and len(false):
             left = np.mean(false > np.percentile(hits, 5))
             counts = f"{name:13s} {len(hits):5d} hits {len(false):5d} false"
@@ -99,9 +99,13 @@ def main() -> None:
     )
     trained = cast("VerifierNet", network)
     export(trained, options.run / "verifier.onnx")
-    seen = logits(trained, held_out.chips)
+    held_out_logits = logits(trained, held_out.chips)
     detector = np.log(held_out.scores / (1 - held_out.scores))
-    for name, scores in (("detector", detector), ("verifier", seen), ("sum", detector + seen)):
+    for name, scores in (
+        ("detector", detector),
+        ("verifier", held_out_logits),
+        ("sum", detector + held_out_logits),
+    ):
         print(name)
         print("\n".join(report(held_out.car, held_out.sets, scores)), flush=True)
 

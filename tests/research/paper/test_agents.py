@@ -35,11 +35,11 @@ def tasks(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Task, Path]]:
     folder = tmp_path_factory.mktemp("pictures")
     picture = cv2.imencode(".jpg", np.full((640, 800, 3), 90, np.uint8))[1].tobytes()
     digest = {"sha256": hashlib.sha256(picture).hexdigest()}
-    for each in RENDERED[:2]:
-        (folder / each.file).write_bytes(picture)
+    for question in RENDERED[:2]:
+        (folder / question.file).write_bytes(picture)
     return [
-        (task_of(each.model_copy(update=digest), "distance"), folder / each.file)
-        for each in RENDERED[:2]
+        (task_of(question.model_copy(update=digest), "distance"), folder / question.file)
+        for question in RENDERED[:2]
     ]
 
 
