@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor_evaluation.gsd import ScaleBenchmark
-    from vehanchor_evaluation.known_scale import KnownScaleImage
+    from vehanchor_evaluation.gsd import OptionsOf, ScaleBenchmark
 
 Boxes = Literal["detector", "labels"]
+_Setting = tuple[str, str, Boxes]
 
 # Reference lengths in the paper: European, DOTA's, North American.
 _LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)
@@ -40,7 +40,7 @@ _GSD_GROUPS = (
     ("> 0.7 m/px", 0.7, math.inf),
 )
 # Median error and share below 20 % in the paper, by choice, setting and boxes.
-_PAPER: dict[tuple[str, str, Boxes], tuple[float, float | None]] = {
+_PAPER: dict[_Setting, tuple[float, float | None]] = {
     ("aggregation", "kde", "detector"): (0.0687, 0.833),
     ("aggregation", "median", "detector"): (0.0731, 0.840),
     ("aggregation", "mean", "detector"): (0.0827, 0.837),
@@ -112,7 +112,7 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
     Returns:
         A row for each setting and kind of boxes, with the paper's number if it has one.
     """
-    sides: list[tuple[Boxes, tuple[ScaleTrial, ...], Callable[[KnownScaleImage], ScaleOptions]]] = [
+    sides: list[tuple[Boxes, tuple[ScaleTrial, ...], OptionsOf]] = [
         ("detector", benchmark.trials, benchmark.options_of)
     ]
     if benchmark.baseline:
@@ -160,7 +160,7 @@ def _with_reference(analysis: ScaleAnalysis, options: ScaleOptions, factor: floa
 
 def _repeat(
     trial: ScaleTrial,
-    options_of: Callable[[KnownScaleImage], ScaleOptions],
+    options_of: OptionsOf,
     variant: _Variant,
     benchmark: ScaleBenchmark,
 ) -> ScaleTrial:

@@ -85,7 +85,13 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
         group = is_usable == status
         label = f"{name} ({int(group.sum())})"
         axes.scatter(
-            truth[group], predicted[group], s=18, color=colour, alpha=0.7, lw=0, label=label
+            truth[group],
+            predicted[group],
+            s=18,
+            color=colour,
+            alpha=0.7,
+            lw=0,
+            label=label,
         )
     if missed:
         label = f"no estimate ({len(missed)})"

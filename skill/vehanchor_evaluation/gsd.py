@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
+
+    OptionsOf: TypeAlias = Callable[[KnownScaleImage], ScaleOptions]
 
 # The paper calls an image with an error above 20 % a high-error image (51 of 306).
 HIGH_ERROR = 0.20
@@ -154,13 +156,11 @@ class ScaleBenchmark:
     trials: tuple[ScaleTrial, ...]
     baseline: tuple[ScaleTrial, ...]
     issues: tuple[FileIssue, ...]
-    options_of: Callable[[KnownScaleImage], ScaleOptions]
-    label_options_of: Callable[[KnownScaleImage], ScaleOptions]
+    options_of: OptionsOf
+    label_options_of: OptionsOf
 
 
-def check_options(
-    detector: Detector, data: KnownScaleSet, options_of: Callable[[KnownScaleImage], ScaleOptions]
-) -> None:
+def check_options(detector: Detector, data: KnownScaleSet, options_of: OptionsOf) -> None:
     """Check, before the search, that a detector has every region and owns the calibration.
 
     Raises:
@@ -173,9 +173,7 @@ def check_options(
         checked_detector(detector, options)
 
 
-def with_regions(
-    options: ScaleOptions, regions: Mapping[str, str]
-) -> Callable[[KnownScaleImage], ScaleOptions]:
+def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> OptionsOf:
     """Choose the options of an image by its set.
 
     Args:
@@ -193,9 +191,9 @@ def benchmark_scale(
     data: KnownScaleSet,
     searched: Mapping[Path, SearchedImage | FileIssue],
     detector: DetectorCard,
-    options_of: Callable[[KnownScaleImage], ScaleOptions],
+    options_of: OptionsOf,
     *,
-    label_options_of: Callable[[KnownScaleImage], ScaleOptions] | None = None,
+    label_options_of: OptionsOf | None = None,
     label_classes: Sequence[str] = (SMALL_VEHICLE,),
 ) -> ScaleBenchmark:
     """Estimate scales from detected and from labelled vehicles.

@@ -147,7 +147,7 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
     tried = list(trials)
     estimated = [trial for trial in tried if trial.estimated]
     threshold = confidence_threshold(
-        [trial.analysis.estimate.confidence for trial in estimated],
+        [_confidence(trial) for trial in estimated],
         [trial.error > HIGH_ERROR for trial in estimated],
     )
     return ReliabilityReport(
@@ -174,11 +174,13 @@ def _rows_by_vehicles(trials: Sequence[ScaleTrial]) -> list[GroupRow]:
             name = f"{low:g}"
         else:
             name = f"{low:g} to {high - 1:g}"
-        group = [
-            trial for trial in trials if low <= (trial.analysis.estimate.n_vehicles or 0) < high
-        ]
+        group = [trial for trial in trials if low <= _n_vehicles(trial) < high]
         rows.append(group_row(name, group))
     return rows
+
+
+def _n_vehicles(trial: ScaleTrial) -> int:
+    return trial.analysis.estimate.n_vehicles or 0
 
 
 def _rows_by_resolution(trials: Sequence[ScaleTrial]) -> list[GroupRow]:
@@ -190,6 +192,10 @@ def _rows_by_resolution(trials: Sequence[ScaleTrial]) -> list[GroupRow]:
     return rows
 
 
+def _confidence(trial: ScaleTrial) -> float:
+    return trial.analysis.estimate.confidence
+
+
 def _chance_rows(estimated: Sequence[ScaleTrial]) -> list[ChanceRow]:
     rows = []
     for low, high in itertools.pairwise(_CHANCE_EDGES):
@@ -197,14 +203,13 @@ def _chance_rows(estimated: Sequence[ScaleTrial]) -> list[ChanceRow]:
         group = [
             trial
             for trial in estimated
-            if low <= trial.analysis.estimate.confidence
-            and (trial.analysis.estimate.confidence < high or high == 1.0)
+            if low <= _confidence(trial) < high or _confidence(trial) == high == 1.0
         ]
         row = ChanceRow(
             low=low,
             high=high,
             images=len(group),
-            stated=_mean([trial.analysis.estimate.confidence for trial in group]),
+            stated=_mean([_confidence(trial) for trial in group]),
             happened=_mean([trial.error < HIGH_ERROR for trial in group]),
         )
         rows.append(row)
