@@ -227,7 +227,8 @@ def matched(data: Path, flights: int) -> None:
     n_inside = 0
     for number, (name, world) in enumerate(worlds(data).items()):
         for seed in range(flights):
-            rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
+            seeds = [number, seed, 20261121] if seed else [number, 20261121]
+            rng = np.random.default_rng(seeds)
             errors, inside, links = _matched_flight(world, detector, rng)
             all_errors += errors
             n_inside += inside

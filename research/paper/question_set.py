@@ -269,7 +269,11 @@ def _answered(task: Task, record: dict[str, Any]) -> Answered:
         reply = Direction(task.bearing_deg(*size), (low, high))
     elif task.kind == "fit":
         needed = task.needed_m(*size)
-        reply = True if low >= needed else False if high < needed else None
+        reply = None
+        if low >= needed:
+            reply = True
+        elif high < needed:
+            reply = False
     return Answered(task, task.deed(reply, *size))
 
 

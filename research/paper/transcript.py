@@ -82,13 +82,12 @@ class Truth(NamedTuple):
 def read_key(rows: Iterable[dict[str, str]]) -> dict[str, Truth]:
     """Read the truths by the names of their questions."""
     words: dict[str, float | bool | None] = {"": None, "yes": True, "no": False}
-    return {
-        row["question"]: Truth(
-            words[row["truth"]] if row["truth"] in words else float(row["truth"]),
-            float(row.get("tolerance") or _TOLERANCE),
-        )
-        for row in rows
-    }
+    key = {}
+    for row in rows:
+        text = row["truth"]
+        truth = words[text] if text in words else float(text)
+        key[row["question"]] = Truth(truth, float(row.get("tolerance") or _TOLERANCE))
+    return key
 
 
 def deed(answer: float | bool | tuple[float, float] | None, truth: Truth) -> Deed:

@@ -117,15 +117,11 @@ def _values(texts: Sequence[str]) -> tuple[list[Cell], str]:
     """Convert the cells of a column; they stay texts unless all are numbers of one unit."""
     matches = [_NUMBER.fullmatch(text) for text in texts]
     is_empty = [text in {"", "-"} for text in texts]
-    units = set()
-    for match, empty in zip(matches, is_empty, strict=True):
-        if not empty:
-            units.add(match[2] or "" if match else None)
-    if len(units) != 1:
+    filled = [match for match, empty in zip(matches, is_empty, strict=True) if not empty]
+    units = {match[2] or "" for match in filled if match is not None}
+    if None in filled or len(units) != 1:
         return [text or None for text in texts], ""
     unit = units.pop()
-    if unit is None:
-        return [text or None for text in texts], ""
     return [None if match is None else _number(match[1]) for match in matches], unit
 
 

@@ -90,17 +90,15 @@ def _garden_ground(site: Site, width: float, depth: float) -> None:
     palette = site.palette
     ground = rng.random()
     if ground < 0.45:
-        site.rect(
-            (0, 0, width, depth),
-            jitter(rng, palette.meadow if rng.random() < 0.5 else palette.lawn, 10, 0.08),
-            Material.MEADOW,
-        )
+        grass = palette.meadow if rng.random() < 0.5 else palette.lawn
+        site.rect((0, 0, width, depth), jitter(rng, grass, 10, 0.08), Material.MEADOW)
     elif ground < 0.6:
         site.rect((0, 0, width, depth), jitter(rng, palette.soil, 8), Material.SOIL)
     else:
         site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 8, 0.06), Material.LAWN)
     for _ in range(int(rng.poisson(1.5))):
-        blot = jitter(rng, palette.soil if rng.random() < 0.5 else palette.meadow, 8)
+        other = palette.soil if rng.random() < 0.5 else palette.meadow
+        blot = jitter(rng, other, 8)
         x = rng.uniform(2, width - 2)
         y = rng.uniform(2, depth - 2)
         radius_x = min(rng.uniform(1, 4), x, width - x)

@@ -197,9 +197,9 @@ class Site:
             area: area of the union; None for one polygon.
         """
         placed = tuple(self.frame.points(polygon) for polygon in polygons)
-        self.world.targets.append(
-            Target(category, placed, polygon_area(placed[0]) if area is None else area)
-        )
+        if area is None:
+            area = polygon_area(placed[0])
+        self.world.targets.append(Target(category, placed, area))
 
     # Upright objects
 

@@ -227,7 +227,7 @@ def _car(
     cabin = np.clip(np.minimum(rise, fall), 0, 1)
     lean = np.clip((_BASE_HALF_WIDTH - across) / (_BASE_HALF_WIDTH - car.roof_half_width), 0, 1)
     belt = car.bonnet + (car.boot - car.bonnet) * np.clip(t, 0, 1)
-    roof_height = 2.1 if body == "van" else 1.65 if body == "suv" else car.cabin_height
+    roof_height = {"van": 2.1, "suv": 1.65}.get(body, car.cabin_height)
     crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
     edge = np.clip(inset / 0.22, 0, 1)
     height = (
