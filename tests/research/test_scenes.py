@@ -184,36 +184,53 @@ def test_masks_agree_with_the_objects() -> None:
     assert cover["building"] > 10
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_a_written_scene_reads_back(parking: Scene, tmp_path: Path, suffix: str) -> None:
-    files = parking.write(tmp_path / f"view{suffix}")
-    assert sorted(file.name for file in files) == sorted(
-        [
-            f"view{suffix}",
-            "view.json",
-            "view.txt",
-            *(f"view_{category}.png" for category in CATEGORIES),
-        ]
-    )
-    assert all(file.is_file() for file in files)
-    image = cv2.imread(str(files[0]), cv2.IMREAD_COLOR)
+@pytest.fixture(params=[".png", ".jpg"])
+def written(parking: Scene, tmp_path: Path, request: pytest.FixtureRequest) -> list[Path]:
+    """Write a scene as PNG and as JPEG."""
+    return parking.write(tmp_path / f"view{request.param}")
+
+
+@pytest.fixture
+def facts(written: list[Path], tmp_path: Path) -> dict[str, Any]:
+    assert written
+    content: dict[str, Any] = json.loads((tmp_path / "view.json").read_text())
+    return content
+
+
+def test_a_scene_writes_its_files(written: list[Path]) -> None:
+    image = written[0].name
+    masks = [f"view_{category}.png" for category in CATEGORIES]
+    assert image in ("view.png", "view.jpg")
+    assert sorted(file.name for file in written) == sorted([image, "view.json", "view.txt", *masks])
+    assert all(file.is_file() for file in written)
+
+
+def test_a_written_image_reads_back(parking: Scene, written: list[Path]) -> None:
+    image = cv2.imread(str(written[0]), cv2.IMREAD_COLOR)
     assert image is not None
-    if suffix == ".png":
+    if written[0].suffix == ".png":
         np.testing.assert_array_equal(image[:, :, ::-1], parking.image)
-    facts: dict[str, Any] = json.loads((tmp_path / "view.json").read_text())
-    assert (facts["gsd_m_per_px"], facts["width_px"], facts["height_px"], facts["seed"]) == (
-        0.15,
-        512,
-        384,
-        3,
-    )
+
+
+def test_a_written_scene_states_its_parameters(facts: dict[str, Any]) -> None:
+    assert facts["gsd_m_per_px"] == 0.15
+    assert (facts["width_px"], facts["height_px"], facts["seed"]) == (512, 384, 3)
     assert facts["parameters"]["layout"] == "parking"
+
+
+def test_written_masks_read_back(parking: Scene, facts: dict[str, Any], tmp_path: Path) -> None:
     for category in CATEGORIES:
         mask = cv2.imread(str(tmp_path / f"view_{category}.png"), cv2.IMREAD_UNCHANGED)
         assert mask is not None
         np.testing.assert_array_equal(mask, parking.masks[category])
-        for item in (item for item in facts["objects"] if item["category"] == category):
-            assert item["area_m2"] == pytest.approx(int((mask == item["instance"]).sum()) * 0.15**2)
+        objects = [item for item in facts["objects"] if item["category"] == category]
+        for item in objects:
+            n_pixels = int((mask == item["instance"]).sum())
+            assert item["area_m2"] == pytest.approx(n_pixels * 0.15**2)
+
+
+@pytest.mark.usefixtures("written")
+def test_written_labels_read_back(parking: Scene, tmp_path: Path) -> None:
     header, *lines = (tmp_path / "view.txt").read_text().splitlines()
     assert header == "gsd:0.15"
     assert len(lines) == len(parking.vehicles)
