@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 
 _TABLES = ("table.csv", "upright.csv")
 _UNLABELLED = "estonia_port"
-_FINE_M = 0.16  # sets finer than this are shown at half their resolution, too
-_RIDGE = 1e-3  # of the slope for a standard deviation of the log gradient
+# Sets finer than this are also used at half their resolution.
+_FINE_M = 0.16
+# Penalty of the slope for a standard deviation of the log gradient.
+_RIDGE = 1e-3
 
 
 def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
