@@ -76,7 +76,7 @@ def car_park() -> NDArray[np.uint8]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Run the quick tests side by side; longer ones measure time, and few files start faster alone."""
+    """Run the quick tests side by side. Longer ones measure time; some files start faster alone."""
     everything = (
         config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword
     )
