@@ -29,7 +29,7 @@ from vehanchor.errors import ModelContractError
 from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import COURTS, SCENE_SCALE, auxiliary_model
+from vehanchor.models.zoo import BUNDLED_MODELS, auxiliary_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -369,8 +369,17 @@ def networks_sha256(card: DetectorCard) -> str:
     A result is stale once one of them has changed.
     """
     digest = hashlib.sha256()
-    for checksum in (card.sha256, card.verifier_sha256, card.chips_sha256):
-        digest.update(f"{checksum}\n".encode())
-    for path in (SCENE_SCALE, COURTS):
-        digest.update(models_sha256(read_model(path)).encode())
+    for model in BUNDLED_MODELS:
+        match model.role:
+            case "detector":
+                digest.update(f"{card.sha256}\n".encode())
+            case "auxiliary":
+                # The card names the checksum of each auxiliary model that this detector has.
+                checksum = getattr(card, f"{model.name}_sha256")
+                digest.update(f"{checksum}\n".encode())
+            case "ruler":
+                digest.update(models_sha256(read_model(model.path)).encode())
+            case "segmenter":
+                # No scale depends on it.
+                pass
     return digest.hexdigest()

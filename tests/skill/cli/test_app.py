@@ -381,13 +381,15 @@ def test_the_progress_bar_leaves_stdout_alone(folder: Path) -> None:
 
 @pytest.fixture
 def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of bundled models that has a default detector alone."""
+    """A folder of bundled models that has a segmenter, and another default detector."""
     metadata = {
         "vehanchor.reference_length_m": "4.65",
         "vehanchor.min_score": "0.3",
         "license": "Apache-2.0",
     }
     write_detector(tmp_path / f"{model_zoo.DEFAULT_DETECTOR}.onnx", metadata=metadata)
+    for path in model_zoo.resolve_segmenter():
+        (tmp_path / path.name).symlink_to(path)
     monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
     return tmp_path
 
