@@ -43,7 +43,6 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.reliability import APPEARANCE_LOG_SD
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,7 +85,7 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
                 found.boxes,
                 found.scores,
                 appearance=appearance,
-                tile_prior=car_prior(coarse).item(),
+                tile_prior=car_prior(coarse, detector.card.errors.tile_prior).item(),
             )
         )
     return cells
@@ -230,7 +229,7 @@ def main() -> None:
         rng = np.random.default_rng(seed)
         name = sorted(towns)[seed % len(towns)]
         # of this place's cars, which their looks do not tell
-        factor = math.exp(rng.normal(0, APPEARANCE_LOG_SD))
+        factor = math.exp(rng.normal(0, detector.card.errors.appearance.log_sd))
         mosaic = Mosaic(
             chosen.side,
             towns[name],

@@ -19,6 +19,7 @@ from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
 from vehanchor.models.zoo import (
     BUNDLED_MODELS,
     auxiliary_model,
+    errors_file,
     resolve_model,
     resolve_segmenter,
 )
@@ -183,8 +184,11 @@ class Models:
 
 
 def _detector_files(detector: Path) -> list[Path]:
-    """List the files of a detector and of its auxiliary models."""
+    """List the files of a detector, of its errors and of its auxiliary models."""
     paths = [detector]
+    errors = errors_file(detector)
+    if errors is not None:
+        paths.append(errors)
     for model in BUNDLED_MODELS:
         if model.role != "auxiliary":
             continue

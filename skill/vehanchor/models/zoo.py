@@ -94,11 +94,27 @@ def auxiliary_model(detector: Path, kind: str) -> Path | None:
         kind: name of the bundled auxiliary model of this kind: ``verifier`` or ``chips``.
     """
     path = detector.with_name(f"{detector.stem}.{kind}.onnx")
-    if detector.resolve() == bundled_file(DEFAULT_DETECTOR).resolve():
+    if _is_default(detector):
         path = bundled_file(kind)
     if not path.is_file():
         return None
     return path
+
+
+def errors_file(detector: Path) -> Path | None:
+    """Find the file of a detector's errors, ``<stem>.errors.toml`` beside it; None without one."""
+    if _is_default(detector):
+        # A link to the default detector has its errors, too.
+        detector = bundled_file(DEFAULT_DETECTOR)
+    path = detector.with_name(f"{detector.stem}.errors.toml")
+    if not path.is_file():
+        return None
+    return path
+
+
+def _is_default(detector: Path) -> bool:
+    """Test whether a path leads to the default detector."""
+    return detector.resolve() == bundled_file(DEFAULT_DETECTOR).resolve()
 
 
 def resolve_model(model: str | Path | None = None) -> Path:

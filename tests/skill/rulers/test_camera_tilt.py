@@ -11,6 +11,7 @@ from tests.analyses import made_card, measured, with_tilt
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
+from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -60,7 +61,8 @@ def test_cars_are_of_one_length_on_the_plane() -> None:
     tilt = CameraTilt(35.0, 20.0, focal_length_px=FOCAL, source="metadata")
     seen = _cars(tilt)
     assert seen.boxes[:, 2].max() > 1.6 * seen.boxes[:, 2].min()
-    assert rectified(seen, tilt.plane(FACTS)).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
+    lengths = rectified(seen, tilt.plane(FACTS), DetectorErrors()).boxes[:, 2]
+    assert lengths == pytest.approx(CAR_M / GSD, rel=0.01)
 
 
 def test_boxes_with_the_proportions_of_nadir_have_one_length_on_the_plane() -> None:
@@ -74,7 +76,7 @@ def test_boxes_with_the_proportions_of_nadir_have_one_length_on_the_plane() -> N
     across = [WIDTH / 2, HEIGHT / 2, 0.89 * CAR_M / step[0], 1.25 * CAR_WIDTH_M / step[1], 0.0]
     away = [WIDTH / 2, HEIGHT / 2, 1.05 * CAR_M / step[1], 0.88 * CAR_WIDTH_M / step[0], np.pi / 2]
     detections = Detections(np.array([across, away]), np.ones(2))
-    lengths = rectified(detections, tilt.plane(FACTS)).boxes[:, 2]
+    lengths = rectified(detections, tilt.plane(FACTS), DetectorErrors()).boxes[:, 2]
     assert lengths == pytest.approx([CAR_M / GSD] * 2, rel=0.04)
 
 

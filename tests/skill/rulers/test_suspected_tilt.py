@@ -43,7 +43,7 @@ def _cars(
 
 
 def _suspected(detections: Detections) -> float | None:
-    return suspected_tilt(detections, WIDTH, height_px=HEIGHT, focal_px=FOCAL_PX)
+    return suspected_tilt(detections, WIDTH, HEIGHT, focal_px=FOCAL_PX, log_size_sd=0.11)
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 100.0, 190.0])

@@ -23,7 +23,6 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, REGIONS, country_length
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.reliability import APPEARANCE_LOG_SD
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
@@ -180,7 +179,8 @@ CARS_OF_4_4_M = Appearance(np.full(30, math.log(4.4)), np.full(30, 0.07), np.ful
 
 def test_without_a_region_the_appearance_gives_the_length(card: DetectorCard) -> None:
     reference = reference_length(card, Reference(), CARS_OF_4_4_M)
-    assert (reference.source, reference.log_sd) == ("appearance", APPEARANCE_LOG_SD)
+    assert reference.source == "appearance"
+    assert reference.log_sd == card.errors.appearance.log_sd
     assert reference.length_m == pytest.approx(4.4)
 
 
