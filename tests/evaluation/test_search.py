@@ -72,6 +72,20 @@ def test_an_interrupted_search_goes_on_where_it_stopped(
         assert (found.detections.boxes == fresh.detections.boxes).all()
 
 
+def test_a_search_is_repeated_for_other_errors_of_the_detector(
+    tmp_path: Path, detector: Path
+) -> None:
+    file = tmp_path / "a.png"
+    log = tmp_path / "log.sqlite"
+    paint(file, cars(20))
+    model = Detector(detector)
+    assert len(dict(search_images([file], model, ScaleOptions(), log=_log(log, model)))) == 1
+    assert len(_log(log, model)) == 1
+    errors = tmp_path / "errors.toml"
+    errors.write_text("[boxes]\nlog_sd = 0.2\n")
+    assert len(_log(log, Detector(detector, errors=errors))) == 0
+
+
 def test_a_search_is_repeated_for_other_settings_and_for_changed_files(
     tmp_path: Path, detector: Path, counted: list[str]
 ) -> None:

@@ -137,6 +137,20 @@ def test_the_chip_network_of_an_own_detector_may_be_read_by_workers(
     assert bundled_file("chips") not in files
 
 
+def test_the_errors_of_the_bundled_detector_may_be_read_by_workers() -> None:
+    assert bundled_file("vehicles").with_suffix(".errors.toml") in Models(Settings()).files()
+
+
+def test_the_errors_of_an_own_detector_may_be_read_by_workers(
+    detector_path: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own.onnx"
+    own.write_bytes(detector_path.read_bytes())
+    errors = tmp_path / "own.errors.toml"
+    errors.write_text("[boxes]\nlog_sd = 0.2\n")
+    assert errors in Models(Settings(detector=str(own))).files()
+
+
 def test_workers_do_without_the_sdk() -> None:
     modules = ["vehanchor_server.calls.worker_process", "vehanchor_server.resources", *SLOW_IMPORTS]
     script = f"import sys\nfor name in {modules}: __import__(name)\nprint('mcp' in sys.modules)"

@@ -418,6 +418,21 @@ def test_models_info_shows_the_metadata_of_a_model(run: Any) -> None:
         assert fact in result.stdout
 
 
+def test_models_info_shows_defaults_for_errors_without_a_file(run: Any) -> None:
+    assert "defaults; one car's box 14.5 %" in run("models", "info", "detector.onnx").stdout
+
+
+def test_models_info_shows_the_file_of_the_errors(run: Any) -> None:
+    result = run("models", "info", model_zoo.DEFAULT_DETECTOR)
+    assert "vehicles.errors.toml; one car's box 12 %" in result.stdout
+
+
+def test_models_info_has_the_errors_as_json(run: Any) -> None:
+    (card,) = _lines(run("models", "info", "detector.onnx", "--json"))
+    assert card["errors_file"] is None
+    assert card["errors"]["boxes"]["log_sd"] == 0.145
+
+
 def test_models_info_has_the_metadata_as_json(run: Any) -> None:
     (card,) = _lines(run("models", "info", "detector.onnx", "--json"))
     assert card["class_names"] == {"0": "small vehicle"}

@@ -11,7 +11,7 @@ from tests.analyses import made_card, measured, with_tilt
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
-from vehanchor.detection.detector_errors import DetectorErrors
+from vehanchor.detection.detector_errors import BoxErrors, DetectorErrors
 from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -320,3 +320,13 @@ def test_a_journal_keeps_the_witnesses_of_a_tilted_view() -> None:
     assert again == analysis.estimate
     assert again.tilt is not None
     assert again.tilt.tilt_deg == 30.0
+
+
+def test_the_proportions_of_boxes_are_the_detectors() -> None:
+    tilt = CameraTilt(35.0, 20.0, focal_length_px=FOCAL, source="metadata")
+    errors = DetectorErrors(boxes=BoxErrors(length_over_width=2 * 2.21))
+    before = rectified(_cars(tilt), tilt.plane(FACTS), DetectorErrors()).boxes
+    after = rectified(_cars(tilt), tilt.plane(FACTS), errors).boxes
+    # A quarter of the log length is that which the width implies.
+    assert after[:, 2] == pytest.approx(2**0.25 * before[:, 2])
+    assert after[:, 2] / after[:, 3] == pytest.approx(2 * 2.21)
