@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, assert_never
 
 import cv2
 import numpy as np
@@ -400,6 +400,8 @@ def networks_sha256(card: DetectorCard) -> str:
             case "segmenter":
                 # No scale depends on it.
                 pass
+            case _:
+                assert_never(model.role)
     if card.errors.sha256 != _FIRST_ERRORS_SHA256:
         digest.update(f"{card.errors.sha256}\n".encode())
     return digest.hexdigest()
