@@ -52,9 +52,9 @@ _MAX_ANGLE = 1e4
 # has one anchor for 12 px.
 _MIN_BOX_LIMIT = 4096
 _PX_PER_BOX = 8
-# Checksum of the bundled detector's errors when they still were constants. The checksums in journals
-# of that time leave them out, and stay valid as long as the numbers are the same. If another
-# constant moves into the file with its value, compute this anew.
+# Checksum of the bundled detector's errors when they still were constants. Checksums in journals of
+# that time leave them out, and stay valid as long as the numbers are the same. If another constant
+# moves into the file with its value, compute this anew.
 _FIRST_ERRORS_SHA256 = "ef1e67b13702519766c151b9577e5d4f24d2ddbe3fd56c5fe152444c4ba8b540"
 
 
