@@ -43,7 +43,6 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.reliability import APPEARANCE_LOG_SD
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -83,7 +82,7 @@ def searched(images: list[NDArray[Any]], detector: Detector) -> list[Cell]:
             appearance = vehicles.appearance.take(indices)
         side = CELL_PX // 8
         coarse = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
-        tile_prior = car_prior(np.asarray(coarse, np.uint8)).item()
+        tile_prior = car_prior(np.asarray(coarse, np.uint8), detector.card.errors.tile_prior).item()
         cell = Cell(vehicles.boxes, vehicles.scores, appearance=appearance, tile_prior=tile_prior)
         cells.append(cell)
     return cells
@@ -228,7 +227,7 @@ def main() -> None:
         rng = np.random.default_rng(seed)
         name = sorted(towns)[seed % len(towns)]
         # The part of the fleet's length that its appearance does not show.
-        factor = math.exp(rng.normal(0, APPEARANCE_LOG_SD))
+        factor = math.exp(rng.normal(0, detector.card.errors.appearance.log_sd))
         mosaic = Mosaic(
             arguments.side,
             towns[name],

@@ -76,6 +76,20 @@ def test_an_interrupted_search_resumes(tmp_path: Path, detector: Path, counted: 
         assert (searched.detections.boxes == fresh.detections.boxes).all()
 
 
+def test_a_search_is_repeated_for_other_errors_of_the_detector(
+    tmp_path: Path, detector: Path
+) -> None:
+    file = tmp_path / "a.png"
+    log = tmp_path / "log.sqlite"
+    paint(file, cars(20))
+    model = Detector(detector)
+    assert len(dict(search_images([file], model, ScaleOptions(), log=_log(log, model)))) == 1
+    assert len(_log(log, model)) == 1
+    errors = tmp_path / "errors.toml"
+    errors.write_text("[boxes]\nlog_sd = 0.2\n")
+    assert len(_log(log, Detector(detector, errors=errors))) == 0
+
+
 def _search_one(file: Path, model: Detector, options: ScaleOptions, log: Path) -> SearchedImage:
     """Search one image with the log of these options."""
     detection_log = open_detection_log(log, model, options)

@@ -4,7 +4,7 @@
 
 A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of
 the resolution, on the train split of the sets of known scale; prints the two numbers of
-``vehanchor.detection.tile_prior``, and the area under the curve on train and val.
+``tile_prior`` in ``vehicles.errors.toml``, and the area under the curve on train and val.
 """
 
 from __future__ import annotations
