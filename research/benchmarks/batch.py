@@ -1,8 +1,8 @@
-"""Compare Ray with local workers: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
+"""Compare Ray with local workers: ``python -m research.benchmarks.batch``.
 
-Ray runs on simulated nodes of one CPU each (its own cluster utility: all of them processes of this
-machine), beside as many local workers, by the rows from the first to the last; rows lost and
-doubled are counted.
+Prints Markdown; ``--record`` keeps it. Ray runs on simulated nodes of one CPU each (its own cluster
+utility: all of them processes of this machine), beside as many local workers, by the rows from the
+first to the last; rows lost and doubled are counted.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Run(NamedTuple):
 
 @contextmanager
 def simulated_cluster(n_nodes: int) -> Iterator[None]:
-    """A head that computes nothing and nodes of one CPU each, this process connected to it."""
+    """Start a head without work and nodes of one CPU each, and connect this process to it."""
     import ray
     from ray.cluster_utils import Cluster
 

@@ -54,7 +54,7 @@ def _order(path: Path) -> bytes:
 
 
 def photographs(data: Path) -> dict[str, Path]:
-    """The examples, and photographs of each folder in turn, by their names in the table."""
+    """List the examples, and photographs of each folder in turn, by their names in the table."""
     examples = sorted(path.relative_to(ROOT) for path in (ROOT / "examples").rglob("*.jpg"))
     folders = []
     for folder in _FOLDERS:
@@ -88,7 +88,7 @@ def answer(engine: Engine, name: str, path: Path) -> Frozen:
 
 
 def equal(a: str, b: str) -> bool:
-    """Whether two cells are equal, numbers up to rounding."""
+    """Return whether two cells are equal, numbers up to rounding."""
     try:
         return math.isclose(float(a), float(b), rel_tol=_EQUAL)
     except ValueError:

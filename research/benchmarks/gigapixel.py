@@ -38,7 +38,7 @@ SETS = {"cannes": "table.csv", "saopaulo": "table.csv", "estonia": "upright.csv"
 
 
 def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
-    """Images of the val split, BGR, at 0.2 m/px; the empty ones as they are."""
+    """Load images of the val split, BGR, at 0.2 m/px; empty ones stay as they are."""
     found = []
     with (data / "gsd" / table).open() as lines:
         for row in csv.DictReader(lines):
@@ -82,9 +82,20 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
     towns = pictures(data, town, SETS[town])
     fields = pictures(data, "empty", "table.csv")
     where = layout(side // CELL_PX, share, rng)
-    profile = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "tiled": True,
-               "blockxsize": 512, "blockysize": 512, "compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 92,
-               "bigtiff": "if_safer"}  # fmt: skip
+    profile = {
+        "driver": "GTiff",
+        "width": side,
+        "height": side,
+        "count": 3,
+        "dtype": "uint8",
+        "tiled": True,
+        "blockxsize": 512,
+        "blockysize": 512,
+        "compress": "jpeg",
+        "photometric": "ycbcr",
+        "jpeg_quality": 92,
+        "bigtiff": "if_safer",
+    }
     with rasterio.open(out, "w", **profile) as file:
         for row in range(side // CELL_PX):
             for column in range(side // CELL_PX):
@@ -97,7 +108,7 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
 
 
 def search(image: Path, effort: str, threads: int | None) -> str:
-    """One line of a table for one image and effort."""
+    """Format one line of a table for one image and effort."""
     detector = load_detector(resolve_model(), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
     started = time.perf_counter()

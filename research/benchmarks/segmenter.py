@@ -1,4 +1,6 @@
-"""Measure a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
+"""Measure a segmenter on real masks.
+
+``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
 
 Every object of at least 15 px a side is prompted by its bounding box, each side moved by up to 5 %
 of the box (fixed seed). Beside it, on the same prompts: GrabCut. Prints Markdown; ``--record``
@@ -32,7 +34,7 @@ _GRABCUT_ROUNDS = 5
 
 
 def segmenter_method(segmenter: Segmenter) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
-    """The library's own path: crop, encode, decode, place."""
+    """Run the library's own path: crop, encode, decode, place."""
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
         with open_raster(target.image) as raster:
@@ -52,7 +54,7 @@ def _pixels(box: Box) -> tuple[int, int, int, int]:
 
 
 def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
-    """The box itself."""
+    """Return the box itself."""
     x1, y1, x2, y2 = _pixels(target.box)
     whole = np.zeros(target.mask.shape, bool)
     whole[y1:y2, x1:x2] = True
@@ -60,7 +62,7 @@ def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
 
 
 def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
-    """OpenCV's GrabCut started from the box, in a crop of twice the box."""
+    """Run OpenCV's GrabCut from the box, in a crop of twice the box."""
     height, width = target.mask.shape
     x1, y1, x2, y2 = _pixels(target.box)
     reach = max(x2 - x1, y2 - y1)

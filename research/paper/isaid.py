@@ -167,8 +167,6 @@ def _size(picture: NDArray[np.int32]) -> str:
 
 
 # --- Its files
-#
-# ------------------------------------------------------------------------------------------------------
 
 
 def _readers(folder: Path, issues: list[FileIssue]) -> dict[str, Callable[[], list[InstanceMask]]]:

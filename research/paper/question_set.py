@@ -1,9 +1,10 @@
-"""Forty pictures with what a planner recognises in them, traps among it, and tasks about them: ``question_set.json``.
+"""Forty pictures with the objects a planner recognises, traps among them, and tasks.
 
-Half of the images are rendered, half are val photographs. Facts are lines along things that the
-planner recognises: right ones, and in traps wrong ones. Each picture has three tasks: a distance, a
-length that must fit, and a direction with its distance. A planner acts on a scale that is ``ok``,
-and abstains otherwise. To abstain is right where no careful person would act.
+``question_set.json`` has the pictures. Half of the images are rendered, half are val photographs.
+Facts are lines along things that the planner recognises: right ones, and in traps wrong ones. Each
+picture has three tasks: a distance, a length that must fit, and a direction with its distance. A
+planner acts on a scale that is ``ok``, and abstains otherwise. To abstain is right where no careful
+person would act.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class SetQuestion(BaseModel):
 
 
 class Direction(NamedTuple):
-    """Answer to a task of direction: degrees clockwise from the top of the picture, and the interval in metres."""
+    """Answer to a task of direction: degrees clockwise from the top, and the interval in metres."""
 
     bearing_deg: float
     interval: tuple[float, float]
@@ -129,7 +130,7 @@ class Task:
         return self.share * self.truth_m(width_px, height_px)
 
     def bearing_deg(self, width_px: int, height_px: int) -> float:
-        """Compute the direction from the first end to the second, degrees clockwise from the top of the picture."""
+        """Compute the direction from the first end to the second, clockwise from up, degrees."""
         (x1, y1), (x2, y2) = _in_pixels(self.ends, width_px, height_px)
         return math.degrees(math.atan2(x2 - x1, y1 - y2)) % 360
 

@@ -1,4 +1,4 @@
-"""Planner questions about photographs of known scale (how far, does it fit), answered with and without tools.
+"""Planner questions about photographs of known scale, answered with and without tools.
 
 The planner is a script, so the results depend only on the tools' answers and their cost. If a scale
 is not usable, the planner can ask a person, who has measured one line on the ground. Without tools

@@ -143,7 +143,7 @@ class TranscriptRequest:
 
 @plain_command(TranscriptRequest)
 def transcript(request: TranscriptRequest) -> None:
-    """Score a recorded transcript of tool calls against a key: acted or abstained, rightly or not, calls, tokens."""
+    """Score a recorded transcript of tool calls against a key: acted or not, calls, tokens."""
     try:
         lines = request.transcript.read_text(encoding="utf-8").splitlines()
         turns = [Turn.model_validate_json(line) for line in lines if line.strip()]

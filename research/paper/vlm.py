@@ -1,4 +1,4 @@
-"""Areas stated by a vision-language model: the paper's baselines, and the same model with VehAnchor's tools.
+"""Areas stated by a vision-language model: the paper's baselines, and with VehAnchor's tools.
 
 The protocol is the paper's: a system role, a red rectangle around the target, and one question that
 asks for square metres in a last line ``AREA=<number>``. The hinted setting adds one sentence. Every
@@ -94,7 +94,7 @@ class VlmTrial(BaseModel):
 
 
 class VlmRun(NamedTuple):
-    """Trials in the order of the entries, issues, and the reason for an early end (None if the run is complete)."""
+    """Trials in the order of the entries, issues, and the reason for an early end."""
 
     trials: list[VlmTrial]
     issues: list[FileIssue]

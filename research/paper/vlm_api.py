@@ -116,7 +116,7 @@ class Budget:
 
 
 def reply_journal(folder: Path | None) -> Journal[dict[str, Any]]:
-    """Open the stored responses of a folder, which are never requested again; None keeps them in memory.
+    """Open the stored responses of a folder, which are never requested again; None: in memory.
 
     Raises:
         InvalidParameterError: the file in the folder is not a journal.
@@ -354,7 +354,7 @@ class OpenAiApi(ModelApi):
 
 
 def _arguments(text: str) -> dict[str, Any]:
-    """Parse a model's JSON; invalid JSON becomes arguments that the tool refuses, so the model gets the error."""
+    """Parse a model's JSON; invalid JSON becomes arguments that the tool refuses with an error."""
     try:
         arguments = json.loads(text or "{}")
     except ValueError:

@@ -31,8 +31,9 @@ _U8 = NDArray[np.uint8]
 
 _SHADE = (0.40, 0.44, 0.52)  # light of the sky relative to sun and sky; bluish
 VEHICLE_SHADOW_HEIGHT_M = {
-    "van": 1.7, "suv": 1.3, "truck": 2.9, "bus": 2.9, "semitrailer": 3.3, "caravan": 2.3, "kei": 1.4, "minivan": 1.4,
-    "kei truck": 1.4, "single cab": 1.3, "crew cab": 1.4, "flatbed": 1.6,
+    "van": 1.7, "suv": 1.3, "truck": 2.9, "bus": 2.9, "semitrailer": 3.3, "caravan": 2.3,
+    "kei": 1.4, "minivan": 1.4, "kei truck": 1.4, "single cab": 1.3, "crew cab": 1.4,
+    "flatbed": 1.6,
 }  # fmt: skip
 
 # Amplitudes of fine, middle and coarse noise, and the coarse noise's contribution to red, green and

@@ -1,4 +1,4 @@
-"""Unbiased rasterisation of polygons by the pixel-centre rule, and periodic noise sampled in metres."""
+"""Unbiased rasterisation of polygons by the pixel-centre rule, and periodic noise in metres."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SMOOTH_BELOW = 0.34
 
 
 def polygon_area(points: NDArray[np.float64]) -> float:
-    """Compute the area of a simple polygon [N,2] by the shoelace formula, in the square of the points' unit."""
+    """Compute the area of a simple polygon [N,2] by the shoelace formula, in squared units."""
     x = points[:, 0]
     y = points[:, 1]
     return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
@@ -73,7 +73,7 @@ def clip_polygon(
 
 
 def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArray[np.float32]:
-    """Create periodic noise [size, size] with amplitude spectrum f ** -exponent, zero mean, unit variance."""
+    """Create periodic noise [size, size]: spectrum f ** -exponent, zero mean, unit variance."""
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
     frequency[0, 0] = 1.0

@@ -1,4 +1,4 @@
-"""Tennis and basketball courts as in parks and schools: worn, in use, fenced, with lines of other games."""
+"""Tennis and basketball courts of parks and schools: worn, in use, fenced, with other lines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _TENNIS_M = (23.77, 10.97)  # ITF, outside the lines
 _SINGLES_HALF_M = 8.23 / 2
 _SERVICE_M = 6.40
 _SURFACES: tuple[Rgb, ...] = (
-    (72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128), (112, 114, 116), (150, 108, 84), (92, 136, 104),
+    (72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128), (112, 114, 116), (150, 108, 84),
+    (92, 136, 104),
 )  # fmt: skip
 _RING_STEPS = 24
 
@@ -143,7 +144,7 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
 
 
 def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
-    """Paint one court of exact size around the origin, with its long axis along x and with objects on it."""
+    """Paint one court of exact size around the origin, long axis along x, with objects on it."""
     rng = site.rng
     length, width = _TENNIS_M if kind == "tennis" else _BASKETBALL[kind][:2]
     site.rect((-length / 2, -width / 2, length / 2, width / 2), inner, Material.COURT)

@@ -50,7 +50,7 @@ class Sun:
 
 @dataclass(frozen=True)
 class _Car:
-    """Shape of a car: positions along it as shares of its length from the front, half widths as shares of its own."""
+    """Shape of a car: positions along its length from the front, and half widths, as shares."""
 
     glass_front: float
     roof_front: float
@@ -148,7 +148,7 @@ _CARS = {
 
 
 def _soft(distance: _F, width: float) -> _F:
-    """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide, 0.5 at the edge."""
+    """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide."""
     return cast("_F", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
 
 
@@ -265,7 +265,7 @@ def _car(
 
 
 def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
-    """Compute the distance inside the outline in metres; front and rear are rounded and slightly narrower."""
+    """Compute the distance inside the outline, metres; front and rear are rounded and narrower."""
     half_length = length / 2
     half_width = width / 2
     rounding = 0.10 * width if body == "van" else 0.17 * width
@@ -290,7 +290,7 @@ def _car_glass(
     half_width: float,
     px: float,
 ) -> _F:
-    """Compute the share of glass: windscreen, rear window, and side windows between their pillars."""
+    """Compute the share of glass: windscreen, rear window, and side windows between pillars."""
     base_half = _BASE_HALF_WIDTH
     roof_half = car.roof_half_width
     in_cabin = _soft(
@@ -339,7 +339,7 @@ def _car_trim(
     half_width: float,
     px: float,
 ) -> _Reals:
-    """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of the rear lamps."""
+    """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of rear lamps."""
     seam = _band(
         t * length, car.glass_front * length - 0.10, high=car.glass_front * length - 0.05, width=px
     )

@@ -136,7 +136,7 @@ def test_a_drawn_vehicle_is_exactly_as_long_as_its_record(
 def _coverage(
     body: str, length: float, width: float, gsd: float, turn: float
 ) -> NDArray[np.float64]:
-    """How far each pixel is covered by a vehicle at (4, 4) m: drawn on bright and on black ground, and compared."""
+    """Measure the cover of pixels by a vehicle at (4, 4) m, drawn on bright and black ground."""
     over = 2
     pixels = math.ceil(8 / gsd)
     placed = PlacedVehicle(
@@ -163,7 +163,7 @@ def _coverage(
 
 
 def _edges(profile: NDArray[np.float64]) -> tuple[float, float]:
-    """Where a covered stretch starts and ends: what the outermost pixels are covered by counts as their share."""
+    """Find the ends of a covered stretch; the outermost pixels count by their cover."""
     covered = np.flatnonzero(profile > 0.97)
     first = int(covered[0])
     last = int(covered[-1]) + 1

@@ -1,4 +1,6 @@
-"""Measure labelled cars of known scale: ``python -m research.training.chips.bodies CHIPS.onnx READ.npz STORE ...``.
+"""Measure labelled cars of known scale for the chip network.
+
+``python -m research.training.chips.bodies CHIPS.onnx READ.npz STORE ...``.
 
 A box gives no body. The edges of a first chip network, times the scale, give thousands of bodies
 from which a second one learns metres by looks. Writes ``bodies.npz`` into each store, and
@@ -26,7 +28,7 @@ _RENDERED = ("scene", "pasted")
 
 
 def measured(answers: ChipAnswers, candidate_m: NDArray[np.float64]) -> Bodies:
-    """Bodies of candidates whose lengths in metres are known."""
+    """Measure the bodies of candidates whose lengths in metres are known."""
     logs = np.log(answers.sizes * candidate_m[:, None])
     return Bodies(
         logs.astype(np.float32), (1 / (1 + (answers.log_size_sd / _OWN_SD) ** 2)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The chip network: from a candidate with its surroundings to what it is, where its edges lie, and its metres."""
+"""Chip network: from a candidate with its surroundings to its kind, edges and metres."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class ChipNet(nn.Module):
         self.where = nn.Linear(_HIDDEN, 2 * _N_EDGES + 1)
 
     def forward(self, chips: Tensor) -> Answers:
-        """Answers for chips ``[b, 3, 64, 96]``."""
+        """Compute the answers for chips ``[b, 3, 64, 96]``."""
         x = self.stem(chips)
         parts = []
         for k, stage in enumerate(self.stages):

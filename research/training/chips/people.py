@@ -1,4 +1,6 @@
-"""Candidates on photographs whose cars people have drawn: ``python -m research.training.chips.people R``.
+"""Collect candidates on photographs whose cars people have drawn.
+
+``python -m research.training.chips.people R``.
 
 Writes the store ``R/people``, which trains nothing: val of Estonia, street crossings, ``harlem``
 and the even crops of ``chia``. Boxes of the first two are upright: a candidate is a car if its
@@ -33,13 +35,13 @@ from vehanchor_evaluation.dota import read_labels
 
 _FITS = 0.5
 _MISSES = 0.15
-_LEAST_SCORE = 0.15  # of the detector
+_MIN_SCORE = 0.15  # of the detector
 _EDGE = 0.6  # of a candidate's length
 _NEAR = 0.5
 
 
 class Drawn(NamedTuple):
-    """A photograph with upright boxes ``[n, 4]`` (left, top, right, bottom) of cars and of what is doubtful."""
+    """Photograph with upright boxes ``[n, 4]`` (left, top, right, bottom) of cars and doubts."""
 
     path: Path
     set: str
@@ -76,7 +78,7 @@ def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
 
 
 def photographs(data: Path) -> Iterator[Drawn]:
-    """All photographs."""
+    """List all photographs."""
     seen = _looked_at()
     for folder, sets in (("upright", ("estonia", "crossings")), ("vehicles", ("jekhor",))):
         with (data / folder / "index.csv").open(newline="") as handle:
@@ -148,7 +150,7 @@ def main() -> None:
             raise FileNotFoundError(drawn.path)
         pixels = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
         with open_raster(pixels) as raster:
-            seen = ImageSearch(raster, detector, Search(min_score=_LEAST_SCORE)).searched()
+            seen = ImageSearch(raster, detector, Search(min_score=_MIN_SCORE)).searched()
         boxes = seen.boxes
         scores = seen.scores
         if not len(boxes):

@@ -1,4 +1,4 @@
-"""Stored chips: what the network trains on, larger than a chip so that it can be turned, scaled and shifted."""
+"""Stored chips, which are larger than a chip so that training can turn, scale and shift them."""
 
 from __future__ import annotations
 
@@ -52,18 +52,19 @@ class Rows(NamedTuple):
 
     @classmethod
     def unlabelled(cls, lengths_px: NDArray[np.floating], set_name: str, file: str) -> Rows:
-        """Candidates of these lengths in an image: no cars, of unknown type, found by nobody."""
+        """Make rows of candidates of these lengths: not cars, of unknown type, found by nobody."""
         count = len(lengths_px)
         nothing = np.zeros(len(lengths_px), np.float32)
         return cls(
-            np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8), np.full((count, 5), np.nan, np.float32),
-            np.full(count, np.nan, np.float32), lengths_px.astype(np.float32), nothing, nothing,
-            np.full(count, set_name), np.full(count, file),
+            np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8),
+            np.full((count, 5), np.nan, np.float32), np.full(count, np.nan, np.float32),
+            lengths_px.astype(np.float32), nothing, nothing, np.full(count, set_name),
+            np.full(count, file),
         )  # fmt: skip
 
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:
-        """All rows, one part after the other."""
+        """Join all rows, one part after the other."""
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

@@ -25,7 +25,10 @@ def _convolution(inputs: int, outputs: int, stride: int, dilation: int) -> nn.Se
 
 
 class CourtNet(nn.Module):
-    """Three strided and four dilated convolutions; ``[n, 3, h, w]`` in 0..1 to ``[n, 5, h / 8, w / 8]``."""
+    """Network of three strided and four dilated convolutions.
+
+    Maps ``[n, 3, h, w]`` in 0..1 to ``[n, 5, h / 8, w / 8]``.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -41,7 +44,7 @@ class CourtNet(nn.Module):
             cast("Tensor", self.head.bias)[:2] = _RARE
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Outputs of each cell."""
+        """Compute the outputs of each cell."""
         seen = self.stem(pixels - 0.4)
         for layer in self.body:
             seen = seen + layer(seen)

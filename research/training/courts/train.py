@@ -1,4 +1,7 @@
-"""Train the network that proposes courts: ``python -m research.training.courts.train RUN SCENES OUT.onnx``."""
+"""Train the network that proposes courts.
+
+``python -m research.training.courts.train RUN SCENES OUT.onnx``.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ _POSE_WEIGHT = 1.0
 def losses(
     network: nn.Module, batch: tuple[Tensor, Tensor, Tensor], device: torch.device
 ) -> Mapping[str, Tensor]:
-    """Focal loss of the heats (Zhou et al., Objects as Points, 2019), absolute error of the poses at their peaks."""
+    """Compute the focal loss of the heats and the absolute error of the poses at their peaks.
+
+    Source: Zhou et al., Objects as Points, 2019.
+    """
     pixels, targets, weights = (part.to(device) for part in batch)
     seen = network(pixels)
     heat = seen[:, :2]
@@ -50,7 +56,7 @@ class Exported(nn.Module):
         self.network = network
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """``[n, 5, h / 8, w / 8]`` of ``[n, 3, h, w]`` uint8."""
+        """Compute ``[n, 5, h / 8, w / 8]`` from ``[n, 3, h, w]`` uint8."""
         seen = self.network(tiles.float() / 255.0)
         return torch.cat([torch.sigmoid(seen[:, :2]), seen[:, 2:]], dim=1)
 

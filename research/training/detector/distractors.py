@@ -78,7 +78,10 @@ def _rectangles(
     paints: list[NDArray[np.float32]],
     shadow: float,
 ) -> _Layer:
-    """A regular array; ``size`` and ``pitch`` in pixels along and across, ``shadow`` the share of a side it falls."""
+    """Draw a regular array.
+
+    ``size`` and ``pitch`` are in pixels along and across; ``shadow`` is a share of a side.
+    """
     colour, opacity = layer
     height, width = opacity.shape
     sun = rng.uniform(0, 2 * np.pi)
@@ -137,7 +140,7 @@ def _posts(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
 
 
 def _slabs(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
-    """Tombs, crates, containers, pontoons: plain, of a few paints, with shadows."""
+    """Draw tombs, crates, containers or pontoons: plain, of a few paints, with shadows."""
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.2, 4.5), thick)
     pitch = (size[0] * rng.uniform(1.15, 2.0), thick * rng.uniform(1.25, 2.6))

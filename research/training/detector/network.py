@@ -1,4 +1,4 @@
-"""A compact one-class oriented-box network: heat map, sub-pixel offset, log length, log width, double angle.
+"""Compact one-class oriented-box network: heat, offset, log length, log width, double angle.
 
 Encoder to stride 32 for context, decoder back to stride 4 for localisation; plain 3 x 3
 convolutions with batch normalisation and ReLU, which ONNX Runtime fuses on a CPU.

@@ -26,7 +26,7 @@ class Place(NamedTuple):
 
 
 def places(data: Path) -> list[Place]:
-    """The images of ``shared/data`` that may train and have no oriented labels."""
+    """List the images of ``shared/data`` that may train and have no oriented labels."""
     out = []
     with (data / "upright" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
@@ -57,13 +57,16 @@ def places(data: Path) -> list[Place]:
 
 
 def is_held_out(place: Place) -> bool:
-    """One place in ten never trains, by a checksum; halves of one tile (``b``) and flights stay together."""
+    """Return whether a place never trains: one in ten, by a checksum.
+
+    Halves of one tile (``b``) and flights stay together.
+    """
     stem = place.path.stem.rstrip("b") if place.set == "estonia" else place.path.stem
     return place.set != "flights" and zlib.crc32(stem.encode()) % _DEV_SHARE == _HELD_OUT
 
 
 def looked_at() -> dict[str, list[tuple[float, float, str]]]:
-    """Read x, y and kind (car, ignore, clutter) of candidates judged on contact sheets, by file name."""
+    """Read candidates judged on contact sheets by file: x, y and kind (car, ignore, clutter)."""
     out: dict[str, list[tuple[float, float, str]]] = {}
     with _LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):

@@ -19,7 +19,7 @@ LOG_GSD = FIRST_LOG_GSD + LOG_STEP * np.arange(BINS)
 def soft_target(
     gsd_m_per_px: float, label_spread: float = 0.0, lost: float = 0.0
 ) -> NDArray[np.float32]:
-    """The distribution over the bins that a crop is labelled with.
+    """Compute the distribution over the bins with which a crop is labelled.
 
     Args:
         gsd_m_per_px: of the crop.

@@ -1,4 +1,6 @@
-"""Fit how a network's answers combine: ``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
+"""Fit how a network's answers combine.
+
+``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
 
 The cases (``cases.py``) should be of networks that never saw the sets they are asked about: what
 the shipped network says of a new place is as good as that. Every set counts alike. Fitted are the
@@ -34,9 +36,9 @@ _CHOICES: dict[str, Sequence[float]] = {
     "finer": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
 }
 _ROUNDS = 2
-_LEAST_COVER = 0.9
+_MIN_COVER = 0.9
 _COVER_WEIGHT = 2.0
-_LEAST_CASES = 15  # of a set whose cover counts
+_MIN_CASES = 15  # of a set whose cover counts
 _WITHIN = 1.5
 
 
@@ -50,7 +52,7 @@ def density_of(case: Case, calibration: SceneCalibration) -> NDArray[np.float64]
 
 
 def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
-    """The mean log density (per unit of log m/px) at the truth, every set alike."""
+    """Compute the mean log density (per unit of log m/px) at the truth, every set alike."""
     scores: dict[str, list[float]] = {}
     for case in cases:
         density = density_of(case, calibration)
@@ -60,22 +62,22 @@ def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
 
 
 def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
-    """The share of images whose interval holds the truth, in the set where it holds least."""
+    """Compute the share of intervals that hold the truth, in the set where it is lowest."""
     held: dict[str, list[bool]] = {}
     for case in cases:
         _, low, high = _row(case, calibration)
         held.setdefault(case.set, []).append(low < 0 < high)
-    return float(min(np.mean(each) for each in held.values() if len(each) >= _LEAST_CASES))
+    return float(min(np.mean(each) for each in held.values() if len(each) >= _MIN_CASES))
 
 
 def fit(cases: Sequence[Case]) -> SceneCalibration:
     """Find the calibration of the highest score by coordinate ascent.
 
-    Where intervals hold in less than ``_LEAST_COVER`` of a set's images, that weighs against it.
+    Where intervals hold in less than ``_MIN_COVER`` of a set's images, that weighs against it.
     """
 
     def worth(option: SceneCalibration) -> float:
-        lacking = max(0.0, _LEAST_COVER - least_cover(cases, option))
+        lacking = max(0.0, _MIN_COVER - least_cover(cases, option))
         return log_score(cases, option) - _COVER_WEIGHT * lacking
 
     best = BEGIN
@@ -110,7 +112,7 @@ def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
 
 
 def _row(case: Case, calibration: SceneCalibration) -> tuple[float, float, float]:
-    """Logs of the density's median and of its interval's ends over the truth."""
+    """Compute the logs of the density's median and of its interval's ends over the truth."""
     density = density_of(case, calibration)
     median = np.interp(0.5, np.cumsum(density), GRID + GRID_STEP / 2)
     low, high = np.log(credible_interval(density)) - np.log(case.gsd_m_per_px)

@@ -1,4 +1,4 @@
-"""Images of known scale, and an endless stream of crops of them, each resampled to a random number of metres a pixel.
+"""Images of known scale, and an endless stream of crops resampled to random scales.
 
 No labels are needed: whatever has a scale trains. The scale of ``jekhor`` comes from its cars, the
 scale of ``flights`` from its GPS track. Nothing of a val split is read, nor what is for evaluation
@@ -31,7 +31,7 @@ TILE_PX = 160
 FINEST_M_PER_PX = 0.0135
 COARSEST_M_PER_PX = 1.1
 _CAR_M = 4.6  # median length of Munich's and Minsk's cars
-_LEAST_CARS = 2  # of an image whose scale they give
+_MIN_CARS = 2  # of an image whose scale they give
 # log standard deviation of these two kinds of label
 _CAR_SPREAD = 0.07
 _FLIGHT_SPREAD = 0.12
@@ -48,9 +48,9 @@ _HELD_OUT_PHOTOGRAPHS = 4  # the last of a flight, with the last ground
 _FINEST_SHARE = 0.75  # of its native metres a pixel a source is resampled to: beyond is blur
 _FINEST_FLIGHT_SHARE = 0.6  # reduced copies are sharp to the pixel
 _SET_WEIGHT = {
-    "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0, "estonia_port": 0.7,
-    "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0, "seneca": 0.8, "scene": 1.0,
-    "chia": 1.5,
+    "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0,
+    "estonia_port": 0.7, "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0,
+    "seneca": 0.8, "scene": 1.0, "chia": 1.5,
 }  # fmt: skip
 # of the crops by any angle, which softens them; the others in one of the eight symmetries
 _TURNED_SHARE = 0.25
@@ -84,7 +84,7 @@ class Source(NamedTuple):
 
 
 def sources(data: Path) -> list[Source]:
-    """Every file of ``shared/data`` that may train and has a scale, each once."""
+    """List every file of ``shared/data`` that may train and has a scale, each once."""
     out = [
         *_listed(data, "gsd/table.csv"),
         *_listed(data, "gsd/upright.csv"),
@@ -100,7 +100,10 @@ def sources(data: Path) -> list[Source]:
 def load_images(
     data: Path, *, held_out: bool = False, without: Collection[str] = ()
 ) -> list[ScaledImage]:
-    """Load the training part of ``shared/data``, or its held-out tenth alone; ``without`` names sets to leave out."""
+    """Load the training part of ``shared/data`` or its held-out tenth.
+
+    ``without`` names sets to leave out.
+    """
     return [_load(s) for s in sources(data) if s.held_out == held_out and s.set not in without]
 
 
@@ -114,7 +117,7 @@ def load_scenes(folder: Path) -> list[ScaledImage]:
 
 
 def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[ScaledImage]:
-    """Load what is for reporting: the val splits where they have a scale, and what of ``tilt/`` looks down."""
+    """Load the images for reports: val splits with a scale, and nadir photographs of ``tilt/``."""
     found = [
         *_listed(data, "gsd/table.csv", "val"),
         *_listed(data, "gsd/upright.csv", "val"),
@@ -146,7 +149,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 
 def _listed(data: Path, index: str, split: str = "train") -> list[Source]:
-    """The rows of a split of a table with ``file``, ``set``, ``gsd_m_per_px`` and perhaps ``split``."""
+    """Read a split of a table with ``file``, ``set``, ``gsd_m_per_px`` and perhaps ``split``."""
     folder = (data / index).parent
     return [
         Source(
@@ -162,7 +165,7 @@ def _listed(data: Path, index: str, split: str = "train") -> list[Source]:
 
 
 def _segments(data: Path, split: str = "train") -> list[Source]:
-    """Images that have masks and are in no other table, nor in a val split anywhere."""
+    """List images that have masks and are in no other table, nor in a val split."""
     elsewhere = {Path(row["file"]).stem for row in _rows(data / "vehicles" / "index.csv")}
     out = []
     for row in _rows(data / "segments" / "index.csv"):
@@ -176,7 +179,7 @@ def _segments(data: Path, split: str = "train") -> list[Source]:
 
 
 def _cars_as_rulers(data: Path) -> list[Source]:
-    """``jekhor``: the median length of an image's cars is ``_CAR_M``."""
+    """List ``jekhor``: the median length of an image's cars is ``_CAR_M``."""
     out = []
     for row in _rows(data / "vehicles" / "index.csv"):
         stem = Path(row["file"]).stem
@@ -186,7 +189,7 @@ def _cars_as_rulers(data: Path) -> list[Source]:
             "small-vehicle"
         )
         lengths = np.linalg.norm(np.diff(corners[:, :3], axis=1), axis=2).max(axis=1)
-        if len(lengths) >= _LEAST_CARS:
+        if len(lengths) >= _MIN_CARS:
             kind = "minsk" if "DJI" in stem else "munich"
             path = (data / "vehicles" / row["file"]).resolve()
             out.append(
@@ -212,7 +215,7 @@ def _photographs(data: Path) -> list[Source]:
 
 
 def chia_photographs(data: Path, *, odd: bool = True) -> list[Source]:
-    """Photographs of ``chia/`` that look down, and crops of the same: odd numbers train, even ones check."""
+    """Load nadir photographs of ``chia/`` and crops of them: odd numbers train, even ones check."""
     out = []
     for table in ("chia/table.csv", "chia/crops.csv"):
         for row in _rows(data / table):
@@ -240,14 +243,14 @@ def _load(source: Source) -> ScaledImage:
 
 
 def coarsest_m_per_px(image: ScaledImage) -> float:
-    """The scale at which a whole tile is the largest square of an image."""
+    """Compute the scale at which a whole tile is the largest square of an image."""
     return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
 
 
 def draw_crop(
     rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float
 ) -> NDArray[np.uint8]:
-    """Cut a square of ``TILE_PX`` pixels of the wanted size, averaged over areas, turned and flipped at random.
+    """Cut a square of ``TILE_PX`` pixels, averaged over areas, turned and flipped at random.
 
     Returns:
         Pixels ``[TILE_PX, TILE_PX, 3]`` uint8.
@@ -298,7 +301,7 @@ def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.u
 
 
 def featureless(rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud, a lens cap."""
+    """Draw noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
     roughness = rng.uniform(0.2, 1.2)
     for side in (2, 5, 10, 20, 40, 80, 160):

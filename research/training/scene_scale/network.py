@@ -56,7 +56,7 @@ class SceneScaleNet(nn.Module):
         )
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """Log-probabilities ``[n, bins]``."""
+        """Compute log-probabilities ``[n, bins]``."""
         seen = self.stem(tiles)
         pooled = []
         for stage in self.stages:
@@ -69,7 +69,7 @@ class SceneScaleNet(nn.Module):
         return functional.log_softmax(self.head(torch.cat(pooled, dim=1)), dim=1)
 
     def freeze(self, parts: int) -> None:
-        """Keep the weights of the first parts as they are: of the stem, and then of one stage after another."""
+        """Freeze the weights of the first parts: the stem, and then one stage after another."""
         for part in (self.stem, *self.stages)[:parts]:
             part.requires_grad_(False)
 

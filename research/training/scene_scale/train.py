@@ -82,7 +82,7 @@ def main() -> None:
         tiles = torch.stack([stream[k][0] for k in range(_BATCH)])
         begin_with_exported(network, options.exported, tiles.float().div(255.0))
     network.freeze(options.frozen)
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack it
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     schedule = Schedule(
         options.steps, options.rate, warm_up=min(60, options.steps // 4 + 1), held=options.held
     )

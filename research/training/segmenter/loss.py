@@ -1,4 +1,4 @@
-"""Loss of the segmenter: cross-entropy near the object, soft Dice, and regression of the mask's own overlap."""
+"""Loss of the segmenter: cross-entropy near the object, soft Dice, and the mask's own overlap."""
 
 from __future__ import annotations
 

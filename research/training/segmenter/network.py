@@ -1,4 +1,4 @@
-"""A compact promptable segmenter: convolutional encoder with a stride-2 embedding, prompt-conditioned decoder.
+"""Compact promptable segmenter: encoder with a stride-2 embedding, prompt-conditioned decoder.
 
 The prompt is drawn as dense maps (signed distance to the box, its own coordinates, points, an
 earlier mask) at the embedding's resolution with ordinary operators, so the exported decoder takes
@@ -53,7 +53,7 @@ class Prompt(NamedTuple):
 
 
 class Segmentation(NamedTuple):
-    """Output of the decoder: ``mask`` logits ``[b, 1, h, w]`` at stride 2 and ``iou`` ``[b, 1]`` in 0..1."""
+    """Output of the decoder: ``mask`` logits ``[b, 1, h, w]`` at stride 2; ``iou`` ``[b, 1]``."""
 
     mask: Tensor
     iou: Tensor

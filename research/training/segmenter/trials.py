@@ -56,7 +56,7 @@ class Trial(NamedTuple):
 def read_targets(
     folder: Path, split: str, wanted: Callable[[str], bool] | None = None
 ) -> Iterator[Target]:
-    """Objects of one split of ``shared/data/segments``; ``wanted`` chooses by the image's file name."""
+    """Load objects of a split of ``shared/data/segments``; ``wanted`` selects by file name."""
     rng = np.random.default_rng(_SEED)
     with (folder / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == split]
@@ -106,7 +106,7 @@ def _row(method: str, category: str, trials: list[Trial]) -> str:
 
 
 def report(by_method: dict[str, list[Trial]]) -> list[str]:
-    """Tables as Markdown lines."""
+    """Format tables as Markdown lines."""
     ours = next(iter(by_method))
     lines = [
         "| category | method | n | mean IoU | median IoU | IoU < 0.5 | median area error | mean "

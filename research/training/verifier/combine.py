@@ -27,8 +27,9 @@ from vehanchor.detection.verifier import Weights
 _CHANCE = 0.65  # a missed car costs less than a false one
 _RIDGE = 1e-3
 _MIN_SCORE = 0.5
-# of the detector: of 1,693 hits on the held-out tenth none has less, but 44 % of the candidates
-_LEAST_SCORE = 0.25
+# Least score of the detector: none of 1,693 hits on the held-out tenth has less, but 44 % of the
+# candidates have.
+_MIN_DETECTOR_SCORE = 0.25
 
 
 def _logit(chance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -49,7 +50,7 @@ def fitted(logits: NDArray[np.float64], found: Candidates) -> Weights:
 
 
 def rescaled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -> Weights:
-    """Rescale scores so that 0.5 and the median of the hits are where they were; the order stays."""
+    """Rescale scores so that 0.5 and the median of the hits stay where they were, in order."""
     total = _logit(weights.score(found.scores, logits))
     limit = float(np.log(_CHANCE / (1 - _CHANCE)))
     ours = np.median(total[found.car & (total >= limit)]) - limit
@@ -63,7 +64,7 @@ def rescaled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -
 def verifier_logits(
     session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]
 ) -> NDArray[np.float64]:
-    """Logits of ``[n, 48, 48, 3]`` chips."""
+    """Compute logits of ``[n, 48, 48, 3]`` chips."""
     if not len(chips):
         return np.zeros(0)
     batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2)).astype(np.float32) / 255
@@ -101,7 +102,7 @@ def main() -> None:
         "license": LICENCE,
         "vehanchor.detector": options.detector,
         "vehanchor.weights": ",".join(f"{value:.4f}" for value in weights),
-        "vehanchor.least_score": f"{_LEAST_SCORE:g}",
+        "vehanchor.least_score": f"{_MIN_DETECTOR_SCORE:g}",
         "vehanchor.min_score": f"{_MIN_SCORE:g}",
     }
     write_metadata(options.out, metadata)

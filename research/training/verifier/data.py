@@ -1,4 +1,4 @@
-"""Candidates of a detector at a low threshold over all train images: hits, false alarms, their chips."""
+"""Candidates of a detector at a low threshold on all train images: hits, false alarms, chips."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _CAR_PX = (
 )  # sizes at which an image is searched: at the finer ones a car's parts look like cars
 # an enlarged image has no parts to learn from
 _MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}
-_LEAST_SCORE = 0.15
-_MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
+_MIN_SCORE = 0.15
+_MAX_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
 # of a label's length: beyond one, within the other
 _NEAR = 0.6
 _AT = 0.25
@@ -107,7 +107,7 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             scaled = np.asarray(
                 cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8
             )
-            found = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
+            found = detector.detect_tile(detector.prepared(scaled), _MIN_SCORE).vehicles
             kept = oriented_nms(found.boxes, found.scores)
             boxes = found.boxes[kept]
             score = found.scores[kept]
@@ -115,7 +115,7 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
                 boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor
             )
             false = rng.permutation(np.flatnonzero(truth == 0))
-            truth[false[_MOST_FALSE:]] = -1
+            truth[false[_MAX_FALSE:]] = -1
             known = truth >= 0
             chips.append(
                 surroundings(scaled, boxes[known], side_px=STORED_PX, length_px=CHIP_LENGTH_PX)
@@ -145,7 +145,7 @@ def load(path: Path) -> Candidates:
 
 
 def middle(chips: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The chips of ``CHIP_PX`` in the middle of stored ones, ``[n, 48, 48, 3]``."""
+    """Cut chips of ``CHIP_PX`` from the middle of stored ones, ``[n, 48, 48, 3]``."""
     margin = (chips.shape[1] - CHIP_PX) // 2
     return chips[:, margin : margin + CHIP_PX, margin : margin + CHIP_PX]
 
@@ -167,7 +167,7 @@ class ChipStream:
             self._weight.append(np.cumsum(weight))
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """A chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""
+        """Make a chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         car = int(rng.random() < 0.5)
@@ -181,7 +181,7 @@ class ChipStream:
 
 
 def varied(rng: np.random.Generator, stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A chip of a box a little off, mirrored at random, sometimes of a coarser image."""
+    """Cut a chip of a box a little off, mirrored at random, sometimes of a coarser image."""
     scale = np.exp(rng.normal(0, _JITTER))
     turn = rng.normal(0, _TURN)
     flip = rng.choice((-1.0, 1.0), 2)

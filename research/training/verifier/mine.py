@@ -33,7 +33,7 @@ _CAR_PX = 22.0  # where a crop has none
 
 
 def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) -> list[TrainImage]:
-    """Crops of train images with striped and gridded things drawn over a part of each."""
+    """Draw striped and gridded objects over a part of crops of train images."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(count):

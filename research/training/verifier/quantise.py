@@ -1,4 +1,6 @@
-"""Write the verifier in eight bits: ``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
+"""Write the verifier in eight bits.
+
+``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
 
 Its convolutions get eight bits, the two layers at its end stay; activations by chips of ``RUN``'s
 training part.
@@ -23,7 +25,7 @@ _BATCH = 64
 
 
 def quantised_nodes(model: onnx.ModelProto) -> list[str]:
-    """Names of the nodes that get eight bits."""
+    """List the nodes that get eight bits."""
     return [node.name for node in model.graph.node if node.op_type in ("Conv", "Relu")]
 
 

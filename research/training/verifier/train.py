@@ -1,4 +1,6 @@
-"""Train the verifier: ``python -m research.training.verifier.train RUN``, after ``research.training.verifier.mine``.
+"""Train the verifier, after ``research.training.verifier.mine``.
+
+``python -m research.training.verifier.train RUN``.
 
 Writes ``RUN/verifier.onnx``: ``chips`` ``[n, 3, 48, 48]`` float32 in 0..1 to ``logit`` ``[n]``.
 Resumes from ``RUN/checkpoint.pt`` when it exists.
@@ -52,7 +54,7 @@ def export(network: VerifierNet, out: Path) -> None:
 
 
 def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Logits of a network for stored chips, ``[n]``."""
+    """Compute the logits of a network for stored chips, ``[n]``."""
     out = []
     with torch.no_grad():
         for start in range(0, len(chips), 512):
@@ -64,7 +66,7 @@ def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64
 def report(
     car: NDArray[np.bool_], sets: NDArray[np.str_], scores: NDArray[np.float64]
 ) -> list[str]:
-    """Area under the ROC curve and false alarms left at 95 % of the hits, by set."""
+    """Tabulate area under the ROC curve and false alarms left at 95 % of the hits, by set."""
     lines = []
     for name in (*np.unique(sets), "all"):
         chosen = np.ones(len(sets), bool) if name == "all" else sets == name

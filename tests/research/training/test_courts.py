@@ -1,4 +1,4 @@
-"""The training code of the network that proposes courts, where PyTorch is installed (extra ``train``)."""
+"""Training code of the network that proposes courts, where PyTorch is installed."""
 
 from __future__ import annotations
 

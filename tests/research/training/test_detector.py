@@ -10,13 +10,18 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402 - PyTorch may be missing
+# PyTorch may be missing, so these follow importorskip.
+from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402
 from research.training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
     TrainImage,
     draw_crop,
 )
-from research.training.detector.export import LengthCorrection, UltralyticsLayout, export  # noqa: E402
+from research.training.detector.export import (  # noqa: E402
+    LengthCorrection,
+    UltralyticsLayout,
+    export,
+)
 from research.training.detector.network import VehicleNet  # noqa: E402
 from research.training.warm_start import load_exported  # noqa: E402
 from vehanchor.detection.detector import Detector  # noqa: E402
@@ -117,7 +122,7 @@ def test_the_correction_is_the_inverse_of_the_bias() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_network_started_from_an_exported_file_computes_what_the_file_computes(
+def test_a_network_started_from_a_file_computes_the_same(
     tmp_path: Path,
 ) -> None:
     torch.manual_seed(1)

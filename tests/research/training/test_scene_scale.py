@@ -1,4 +1,4 @@
-"""The training code of the scene-scale network, where PyTorch is installed (extra ``train``), and its density."""
+"""Training code of the scene-scale network and its density, where PyTorch is installed."""
 
 from __future__ import annotations
 
