@@ -273,6 +273,9 @@ def resumable_journal(
         **asdict(options),
     }
     del settings["frame"]
+    # Journals of runs with the model's own classes have no such setting.
+    if detector.classes is not None:
+        settings["classes"] = detector.classes
     if lines:
         settings["lines_of"] = {
             photograph: [asdict(line) for line in own_lines]

@@ -26,11 +26,12 @@ from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.row import ALL_COLUMNS, COLUMNS, BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
-from vehanchor.detection.detector import Detector, networks_sha256
+from vehanchor.detection.detector import networks_sha256
+from vehanchor.engine import Engine
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import bundled_models, resolve_model
+from vehanchor.models.zoo import bundled_models
 from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
 from vehanchor.records import SCHEMA_VERSION
@@ -191,10 +192,8 @@ def _make_job(
     # One thread per model: many single-threaded workers are faster than one with all threads.
     worker_runtime = replace(runtime.idle, threads=1)
     vehicle_classes = tuple(classes) if classes else None
-    name = None if detector is None else str(detector)
-    path = resolve_model(name)
-    loaded = Detector(path, classes=vehicle_classes, runtime=worker_runtime)
-    model = checked_detector(loaded, options)
+    engine = Engine(detector, classes=vehicle_classes, runtime=worker_runtime)
+    model = checked_detector(engine.detector, options)
 
     # Workers load the model again. On other machines of a cluster, bundled models may have other
     # paths, so workers find them by name.

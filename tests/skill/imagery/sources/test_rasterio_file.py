@@ -294,7 +294,7 @@ def test_the_limit_on_pixels_holds_for_datasets(one_strip_path: Path) -> None:
     limits = ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1)
     with (
         rasterio.open(one_strip_path) as dataset,
-        pytest.raises(ImageTooLargeError, match="dataset declares 130 x 90 px"),
+        pytest.raises(ImageTooLargeError, match="dataset has 130 x 90 px"),
     ):
         open_raster(dataset, Reading(limits=limits))
 
