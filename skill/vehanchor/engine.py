@@ -200,6 +200,8 @@ class Engine:
             CancelledError: the call was cancelled (``concurrent.futures``).
         """
         engine, call_options = self.for_call(options, keywords)
+        if isinstance(image, list | tuple):
+            call_options.check_for_several_images()
         detector = checked_detector(engine.detector, call_options)
         if isinstance(image, list | tuple):
             return estimate_each(image, detector, call_options)

@@ -218,11 +218,7 @@ def check_options(options: ScaleOptions) -> None:
     """
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: leave it out for a flight")
-    if options.rulers.known_lengths:
-        raise InvalidParameterError(
-            "a line of known length belongs to one image: estimate that image by itself"
-        )
-    options.by_hand.check_single()
+    options.check_for_several_images()
 
 
 def journal_key(photograph: InputPhotograph) -> Key | None:

@@ -178,7 +178,7 @@ def _check_arguments(
         Limits(least=1, whole=True).check("workers", workers)
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: leave it out for a batch")
-    options.by_hand.check_single()
+    options.check_for_several_images()
 
 
 def _make_job(

@@ -177,17 +177,6 @@ class ByHand:
             return "drop"
         return "add" if self.add else None
 
-    def check_single(self) -> None:
-        """Refuse corrections of vehicles for several images, before the work on them.
-
-        Raises:
-            InvalidParameterError: vehicles are dropped or added.
-        """
-        if self.given is not None:
-            raise InvalidParameterError(
-                f"{self.given} belongs to one image: estimate that image by itself"
-            )
-
 
 Basis: TypeAlias = Literal["assumed", "measured"]
 """How a fact is known: by a standard or an inference, or by tape, plan or survey."""
