@@ -16,7 +16,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
-from vehanchor.scale.reliability import RELIABILITY, Shared
+from vehanchor.scale.reliability import FILE, RELIABILITY, Shared
 
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
-LENS = "lens"
-"""Error that the metadata share with a given height."""
 
 # Error of a barometer, and of a take-off from a hand or a roof.
+# Error of the file's height that no guess repeats: two steps of the grid of scales.
+_OWN_LOG_SD = 0.01
 _HEIGHT_SD_M = 2.0
 _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
@@ -139,13 +139,20 @@ class Camera(Ruler):
         gsd = height_m / optics.pixels * coarser
         if not on_grid(gsd):
             return self._unusable(f"{height_m:g} m and {optics.source} would give {gsd:.3g} m/px")
+        # What the file states wrongly, a caller who reads the file repeats: nearly all of the error
+        # is shared with guesses.
+        of_file = Shared(
+            FILE.name,
+            math.hypot(tilt_log_sd, height_log_sd(height_m)),
+            chance_wrong=RELIABILITY[condition].chance_wrong,
+        )
         return point_witness(
             self.kind,
             gsd,
-            log_sd=math.hypot(tilt_log_sd, height_log_sd(height_m)),
-            chance_wrong=RELIABILITY[condition].chance_wrong,
+            log_sd=_OWN_LOG_SD,
+            chance_wrong=0.0,
             statement=statement,
-            shared=[Shared(LENS, optics.log_sd)],
+            shared=[lens_error(optics), of_file],
             notices=notices,
         )
 
@@ -154,6 +161,11 @@ class Camera(Ruler):
         stated = "; ".join(cause for cause in causes if cause)
         message = f"The camera metadata are not usable: {stated}."
         return unusable(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+
+
+def lens_error(optics: Lens) -> Shared:
+    """Return the error that all heights over one lens have in common."""
+    return Shared("lens", optics.log_sd, optics.chance_wrong)
 
 
 def coarsening(tilt_deg: float) -> tuple[float, float]:

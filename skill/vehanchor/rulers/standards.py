@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
+# Largest spread of a length that a rule fixes.
+_EXACT_LOG_SD = 0.01
+
+
 class Variant(NamedTuple):
     """Length of a thing in some countries.
 
@@ -101,6 +105,21 @@ def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Va
     name, _, country = what.partition("/")
     standard = standards()[name]
     return standard, standard.lengths_in(country or region)
+
+
+def exact_kind(what: str) -> str | None:
+    """Return the kind of a thing whose size a rule fixes, such as "tennis"; None for a custom.
+
+    Things of one kind, such as the length and the width of a court, are mistaken together. The
+    kind is the first word of the name.
+
+    Args:
+        what: name of the thing, as in ``lengths_of``.
+    """
+    standard, _ = lengths_of(what)
+    if any(variant.log_sd > _EXACT_LOG_SD for variant in standard.variants):
+        return None
+    return standard.name.partition("_")[0]
 
 
 def check_name(what: str | None) -> None:
