@@ -91,13 +91,13 @@ def open_frames(
 
     Raises:
         ImageNotFoundError: the source is neither a folder, nor a video, nor a number.
-        InvalidParameterError: the seconds are invalid.
+        InvalidParameterError: the seconds are invalid, or no camera can have the number.
     """
     EVERY_S.check("every", every_s)
     if idle_s is not None:
         EVERY_S.check("idle", idle_s)
     if source.isdecimal():
-        number = int(source)
+        number = _camera_number(source)
         open_camera = partial(_open_camera, number)
         return camera_frames(open_camera, f"camera {number}", idle_s=idle_s, tell=tell)
     if source and Path(source).is_dir():
@@ -319,10 +319,23 @@ class _Newest:
             self._changed.notify()
 
 
+def _camera_number(digits: str) -> int:
+    """Read the number of a camera.
+
+    The check comes before the thread that reads the camera, because its errors reach nobody.
+
+    Raises:
+        InvalidParameterError: no camera can have the number.
+    """
+    significant = digits.lstrip("0")
+    # Python refuses to convert thousands of digits, so their number is checked first.
+    if len(significant) > len(str(_MAX_CAMERA_NUMBER)):
+        raise InvalidParameterError(f"the camera {digits[:20]} does not exist: use 0 for the first")
+    return int(significant or "0")
+
+
 def _open_camera(number: int) -> Camera | None:
     """Open the camera of that number; None if it gives no frames now."""
-    if number > _MAX_CAMERA_NUMBER:
-        raise InvalidParameterError(f"the camera {number} does not exist: use 0 for the first")
     camera = cv2.VideoCapture(number)
     if camera.isOpened():
         # The stubs of OpenCV are wider than what it returns.
