@@ -273,6 +273,8 @@ class ImageSearch:
         """Visit likely levels and tiles first, until the limits or the caller end the search."""
         deadline = time.monotonic() + self._max_seconds
         for factors in self._levels_by_chance():
+            if self.n_visited >= self._max_tiles:
+                return
             # Unlikely levels are visited only if the likely ones show few vehicles.
             if self.n_visited and self.n_vehicles >= _ENOUGH_VEHICLES:
                 self.stop()
