@@ -94,7 +94,7 @@ def search_flight(
     Raises:
         ImageError: no photograph is given, or none can be used.
     """
-    report_progress = detector.runtime.tell
+    report_progress = detector.runtime.report_progress
     silent_detector = detector.under(replace(detector.runtime, progress=None))
     results: list[Photograph | Failure] = []
     n_photographs = len(inputs) if isinstance(inputs, Sized) else 0

@@ -141,12 +141,12 @@ def run_batch(
         keys = {task: task.key() for task in tasks}
         missing = [task for task in tasks if keys[task] not in journal]
         n_resumed = len(tasks) - len(missing)
-        runtime.tell(n_resumed, len(tasks))
+        runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
         with closing(_compute_rows(engine, address, job, missing, workers=workers)) as new_rows:
             for n_finished, (task, row) in enumerate(new_rows, start=n_resumed + 1):
                 journal.add(keys[task], row)
-                runtime.tell(n_finished, len(tasks))
+                runtime.report_progress(n_finished, len(tasks))
         keys_in_order = [keys[task] for task in tasks]
         statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
         journal.remove()

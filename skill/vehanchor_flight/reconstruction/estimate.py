@@ -134,7 +134,7 @@ def search_model(
         journal: earlier results; each new result is added at once.
     """
     files = photograph_files(model, images)
-    report_progress = detector.runtime.tell
+    report_progress = detector.runtime.report_progress
     silent_detector = detector.under(replace(detector.runtime, progress=None))
     report_progress(0, len(files))
     whole_plane = model_plane(model)
