@@ -10,9 +10,9 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
 from vehanchor.options.option import Flag, Limits, Number, Option, group, in_order
-from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
+from vehanchor.scale.defaults import MAX_GSD_M_PER_PX, MIN_GSD_M_PER_PX
 
-GSD_M_PER_PX = Limits(LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX)
+GSD_M_PER_PX = Limits(MIN_GSD_M_PER_PX, MAX_GSD_M_PER_PX)
 OBJECT_HEIGHT_M = Limits(0, 1000, unit="m")
 
 GSD = Option(
