@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.rulers.active import uses
-from vehanchor.rulers.positions import Positions, baseline, places_of
+from vehanchor.rulers.positions import Positions, baseline, camera_positions_m
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.components import Component
 from vehanchor_flight.graph import Link, Unary, solve, tilt_share
@@ -135,7 +135,7 @@ def _positions(photographs: Sequence[Photograph]) -> NDArray[np.float64] | None:
     rulers = photographs[0].view.options.rulers
     if not uses(rulers, Positions.kind):
         return None
-    return places_of([photograph.view.image for photograph in photographs])
+    return camera_positions_m([photograph.view.image for photograph in photographs])
 
 
 def _match_candidates(
