@@ -20,7 +20,7 @@ from vehanchor_flight.graph import Link, Unary, solve, tilt_share
 from vehanchor_flight.layout import lay_out
 from vehanchor_flight.matching import Overlap, match
 from vehanchor_flight.pairs import candidate_pairs
-from vehanchor_flight.photograph import chief_member
+from vehanchor_flight.photograph import reference_member
 from vehanchor_flight.records import FlightLink
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def _component(
         number, in diagonals of a photograph.
     """
     members = [photographs[index] for index in subgraph.members]
-    reference = chief_member(members)
+    reference = reference_member(members)
     # The layout counts the members, and overlaps count all photographs.
     index_in_component = {index: k for k, index in enumerate(subgraph.members.tolist())}
     own_overlaps = {
