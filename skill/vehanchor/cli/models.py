@@ -76,7 +76,7 @@ def _print_sizes(*, as_json: bool) -> None:
             if variant.countries:
                 length += f": {', '.join(variant.countries)}"
             facts.append(("length", length))
-        facts.append(("chance of another thing", f"{100 * standard.chance_wrong:.0f} %"))
+        facts.append(("chance of misidentification", f"{100 * standard.chance_wrong:.0f} %"))
         facts.append(("source", standard.source))
         print_facts(standard.name, facts)
 
