@@ -245,23 +245,44 @@ class _Newest:
         self._name = name
         self._tell = tell
         self._frame: Frame | None = None
+        self._error: Exception | None = None
         self._changed = threading.Condition()
         self._ended = threading.Event()
         threading.Thread(target=self._run, name=f"{name} of vehanchor live", daemon=True).start()
 
     def take(self, patience_s: float | None) -> Frame | None:
-        """Wait for a frame; None if none came in time."""
+        """Wait for a frame; None if none came in time.
+
+        Raises:
+            Exception: an error ended the thread.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._frame is not None, patience_s)
+            self._changed.wait_for(self._has_news, patience_s)
             frame = self._frame
             self._frame = None
+        if frame is None and self._error is not None:
+            raise self._error
         return frame
+
+    def _has_news(self) -> bool:
+        """Test whether there is a frame, or none will come."""
+        return self._frame is not None or self._error is not None
 
     def close(self) -> None:
         """End the thread after its current frame."""
         self._ended.set()
 
     def _run(self) -> None:
+        """Read the camera until the end; pass an error on to ``take``."""
+        try:
+            self._read_and_reopen()
+        except Exception as error:
+            # Without this, a caller without a limit of patience would wait for ever.
+            with self._changed:
+                self._error = error
+                self._changed.notify()
+
+    def _read_and_reopen(self) -> None:
         """Read the camera; after each loss, open it again."""
         is_lost = False
         while not self._ended.is_set():
