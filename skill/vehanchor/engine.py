@@ -29,7 +29,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
-from vehanchor.measure.scale_source import given_scale
+from vehanchor.measure.scale_source import read_scale_argument
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
@@ -374,7 +374,7 @@ class Engine:
         options: ScaleOptions,
     ) -> ScaleInput:
         """Return the caller's scale, or the analysis that estimates one if there is none."""
-        caller_scale = given_scale(gsd_m_per_px, scale, options)
+        caller_scale = read_scale_argument(gsd_m_per_px, scale, options)
         if caller_scale is not None:
             return caller_scale
         detector = checked_detector(self.detector, options)

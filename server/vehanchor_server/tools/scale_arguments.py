@@ -169,11 +169,11 @@ def resolve_source(
         VehAnchorError: the arguments contradict each other.
     """
     from vehanchor.analysis.pipeline import checked_detector
-    from vehanchor.measure.scale_source import given_scale
+    from vehanchor.measure.scale_source import read_scale_argument
 
     if caller_options.get("gsd_basis") == "measured":
         options = scale_options(caller_options, resources.settings, models=None)
-        scale = given_scale(options.rulers.gsd_m_per_px, None, options)
+        scale = read_scale_argument(options.rulers.gsd_m_per_px, None, options)
         assert scale is not None
         return options, scale
     options = scale_options(caller_options, resources.settings, models=resources.models)

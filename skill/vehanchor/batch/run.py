@@ -139,16 +139,16 @@ def run_batch(
 
     with open_journal(table, job, anew=overwrite) as journal:
         # A key contains the state of its image, so the row of a replaced image is missing.
-        keys = {task.file: task.key() for task in tasks}
-        missing = [task for task in tasks if keys[task.file] not in journal]
+        keys = {task: task.key() for task in tasks}
+        missing = [task for task in tasks if keys[task] not in journal]
         n_resumed = len(tasks) - len(missing)
-        runtime.tell(n_resumed, len(tasks))
+        runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
         with closing(_compute_rows(engine, address, job, missing, workers=workers)) as new_rows:
-            for n_finished, row in enumerate(new_rows, start=n_resumed + 1):
-                journal.add(keys[row.file], row)
-                runtime.tell(n_finished, len(tasks))
-        keys_in_order = [keys[task.file] for task in tasks]
+            for n_finished, (task, row) in enumerate(new_rows, start=n_resumed + 1):
+                journal.add(keys[task], row)
+                runtime.report_progress(n_finished, len(tasks))
+        keys_in_order = [keys[task] for task in tasks]
         statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
         journal.remove()
     return BatchSummary(table, len(tasks), n_resumed, statuses=statuses, causes=causes)
@@ -214,7 +214,7 @@ def _compute_rows(
     tasks: Sequence[Task],
     *,
     workers: int | None,
-) -> Generator[BatchRow]:
+) -> Generator[tuple[Task, BatchRow]]:
     """Compute the rows of all tasks, in order of completion."""
     if not tasks:
         return

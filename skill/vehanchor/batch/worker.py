@@ -67,7 +67,8 @@ class Task:
     def key(self) -> Key:
         """Make the journal key of the row: name, path, size and time of the image.
 
-        The row of a file that has been replaced is not found under its new key.
+        The row of a file that has been replaced is not found under its new key. Two names that
+        escape to the same text have different paths, whose undecodable bytes JSON keeps.
         """
         return (self.file, *Source.of(self.path))
 

@@ -33,6 +33,16 @@ _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
 _MAX_DIGITAL_ZOOM = 1.01
 
+# Consequences of a tilt.
+_SCALE_OF_THE_CENTRE = (
+    "the scale varies over the image. The given scale is that of the centre; areas and distances "
+    "are measured on the ground plane."
+)
+_NO_LENS_IN_A_TILTED_VIEW = "without a focal length, its metadata are not usable."
+_TOO_CLOSE_TO_THE_HORIZON = (
+    "the image's centre is too close to the horizon for its metadata to give a scale."
+)
+
 
 class Camera(Ruler):
     """Height and lens in the metadata."""
@@ -97,7 +107,7 @@ class Camera(Ruler):
     ) -> Witness | None:
         """Report that the focal length is missing; not if the caller measures by a height."""
         if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
-            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
+            return unusable(self.kind, _tilted(tilt_deg, _NO_LENS_IN_A_TILTED_VIEW))
         if view.options.rulers.height_m is not None and not camera.refused:
             return None
         cause = f"the height is {height_m:g} m, but the focal length is missing: give focal_35mm"
@@ -115,7 +125,7 @@ class Camera(Ruler):
             tilt_deg: angle between the camera's axis and straight down; None if unknown.
         """
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
-            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
+            return unusable(self.kind, _tilted(tilt_deg, _TOO_CLOSE_TO_THE_HORIZON))
         statement = (
             f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and "
             f"{optics.source}."
@@ -133,7 +143,7 @@ class Camera(Ruler):
             statement += " The tilt is unknown: this holds at nadir."
         elif tilt_deg > NADIR_TOLERANCE_DEG:
             coarser, tilt_log_sd = coarsening(tilt_deg)
-            notices.append(_tilted(tilt_deg))
+            notices.append(_tilted(tilt_deg, _SCALE_OF_THE_CENTRE))
             statement += " This is the scale of the image's centre."
 
         gsd = height_m / optics.pixels * coarser
@@ -191,14 +201,8 @@ def height_log_sd(height_m: float) -> float:
     return math.hypot(RELIABILITY[Camera.kind].log_sd, _HEIGHT_SD_M / height_m)
 
 
-def _tilted(tilt_deg: float, *, is_usable: bool = True) -> Notice:
+def _tilted(tilt_deg: float, consequence: str) -> Notice:
     """Warn of a tilted camera, and of the consequence."""
-    consequence = "without height and focal length, its metadata are not usable."
-    if is_usable:
-        consequence = (
-            "the scale varies over the image. The given scale is that of the centre; areas and "
-            "distances are measured on the ground plane."
-        )
     return Notice(
         code=NoticeCode.CAMERA_TILTED,
         message=f"The camera was tilted by {tilt_deg:.0f} degrees: {consequence}",

@@ -597,7 +597,7 @@ def _detail_missing(vehicles: VehicleWitness) -> tuple[Notice, ...]:
     return (Notice(code=NoticeCode.DETAIL_MISSING, message=message),)
 
 
-def measured_vehicles(witnesses: Iterable[Witness]) -> VehicleWitness | None:
+def vehicle_witness(witnesses: Iterable[Witness]) -> VehicleWitness | None:
     """Find the witness of the vehicles; None if the caller excludes them."""
     for witness in witnesses:
         if witness.kind == Vehicles.kind:

@@ -449,8 +449,30 @@ class _Group(NamedTuple):
         if len(used) == 1:
             return used[0]
         # The whole product scales the part, so that the part stays below the whole.
-        total = float(np.prod(list(self.factors.values()), axis=0).sum())
-        return _with_errors(np.prod(used, axis=0) / total, tuple(self.common.values()))
+        whole = list(self.factors.values())
+        total = float(np.prod(whole, axis=0).sum())
+        if total > 0.0:
+            part = np.prod(used, axis=0) / total
+        else:
+            part = _part_with_floors(used, whole)
+        return _with_errors(part, tuple(self.common.values()))
+
+
+def _part_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Density:
+    """Compute the part ``[g]`` of a product in which some factors are used by their floor alone.
+
+    Factors that exclude each other have no scale in common: the product underflows. With a floor
+    under each of them, their logs show which scales contradict the fewest factors.
+
+    Args:
+        used: the factors, some of them replaced by their floor.
+        whole: all factors; their product, with floors, has the sum 1.
+    """
+    log_part = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in used], axis=0)
+    log_whole = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in whole], axis=0)
+    # The largest cell becomes 1 before the exponential, so that no product underflows.
+    log_peak = log_whole.max()
+    return np.asarray(np.exp(log_part - log_peak) / np.exp(log_whole - log_peak).sum())
 
 
 def _group_by_shared_errors(witnesses: Sequence[Witness]) -> list[_Group]:

@@ -258,6 +258,23 @@ def test_metadata_that_are_read_in_part_say_what_is_not_used() -> None:
     assert "both -90 and -45" in witness.notices[0].message
 
 
+@pytest.fixture(scope="module")
+def almost_level() -> Witness:
+    """Measured by a camera that looks at the horizon, with a known height and focal length."""
+    return _measured(_but(off_nadir_deg=88.0))
+
+
+def test_a_camera_that_is_almost_level_gives_no_scale(almost_level: Witness) -> None:
+    assert not almost_level.found
+    assert [notice.code for notice in almost_level.notices] == ["camera_tilted"]
+
+
+def test_a_camera_that_is_almost_level_lacks_no_metadata(almost_level: Witness) -> None:
+    (notice,) = almost_level.notices
+    assert "too close to the horizon" in notice.message
+    assert "without" not in notice.message
+
+
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])
 def test_the_camera_can_be_left_out(options: dict[str, Any]) -> None:
     analysis = analyse_view(_view(MAVIC, **options))

@@ -23,7 +23,7 @@ from vehanchor.rulers.active import check_rulers
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.rulers.ruler import View
-from vehanchor.rulers.standards import Variant, lengths_of, standards
+from vehanchor.rulers.standards import Variant, check_name, lengths_of, standards
 from vehanchor.scale.countries import COUNTRY_REGIONS
 
 
@@ -217,6 +217,35 @@ def test_a_wrong_name_in_a_table_is_refused_by_its_line(tmp_path: Any) -> None:
         KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"
     ):
         lines_in(table, [tmp_path / "a.png"])
+
+
+def _refusal(name: str) -> str:
+    """Refuse an unknown name, and return the message."""
+    with pytest.raises(KnownLengthError) as caught:
+        check_name(name)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"),
+    [
+        ("pool_51m", "pool_50m"),
+        ("Tennis-Court", "tennis_court_width"),
+        ("container_20ft/DE", "iso_container_20ft"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_nearest_names(name: str, nearest: str) -> None:
+    message = _refusal(name)
+    named = [thing for thing in standards() if thing in message]
+    assert nearest in named
+    assert len(named) == 5
+
+
+@pytest.mark.parametrize("name", ["", "zzz", "x" * 10_000])
+def test_the_error_about_an_unknown_name_is_short(name: str) -> None:
+    message = _refusal(name)
+    assert len(message) < 550
+    assert "'vehanchor models --sizes'" in message
 
 
 def test_the_command_lists_every_thing() -> None:

@@ -86,6 +86,11 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
         raise ImageFormatError(
             f"the dataset's bands are {', '.join(sorted(inks))}: convert it to RGB"
         )
+    if _is_inverted(dataset):
+        raise ImageFormatError(
+            "the dataset is grey, and its white is zero (photometric interpretation 0), so that "
+            "its pixels are inverted; convert it to RGB"
+        )
     return DatasetRaster(dataset, "dataset", bands)
 
 
@@ -214,6 +219,21 @@ def _largest_block_px(dataset: Any) -> int:
 def _band_roles(dataset: Any) -> list[str]:
     """List GDAL's name of each band's role, such as ``red``, ``alpha`` or ``undefined``."""
     return [role.name for role in dataset.colorinterp]
+
+
+def _is_inverted(dataset: Any) -> bool:
+    """Test whether GDAL reads a grey image inverted, because its white is zero.
+
+    A palette that GDAL makes of such an image has the right colours.
+    """
+    if _band_roles(dataset) == ["palette"]:
+        return False
+    while dataset is not None:
+        if dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
+            return True
+        # A warped view has the pixels of its source, but not the tag.
+        dataset = getattr(dataset, "src_dataset", None)
+    return False
 
 
 def _dtype(name: str) -> np.dtype[Any]:
