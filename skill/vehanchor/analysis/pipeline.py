@@ -255,6 +255,10 @@ def conclude(
         decision = _decision_by_paper(vehicles)
     else:
         decided = answer(witnesses)
+        if decided is not None:
+            witnesses = _fitted_to(decided, witnesses)
+            measured = _fitted_to(decided, measured)
+            vehicles = vehicle_witness(witnesses)
         decision = _decision(decided, witnesses)
 
     warnings = [*notices_of(view.image.notices)]
@@ -268,6 +272,15 @@ def conclude(
     record = _record(view, witnesses, decision, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
     return ScaleAnalysis(record, measured, shown, answer=decided)
+
+
+def _fitted_to(decided: Answer, witnesses: Sequence[Witness]) -> tuple[Witness, ...]:
+    """Mark those vehicles as kept whose lengths fit the decided scale."""
+    vehicles = vehicle_witness(witnesses)
+    if vehicles is None or not vehicles.found:
+        return tuple(witnesses)
+    fitted = vehicles.fitted_to(decided.gsd_m_per_px)
+    return tuple(fitted if witness is vehicles else witness for witness in witnesses)
 
 
 def _without_repetition(witnesses: tuple[Witness, ...]) -> tuple[Witness, ...]:

@@ -38,6 +38,7 @@ from vehanchor.scale.density import (
     vehicle_likelihood,
 )
 from vehanchor.scale.lengths import (
+    GROUP_LOG_REACH,
     MIN_SCORE,
     dominant_group,
     guard_length,
@@ -72,6 +73,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.density import Density, Votes
     from vehanchor.scale.paper import PaperScale
 
+# Share of the fleet that fits a scale, below which the scale is that of other vehicles. A choice.
+_FITTING_SHARE = 0.5
 # Score of a car that is beyond doubt.
 _CLEAR_SCORE = 1.0
 # Interquartile range of a normal distribution, in standard deviations.
@@ -260,6 +263,33 @@ class VehicleWitness(Witness):
     def doubted(self) -> bool:
         """Whether the vehicles may be look-alikes, stretched, or too coarse."""
         return self.coarseness > 1.0 or any(notice.code in _DOUBT_CODES for notice in self.notices)
+
+    def fitted_to(self, gsd_m_per_px: float) -> VehicleWitness:
+        """Keep the vehicles whose lengths fit a scale, if most of the fleet does not.
+
+        All boxes vote, and other rulers count, so that the scale can be that of other vehicles than
+        the fleet. What is marked as kept follows the scale.
+
+        Args:
+            gsd_m_per_px: the decided scale.
+
+        Returns:
+            These vehicles, or the same with another fleet; the same if no vehicle fits.
+        """
+        lengths_m = self.fleet.detections.boxes[:, 2] * gsd_m_per_px
+        fits = np.abs(np.log(lengths_m / self.reference.length_m)) <= GROUP_LOG_REACH
+        if not fits.any() or fits[self.fleet.kept].mean() >= _FITTING_SHARE:
+            return self
+        fleet = replace(self.fleet, kept=fits)
+        mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, self.aggregation)
+        return replace(
+            self,
+            fleet=fleet,
+            n=len(fleet.lengths),
+            mode_length_px=mode_px,
+            aggregation=aggregation,
+            gsd_m_per_px=self.reference.stated_m / mode_px,
+        )
 
     def with_votes(self) -> VehicleWitness:
         """Add the evidence: votes of all boxes, the chance that they are wrong, and the lacks."""

@@ -6,12 +6,17 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.skill.rulers.test_answers import CARS_GSD, record_of
+from tests.analyses import analyse_found, made_card
+from tests.skill.rulers.test_answers import CARS_GSD, VOTES, record_of
 from tests.skill.rulers.test_camera import MAVIC, TRUE_GSD
+from vehanchor.analysis.scale_analysis import ScaleAnalysis
+from vehanchor.detection.detections import Detections
+from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 
 # A line of 1,000 px, across an image of 4000 x 3000 px.
@@ -198,3 +203,22 @@ def test_any_number_of_guesses_is_not_usable(n: int) -> None:
     lines: list[Line] = [(100, 100 + 200 * k, 1100, 100 + 200 * k) for k in range(n)]
     record = record_of(0, known_lengths=[_measured(line, CARS_GSD, "assumed") for line in lines])
     assert record.status == "low_confidence"
+
+
+def test_the_kept_vehicles_are_those_whose_lengths_fit_the_answer() -> None:
+    """A line and six long vehicles outweigh ten short ones, which are not cars."""
+    analysis = _two_groups(CARS_GSD / 2)
+    assert analysis.estimate.gsd_m_per_px == pytest.approx(CARS_GSD / 2, rel=0.05)
+    assert analysis.kept.tolist() == [False] * 10 + [True] * 6
+    assert analysis.estimate.n_vehicles == 6
+    assert analysis.estimate.mode_length_px == pytest.approx(100, rel=0.01)
+
+
+def _two_groups(line_gsd: float) -> ScaleAnalysis:
+    """Ten vehicles of 50 px and six of 100 px, and a measured line."""
+    lengths = np.array([50.0] * 10 + [100.0] * 6)
+    rows = [(100.0 + 150 * k, 900.0, length, 0.4 * length, 0.0) for k, length in enumerate(lengths)]
+    detections = Detections(np.array(rows), np.full(16, 0.95), reductions=np.ones(16))
+    card = made_card(5.0).model_copy(update={"votes": VOTES})
+    options = ScaleOptions.of({"known_lengths": [_measured(LINE, line_gsd)]})
+    return analyse_found(detections, card, options, image_width_px=4000, image_height_px=3000)
