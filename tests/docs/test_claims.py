@@ -181,3 +181,25 @@ def test_every_item_of_the_section_is_a_promise() -> None:
     lines = re.findall(r"^- .*", section, flags=re.MULTILINE)
     assert all(re.match(r"- \*\*[a-z-]+\*\*: ", line) for line in lines)
     assert len(lines) > 25
+
+
+CONFIGURATIONS = [
+    ".pre-commit-config.yaml",
+    "mkdocs.yml",
+    "pyproject.toml",
+    ".github/workflows/ci.yml",
+]
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_the_files_that_a_configuration_names_exist(name: str) -> None:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    named = re.findall(r"\b((?:docs|requirements|tests)/[\w/.-]+\.(?:txt|py|md|in))", text)
+    assert not [path for path in named if not (ROOT / path).exists()]
+    assert "constraints.txt" not in text
+
+
+def test_no_section_of_the_site_is_configured_twice() -> None:
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    sections = re.findall(r"^(\w+):", text, flags=re.MULTILINE)
+    assert len(sections) == len(set(sections))
