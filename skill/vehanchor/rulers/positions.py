@@ -41,7 +41,6 @@ class Positions(Ruler):
     kind = "positions"
     label = "positions"
     plural = True
-    help = "photographs of a flight with positions in their metadata"
     colour = "#56B4E9"
     reads_metadata = True
     uses_plane = True
