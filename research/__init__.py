@@ -1,1 +1,1 @@
-"""Training code and benchmarks, the sources of weights and numbers. Nothing else imports this package."""
+"""Training code and benchmarks, the sources of weights and numbers; nothing imports them."""

@@ -34,7 +34,7 @@ os.environ.pop("GITHUB_ACTIONS", None)
 
 @pytest.fixture(scope="session", autouse=True)
 def _each_image_is_looked_at_once() -> Iterator[None]:
-    """Remember what the scene-scale and court networks and the fit of courts say: four fifths of an estimate here."""
+    """Remember the answers of the slow networks, and the fits of courts, to equal inputs."""
     seen: dict[Any, Any] = {}
 
     def ran(session: Any, names: Any, feeds: Any, runtime: Any, described: str) -> Any:
@@ -76,7 +76,7 @@ def car_park() -> NDArray[np.uint8]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Run the quick tests side by side; the longer ones measure time, and a few files start faster alone."""
+    """Run the quick tests side by side. Longer ones measure time; some files start faster alone."""
     everything = (
         config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword
     )

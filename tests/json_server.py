@@ -1,4 +1,4 @@
-"""A server of JSON on a port of the loopback interface, for stand-ins of language models' services."""
+"""JSON server on a loopback port, as a stand-in for the services of language models."""
 
 from __future__ import annotations
 

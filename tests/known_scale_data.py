@@ -1,4 +1,4 @@
-"""Images of known scale, as data sets hold them: cars of chosen lengths, painted for the stand-in detector."""
+"""Images of known scale, as data sets hold them: cars painted for the stand-in detector."""
 
 from __future__ import annotations
 

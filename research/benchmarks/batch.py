@@ -1,8 +1,8 @@
-"""Compare Ray with local workers: ``python -m research.benchmarks.batch``. Prints Markdown; ``--record`` keeps it.
+"""Compare Ray with local workers: ``python -m research.benchmarks.batch``.
 
-Ray runs on simulated nodes of one CPU each (its own cluster utility: all of them processes of this
-machine), beside as many local workers, by the rows from the first to the last; rows lost and
-doubled are counted.
+Prints Markdown; ``--record`` keeps it. Ray runs on simulated nodes of one CPU each (its own cluster
+utility: all of them processes of this machine), beside as many local workers, by the rows from the
+first to the last; rows lost and doubled are counted.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from vehanchor.batch import run_batch
 from vehanchor.models.runtime import Runtime
 
 SIDE_PX = 1024
-N_SCENES = 4  # rendered; the rest are further names of the same files
+# Rendered scenes; the others are further names of the same files.
+N_SCENES = 4
 
 
 def write_images(folder: Path, n_images: int, side_px: int) -> None:
@@ -54,7 +55,7 @@ class Run(NamedTuple):
 
 @contextmanager
 def simulated_cluster(n_nodes: int) -> Iterator[None]:
-    """A head that computes nothing and nodes of one CPU each, this process connected to it."""
+    """Start a head without work and nodes of one CPU each, and connect this process to it."""
     import ray
     from ray.cluster_utils import Cluster
 
@@ -74,10 +75,10 @@ def simulated_cluster(n_nodes: int) -> Iterator[None]:
 
 def run_rows(folder: Path, engine: str, workers: int) -> Run:
     """Run the folder's images."""
-    seen: list[float] = []
+    times: list[float] = []
 
     def tell(_done: int, _total: int) -> None:
-        seen.append(time.perf_counter())
+        times.append(time.perf_counter())
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
@@ -86,8 +87,8 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
         )
         rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
-    came = seen[1:]  # the first call tells that there is none yet
-    # from the first row on, those that come with it would count as if they took no time
+    came = times[1:]  # the first call tells that there is none yet
+    # Timing starts after the first row, so rows that come with it do not count.
     warm = came[workers - 1 :]
     rate = (len(warm) - 1) / (warm[-1] - warm[0])
     return Run(rate, len(images - rows.keys()), max(len(came), rows.total()) - len(images))

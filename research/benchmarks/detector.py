@@ -28,8 +28,6 @@ from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.table import survey_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from vehanchor.detection.card import DetectorCard
     from vehanchor_evaluation.known_scale import KnownScaleImage
 
@@ -56,7 +54,7 @@ def _row(name: str, trials: list[ScaleTrial]) -> str:
 
 
 def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -> ScaleTrial:
-    """The same detections, with the reference length of the image's region where the model has one."""
+    """Repeat the trial with the reference length of the image's region, if the model has one."""
     before = trial.analysis
     estimate = trial.analysis.estimate
     facts = ImageFacts(estimate.image_width_px, estimate.image_height_px)
@@ -76,56 +74,51 @@ def _with_region(trial: ScaleTrial, card: DetectorCard, options: ScaleOptions) -
 
 
 def _in_region(options: ScaleOptions, image: KnownScaleImage, card: DetectorCard) -> ScaleOptions:
-    region = _REGION_OF_SET[image.set]
-    return replace(
-        options, reference=Reference(region=region if region in card.region_lengths_m else None)
-    )
+    """Choose the region of an image's set, if the model has it."""
+    region: str | None = _REGION_OF_SET[image.set]
+    if region not in card.region_lengths_m:
+        region = None
+    return replace(options, reference=Reference(region=region))
 
 
 def report(trials: list[ScaleTrial], regional: list[ScaleTrial]) -> list[str]:
-    """The tables as Markdown lines."""
-    sets = sorted({t.image.set for t in trials})
+    """Build the tables as Markdown lines."""
     lines = [
         "| images | n | estimate | median | mean | < 10 % | < 20 % | bias |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    chosen = [t for t in trials if _labelled(t)]
-    lines.append(_row("labelled, all sets", chosen))
-    lines.append(_row("labelled, region given", [t for t in regional if _labelled(t)]))
-    selections: list[tuple[str, Callable[[ScaleTrial], bool]]] = [
-        (f"labelled, {name}", lambda t, name=name: _labelled(t) and t.image.set == name)  # type: ignore[misc]
-        for name in sets
-    ]
-    selections.append(
-        ("1 to 4 labelled cars", lambda t: 0 < (t.image.labelled_vehicles or 0) < _LABELLED)
-    )
-    for name, wanted in selections:
-        some = [t for t in trials if wanted(t)]
-        if some:
-            lines.append(_row(name, some))
+    labelled = [trial for trial in trials if _labelled(trial)]
+    lines.append(_row("labelled, all sets", labelled))
+    lines.append(_row("labelled, region given", [trial for trial in regional if _labelled(trial)]))
+    for name in sorted({trial.image.set for trial in trials}):
+        of_set = [trial for trial in labelled if trial.image.set == name]
+        if of_set:
+            lines.append(_row(f"labelled, {name}", of_set))
+    few = [trial for trial in trials if 0 < (trial.image.labelled_vehicles or 0) < _LABELLED]
+    if few:
+        lines.append(_row("1 to 4 labelled cars", few))
 
-    known, known_regional = (
-        [
-            t
-            for t in some
-            if t.analysis.estimate.gsd_m_per_px is not None and t.image.labelled_vehicles
-        ]
-        for some in (trials, regional)
-    )
-    rho = spearmanr(
-        [t.analysis.estimate.confidence for t in known], [t.error for t in known]
-    ).statistic
-    held, held_regional = (
-        100 * float(np.mean([bool(t.covered) for t in some])) for some in (known, known_regional)
-    )
+    with_cars = [trial for trial in trials if _has_cars_and_estimate(trial)]
+    with_cars_regional = [trial for trial in regional if _has_cars_and_estimate(trial)]
+    confidences = [trial.analysis.estimate.confidence for trial in with_cars]
+    rho = spearmanr(confidences, [trial.error for trial in with_cars]).statistic
     values: dict[str, float] = {
         "Spearman's rho of confidence and error": float(rho),
-        "truth inside the 95 % interval, %, images with cars": held,
-        "truth inside the 95 % interval, %, region given": held_regional,
-        "images with cars and an estimate": len(known),
+        "truth inside the 95 % interval, %, images with cars": _coverage(with_cars),
+        "truth inside the 95 % interval, %, region given": _coverage(with_cars_regional),
+        "images with cars and an estimate": len(with_cars),
     }
     lines += ["", *values_table(values, {"Spearman's rho of confidence and error": -0.5})]
     return lines
+
+
+def _has_cars_and_estimate(trial: ScaleTrial) -> bool:
+    return trial.estimated and bool(trial.image.labelled_vehicles)
+
+
+def _coverage(trials: list[ScaleTrial]) -> float:
+    """Compute the share of 95 % intervals that hold the truth, in percent."""
+    return 100 * float(np.mean([bool(trial.covered) for trial in trials]))
 
 
 def main() -> None:

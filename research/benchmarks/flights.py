@@ -14,7 +14,7 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -53,7 +53,7 @@ _PHOTOGRAPHS = 24
 
 
 def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
-    """The images of a set and their scale."""
+    """List the images of a set and their scale."""
     rows = []
     for table in ("table.csv", "upright.csv"):
         with (data / "gsd" / table).open() as file:
@@ -64,21 +64,21 @@ def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
 
 
 def read(path: Path) -> NDArray[np.uint8]:
-    """An image, ``[h, w, 3]`` BGR."""
+    """Read an image, ``[h, w, 3]`` BGR."""
     return np.asarray(cv2.imread(str(path)), dtype=np.uint8)
 
 
 def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Change exposure, add noise and JPEG artefacts."""
-    seen = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
-    seen += rng.normal(0, rng.uniform(0, 4), image.shape)
+    pixels = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
+    pixels += rng.normal(0, rng.uniform(0, 4), image.shape)
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(70, 96))]
-    _, coded = cv2.imencode(".jpg", np.clip(seen, 0, 255).astype(np.uint8), quality)
+    _, coded = cv2.imencode(".jpg", np.clip(pixels, 0, 255).astype(np.uint8), quality)
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
 def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """The largest square inside the image turned by any angle; a quarter turn of a small one."""
+    """Cut the largest square inside the image at any angle; turn a small one by right angles."""
     side = min(image.shape[:2])
     if side < 400:
         return np.ascontiguousarray(np.rot90(image, int(rng.integers(4))))
@@ -94,96 +94,112 @@ def searched_photographs(
     taken: Sequence[InputPhotograph], detector: Detector, *, featured: bool = False
 ) -> list[Photograph]:
     """Search photographs; the first that cannot be used ends the benchmark."""
-    found = search_flight(taken, detector, ScaleOptions(), featured=featured)
-    for each in found:
-        if isinstance(each, Failure):
-            raise each.error
-    return [each for each in found if isinstance(each, Photograph)]
+    photographs = []
+    for result in search_flight(taken, detector, ScaleOptions(), featured=featured):
+        if isinstance(result, Failure):
+            raise result.error
+        photographs.append(result)
+    return photographs
 
 
 def pooled_flight(photographs: Sequence[Photograph], detector: Detector) -> FlightEstimate:
-    """The record of photographs of one scale."""
+    """Make the record of photographs of one scale."""
     component = single_component(range(len(photographs)), chief_member(photographs))
     return conclude_flight(photographs, [component], detector.card, same_scale=True)
 
 
 def pooled(data: Path, split: str, flights: int) -> None:
-    """Print a table."""
+    """Print a table of pooled flights by set and region."""
     detector = Engine(runtime=Runtime(threads=1)).detector
     print(
         "| set | region | error of each flight of 24 | median | inside the interval | high over "
         "low |"
     )
     print("|---|---|---|---|---|---|")
-    every: dict[str, list[float]] = {"unknown": [], "given": []}
+    all_errors: dict[str, list[float]] = {"unknown": [], "given": []}
     for name in _REGIONS:
-        rows: dict[str, list[FlightEstimate]] = {"unknown": [], "given": []}
         files = tiles(data, name, split)
-        for seed in range(flights):
-            rng = np.random.default_rng([seed, 20261121])
-            chosen = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
-            taken = [
-                InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1])
-                for k in chosen
-            ]
-            photographs = searched_photographs(taken, detector)
-            rows["unknown"].append(pooled_flight(photographs, detector))
-            if _REGIONS[name] in detector.card.region_lengths_m:
-                given = ScaleOptions.of({"region": _REGIONS[name]})
-                again = [
-                    Photograph.of(
-                        each.name,
-                        StoredPhotograph.of(each.view, each.analysis),
-                        detector.card,
-                        given,
-                    )
-                    for each in photographs
-                ]
-                rows["given"].append(pooled_flight(again, detector))
-        for region, found in rows.items():
-            truth = files[0][1]
-            errors = [
-                each.gsd_m_per_px / truth - 1 if each.gsd_m_per_px else math.nan for each in found
-            ]
-            if not errors:
+        estimates = _pooled_estimates(files, name, flights=flights, detector=detector)
+        truth = files[0][1]
+        for region, of_region in estimates.items():
+            if not of_region:
                 continue
-            every[region] += [abs(error) for error in errors]
-            inside = sum(
-                (each.gsd_ci95_low_m_per_px or 9) <= truth <= (each.gsd_ci95_high_m_per_px or 0)
-                for each in found
-            )
-            wide = np.median(
-                [(e.gsd_ci95_high_m_per_px or 9) / (e.gsd_ci95_low_m_per_px or 1) for e in found]
-            )
-            words = ", ".join(f"{100 * error:+.1f}" for error in errors)
-            median = f"{100 * np.median(np.abs(errors)):.1f} %"
-            print(
-                f"| {name} | {region} | {words} | {median} | {inside} of {len(found)} | "
-                f"{wide:.2f} |",
-                flush=True,
-            )
-    for region, values in every.items():
-        print(f"| all | {region} | | {100 * np.median(values):.1f} % | | |")
+            errors = _relative_errors(of_region, truth)
+            all_errors[region] += [abs(error) for error in errors]
+            print(_pooled_row(f"{name} | {region}", of_region, truth), flush=True)
+    for region, errors in all_errors.items():
+        print(f"| all | {region} | | {100 * np.median(errors):.1f} % | | |")
+
+
+def _pooled_estimates(
+    files: list[tuple[Path, float]], name: str, *, flights: int, detector: Detector
+) -> dict[str, list[FlightEstimate]]:
+    """Estimate flights of tiles of a set, with the region unknown and, if possible, given."""
+    estimates: dict[str, list[FlightEstimate]] = {"unknown": [], "given": []}
+    region = _REGIONS[name]
+    for seed in range(flights):
+        rng = np.random.default_rng([seed, 20261121])
+        indices = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
+        inputs = [
+            InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1])
+            for k in indices
+        ]
+        photographs = searched_photographs(inputs, detector)
+        estimates["unknown"].append(pooled_flight(photographs, detector))
+        if region in detector.card.region_lengths_m:
+            options = ScaleOptions.of({"region": region})
+            regional = [_with_options(photograph, detector, options) for photograph in photographs]
+            estimates["given"].append(pooled_flight(regional, detector))
+    return estimates
+
+
+def _with_options(photograph: Photograph, detector: Detector, options: ScaleOptions) -> Photograph:
+    stored = StoredPhotograph.of(photograph.view, photograph.analysis)
+    return Photograph.of(photograph.name, stored, detector.card, options)
+
+
+def _relative_errors(estimates: Sequence[FlightEstimate], truth: float) -> list[float]:
+    """Compute signed relative errors; NaN without a scale."""
+    return [
+        estimate.gsd_m_per_px / truth - 1 if estimate.gsd_m_per_px else math.nan
+        for estimate in estimates
+    ]
+
+
+def _pooled_row(name: str, estimates: Sequence[FlightEstimate], truth: float) -> str:
+    errors = _relative_errors(estimates, truth)
+    # A missing interval does not hold the truth, and counts as wide.
+    lows = [estimate.gsd_ci95_low_m_per_px for estimate in estimates]
+    highs = [estimate.gsd_ci95_high_m_per_px for estimate in estimates]
+    intervals = list(zip(lows, highs, strict=True))
+    inside = sum((low or 9) <= truth <= (high or 0) for low, high in intervals)
+    ratio = np.median([(high or 9) / (low or 1) for low, high in intervals])
+    percents = ", ".join(f"{100 * error:+.1f}" for error in errors)
+    median = f"{100 * np.median(np.abs(errors)):.1f} %"
+    return f"| {name} | {percents} | {median} | {inside} of {len(estimates)} | {ratio:.2f} |"
 
 
 def worlds(data: Path) -> dict[str, NDArray[np.uint8]]:
-    """Mosaics of neighbouring val tiles, and single large ones, all of 0.20 m/px."""
+    """Load mosaics of neighbouring val tiles, and single large ones, all of 0.20 m/px."""
     folder = data / "vehicles" / "images"
     strips = {"cannes 846 to 850": range(846, 851), "cannes 911 to 914": range(911, 915)}
-    found = {
+    mosaics = {
         name: np.hstack([read(folder / f"cannes_{n}.jpg") for n in numbers])
         for name, numbers in strips.items()
         if all((folder / f"cannes_{n}.jpg").exists() for n in numbers)
     }
     for name in ("0_04_05", "2_01_05", "2_05_05"):
-        found[f"estonia {name}"] = read(data / "upright" / "images" / f"estonia_{name}.jpg")
-    return found
+        mosaics[f"estonia {name}"] = read(data / "upright" / "images" / f"estonia_{name}.jpg")
+    return mosaics
 
 
 def cut_flight(
     world: NDArray[np.uint8], rng: np.random.Generator, n: int
 ) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64]]:
-    """Photographs of 480 x 360 px at random places, turns and scales of 0.6 to 1.7, and their scales."""
+    """Make photographs of 480 x 360 px at random positions, turns and scales of 0.6 to 1.7.
+
+    Returns the photographs and their scales.
+    """
     width = 480
     height = 360
     photographs: list[NDArray[np.uint8]] = []
@@ -199,82 +215,108 @@ def cut_flight(
         y = rng.uniform(reach_y, world.shape[0] - reach_y)
         move = cv2.getRotationMatrix2D((x, y), float(np.degrees(turn)), 1 / scale)
         move[:, 2] += np.array([width / 2 - x, height / 2 - y])
-        seen = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
-        cut = cv2.warpAffine(seen, move, (width, height), flags=cv2.INTER_LINEAR)
+        # A reduced photograph is blurred first, so that it does not alias.
+        sharp = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
+        cut = cv2.warpAffine(sharp, move, (width, height), flags=cv2.INTER_LINEAR)
         photographs.append(spoiled(np.asarray(cut, dtype=np.uint8), rng)[:, :, ::-1])
         scales.append(scale)
     return photographs, np.array(scales)
 
 
 def matched(data: Path, flights: int) -> None:
-    """Print a table: so many flights over each world."""
+    """Print a table of matched flights, this many over each mosaic."""
     detector = Engine(runtime=Runtime(threads=1)).detector
     print("| world | in components | median | 95th percentile | inside the interval | dropped |")
     print("|---|---|---|---|---|---|")
-    every: list[float] = []
-    inside = total = 0
-    mosaics = list(worlds(data).items())
-    for number, seed, (name, world) in (
-        (k, seed, each) for k, each in enumerate(mosaics) for seed in range(flights)
-    ):
-        rng = np.random.default_rng([number, seed, 20261121] if seed else [number, 20261121])
-        images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
-        taken = [InputPhotograph(str(place), image) for place, image in enumerate(images)]
-        photographs = searched_photographs(taken, detector, featured=True)
-        photographs = [
-            each if place % 3 == 0 else without_vehicles(each)
-            for place, each in enumerate(photographs)
-        ]
-        record = conclude(photographs, detector.card, same_scale=False)
-        errors = []
-        held = 0
-        for each in record.photographs:
-            if (
-                each.gsd_m_per_px is None
-                or each.gsd_ci95_low_m_per_px is None
-                or each.gsd_ci95_high_m_per_px is None
-            ):
-                continue
-            truth = 0.2 * factors[int(each.photograph)]
-            errors.append(abs(each.gsd_m_per_px / truth - 1))
-            held += each.gsd_ci95_low_m_per_px <= truth <= each.gsd_ci95_high_m_per_px
-        every += errors
-        inside = inside + held
-        total = total + len(errors)
-        sizes = ", ".join(str(component.n_photographs) for component in record.components)
-        dropped = sum(link.dropped is not None for link in record.links)
-        print(
-            f"| {name} | {sizes} | {100 * np.median(errors):.1f} % | "
-            f"{100 * np.percentile(errors, 95):.1f} % | "
-            f"{held} of {len(errors)} | {dropped} of {len(record.links)} |",
-            flush=True,
-        )
-    print(
-        f"| all | | {100 * np.median(every):.1f} % | {100 * np.percentile(every, 95):.1f} % | "
-        f"{inside} of {total} | |"
+    all_errors: list[float] = []
+    n_inside = 0
+    for number, (name, world) in enumerate(worlds(data).items()):
+        for seed in range(flights):
+            seeds = [number, seed, 20261121] if seed else [number, 20261121]
+            rng = np.random.default_rng(seeds)
+            errors, inside, links = _matched_flight(world, detector, rng)
+            all_errors += errors
+            n_inside += inside
+            print(
+                f"| {name} | {links.sizes} | {_quantiles(errors)} | "
+                f"{inside} of {len(errors)} | {links.dropped} of {links.total} |",
+                flush=True,
+            )
+    print(f"| all | | {_quantiles(all_errors)} | {n_inside} of {len(all_errors)} | |")
+
+
+class _Links(NamedTuple):
+    """Sizes of a flight's components, its dropped links, and all of its links."""
+
+    sizes: str
+    dropped: int
+    total: int
+
+
+def _matched_flight(
+    world: NDArray[np.uint8], detector: Detector, rng: np.random.Generator
+) -> tuple[list[float], int, _Links]:
+    """Estimate a flight over a mosaic; two thirds of its photographs lose their vehicles.
+
+    Returns:
+        Errors of the photographs with a scale, how many intervals hold the truth, and the links.
+    """
+    images, factors = cut_flight(world, rng, _PHOTOGRAPHS)
+    inputs = [InputPhotograph(str(k), image) for k, image in enumerate(images)]
+    photographs = searched_photographs(inputs, detector, featured=True)
+    photographs = [
+        photograph if k % 3 == 0 else without_vehicles(photograph)
+        for k, photograph in enumerate(photographs)
+    ]
+    record = conclude(photographs, detector.card, same_scale=False)
+    errors = []
+    n_inside = 0
+    for scale in record.photographs:
+        gsd = scale.gsd_m_per_px
+        low = scale.gsd_ci95_low_m_per_px
+        high = scale.gsd_ci95_high_m_per_px
+        if gsd is None or low is None or high is None:
+            continue
+        truth = 0.2 * factors[int(scale.photograph)]
+        errors.append(abs(gsd / truth - 1))
+        n_inside += low <= truth <= high
+    links = _Links(
+        sizes=", ".join(str(component.n_photographs) for component in record.components),
+        dropped=sum(link.dropped is not None for link in record.links),
+        total=len(record.links),
     )
+    return errors, n_inside, links
+
+
+def _quantiles(errors: Sequence[float]) -> str:
+    """Format the median and the 95th percentile as two cells."""
+    return f"{100 * np.median(errors):.1f} % | {100 * np.percentile(errors, 95):.1f} %"
 
 
 def without_vehicles(photograph: Photograph) -> Photograph:
     """Remove the vehicles of a photograph."""
-    seen = photograph.view.detections
-    bare = replace(
-        seen,
-        boxes=seen.boxes[:0],
-        scores=seen.scores[:0],
-        reductions=None if seen.reductions is None else seen.reductions[:0],
-        appearance=None
-        if seen.appearance is None
-        else seen.appearance.take(np.zeros(len(seen.appearance), bool)),
+    detections = photograph.view.detections
+    reductions = detections.reductions
+    if reductions is not None:
+        reductions = reductions[:0]
+    appearance = detections.appearance
+    if appearance is not None:
+        appearance = appearance.take(np.zeros(len(appearance), bool))
+    none = replace(
+        detections,
+        boxes=detections.boxes[:0],
+        scores=detections.scores[:0],
+        reductions=reductions,
+        appearance=appearance,
     )
-    again = StoredPhotograph(
+    stored = StoredPhotograph(
         photograph.view.image,
-        bare,
+        none,
         detail_share=1.0,
         others=per_photograph_witnesses(photograph.analysis.witnesses),
     )
     return Photograph.of(
-        photograph.name, again, photograph.view.card, photograph.view.options, photograph.features
+        photograph.name, stored, photograph.view.card, photograph.view.options, photograph.features
     )
 
 
@@ -285,7 +327,7 @@ def main() -> None:
     parser.add_argument("data", type=Path, nargs="?", default=Path("../shared/data"))
     parser.add_argument("--split", default="val")
     parser.add_argument(
-        "--flights", type=int, help="a set (pooled: 4), over each world (matched, 1)"
+        "--flights", type=int, help="per set (pooled, default 4) or per mosaic (matched, default 1)"
     )
     arguments = add_record_option(parser).parse_args()
     with recording("flights", [arguments.what], arguments.record):

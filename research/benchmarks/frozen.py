@@ -34,8 +34,10 @@ _FOLDERS = (
     "upright",
     "vehicles",
 )
-_PHOTOGRAPHS = 200  # a choice: some three minutes
-_EQUAL = 2e-3  # relative: two units of the table's last digit
+# Our choice, which takes some three minutes.
+_PHOTOGRAPHS = 200
+# Relative tolerance: two units of the table's last digit.
+_EQUAL = 2e-3
 
 
 class Frozen(NamedTuple):
@@ -54,7 +56,7 @@ def _order(path: Path) -> bytes:
 
 
 def photographs(data: Path) -> dict[str, Path]:
-    """The examples, and photographs of each folder in turn, by their names in the table."""
+    """List the examples, and photographs of each folder in turn, by their names in the table."""
     examples = sorted(path.relative_to(ROOT) for path in (ROOT / "examples").rglob("*.jpg"))
     folders = []
     for folder in _FOLDERS:
@@ -72,23 +74,23 @@ def photographs(data: Path) -> dict[str, Path]:
 def answer(engine: Engine, name: str, path: Path) -> Frozen:
     """Estimate one photograph; the status of a refused one is the code of the error."""
     try:
-        found = engine.estimate(str(path))
+        estimate = engine.estimate(str(path))
     except VehAnchorError as error:
         return Frozen(name, error.code, gsd_m_per_px="", low="", high="", confidence="")
-    values = found.gsd_m_per_px, found.gsd_ci95_low_m_per_px, found.gsd_ci95_high_m_per_px
+    values = estimate.gsd_m_per_px, estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px
     gsd, low, high = ("" if value is None else f"{value:.4g}" for value in values)
     return Frozen(
         name,
-        found.status,
+        estimate.status,
         gsd_m_per_px=gsd,
         low=low,
         high=high,
-        confidence=f"{found.confidence:.4f}",
+        confidence=f"{estimate.confidence:.4f}",
     )
 
 
 def equal(a: str, b: str) -> bool:
-    """Whether two cells are equal, numbers up to rounding."""
+    """Return whether two cells are equal, numbers up to rounding."""
     try:
         return math.isclose(float(a), float(b), rel_tol=_EQUAL)
     except ValueError:
@@ -102,12 +104,12 @@ def main() -> int:
     )
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared/data")
     parser.add_argument("--write", action="store_true", help="freeze today's answers")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     engine = Engine(runtime=Runtime(threads=1))
     started = time.process_time()
-    answers = [answer(engine, name, path) for name, path in photographs(chosen.data).items()]
+    answers = [answer(engine, name, path) for name, path in photographs(arguments.data).items()]
     seconds = f"{time.process_time() - started:.1f}"
-    if chosen.write:
+    if arguments.write:
         with TABLE.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(
                 [Frozen._fields, *answers, ("CPU seconds", seconds, *[""] * 4)]

@@ -33,13 +33,14 @@ if TYPE_CHECKING:
 
 GSD_M = 0.2
 CELL_PX = 512
-_TOWN_CELLS = 4.0  # standard deviation of the noise that towns grow from, in cells
+# Standard deviation, in cells, of the noise from which towns grow.
+_TOWN_CELLS = 4.0
 SETS = {"cannes": "table.csv", "saopaulo": "table.csv", "estonia": "upright.csv"}
 
 
 def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
-    """Images of the val split, BGR, at 0.2 m/px; the empty ones as they are."""
-    found = []
+    """Load images of the val split, BGR, at 0.2 m/px; empty ones stay as they are."""
+    images = []
     with (data / "gsd" / table).open() as lines:
         for row in csv.DictReader(lines):
             if row["set"] == name and row["split"] == "val":
@@ -49,8 +50,8 @@ def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
                     image = _resized(image, ratio, cv2.INTER_AREA)
                 elif ratio > 1.01:
                     image = _resized(image, ratio, cv2.INTER_CUBIC)
-                found.append(image)
-    return found
+                images.append(image)
+    return images
 
 
 def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uint8]:
@@ -82,9 +83,20 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
     towns = pictures(data, town, SETS[town])
     fields = pictures(data, "empty", "table.csv")
     where = layout(side // CELL_PX, share, rng)
-    profile = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "tiled": True,
-               "blockxsize": 512, "blockysize": 512, "compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 92,
-               "bigtiff": "if_safer"}  # fmt: skip
+    profile = {
+        "driver": "GTiff",
+        "width": side,
+        "height": side,
+        "count": 3,
+        "dtype": "uint8",
+        "tiled": True,
+        "blockxsize": 512,
+        "blockysize": 512,
+        "compress": "jpeg",
+        "photometric": "ycbcr",
+        "jpeg_quality": 92,
+        "bigtiff": "if_safer",
+    }
     with rasterio.open(out, "w", **profile) as file:
         for row in range(side // CELL_PX):
             for column in range(side // CELL_PX):
@@ -97,23 +109,23 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
 
 
 def search(image: Path, effort: str, threads: int | None) -> str:
-    """One line of a table for one image and effort."""
+    """Format one line of a table for one image and effort."""
     detector = load_detector(resolve_model(), Runtime(threads=threads))
     options = ScaleOptions.of({"effort": effort})
     started = time.perf_counter()
     cpu = time.process_time()
     with open_raster(image, options.reading) as raster:
-        found = analyse_raster(detector, raster, options).estimate
+        estimate = analyse_raster(detector, raster, options).estimate
     seconds = time.perf_counter() - started
     cpu = time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    details = found.details
+    details = estimate.details
     return (
         f"| {effort} | {image.stem} | {details.tiles_searched} | {details.tiles_total} | "
         f"{details.stopped_because} | "
-        f"{seconds:.0f} | {cpu:.0f} | {found.gsd_m_per_px or 0:.4f} | "
-        f"{found.gsd_ci95_low_m_per_px or 0:.3f} to "
-        f"{found.gsd_ci95_high_m_per_px or 0:.3f} | {found.status} | {found.n_vehicles} | "
+        f"{seconds:.0f} | {cpu:.0f} | {estimate.gsd_m_per_px or 0:.4f} | "
+        f"{estimate.gsd_ci95_low_m_per_px or 0:.3f} to "
+        f"{estimate.gsd_ci95_high_m_per_px or 0:.3f} | {estimate.status} | {estimate.n_vehicles} | "
         f"{peak:.0f} |"
     )
 
@@ -136,11 +148,18 @@ def main() -> None:
     )
     searching.add_argument("--threads", type=int)
     add_record_option(searching)
-    chosen = parser.parse_args()
-    if chosen.command == "make":
-        make(chosen.data, chosen.out, chosen.side, chosen.towns, chosen.town, chosen.seed)
+    arguments = parser.parse_args()
+    if arguments.command == "make":
+        make(
+            arguments.data,
+            arguments.out,
+            arguments.side,
+            arguments.towns,
+            arguments.town,
+            arguments.seed,
+        )
         return
-    with recording("speed", ["large"], chosen.record):
+    with recording("speed", ["large"], arguments.record):
         columns = (
             "effort",
             "image",
@@ -154,9 +173,9 @@ def main() -> None:
             "status",
         )
         print(header(*columns, "vehicles", "peak MiB"))
-        for image in chosen.images:
-            for effort in chosen.effort:
-                print(search(image, effort, chosen.threads), flush=True)
+        for image in arguments.images:
+            for effort in arguments.effort:
+                print(search(image, effort, arguments.threads), flush=True)
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ _BARE = "ONNX Runtime alone"
 _SIDE_PX = 4096
 _TILE_PX = 1024
 _SCENES = {"200": (0.15, 12), "2,000": (0.1, None), "15,000": (0.3, None)}
-"""Images by their number of vehicles: metres a pixel, and the most vehicles in a sixteenth of the image; None: full."""
+"""Images by number of vehicles: metres a pixel, and vehicles in a sixteenth of it (None: full)."""
 
 
 class Pass(NamedTuple):
@@ -77,15 +77,15 @@ class Pass(NamedTuple):
 
 
 def make_environment(folder: Path) -> Path:
-    """The interpreter of the peers' environment, made where there is none."""
+    """Return the interpreter of the peers' environment; make it if necessary."""
     python = folder / "bin" / "python"
-    wanted = (*_PACKAGES, f"onnxruntime=={metadata.version('onnxruntime')}")
+    packages = (*_PACKAGES, f"onnxruntime=={metadata.version('onnxruntime')}")
     stamp = folder / "requirements.txt"
-    if not stamp.exists() or stamp.read_text().split() != list(wanted):
+    if not stamp.exists() or stamp.read_text().split() != list(packages):
         print(f"making {folder} ...", file=sys.stderr)
         subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
-        subprocess.run([str(python), "-m", "pip", "install", "-q", *wanted], check=True)
-        stamp.write_text("\n".join(wanted))
+        subprocess.run([str(python), "-m", "pip", "install", "-q", *packages], check=True)
+        stamp.write_text("\n".join(packages))
     return python
 
 
@@ -115,7 +115,7 @@ def write_work(folder: Path) -> tuple[Path, list[Path], Path]:
 
 
 def search_here(model: Path, image: Path) -> Pass:
-    """This library's search: every tile at full resolution, merged exactly. Run in a fresh process."""
+    """Search with this library: every tile at full resolution. Run it in a fresh process."""
     read = cv2.imread(str(image))
     if read is None:
         raise FileNotFoundError(image)
@@ -125,11 +125,13 @@ def search_here(model: Path, image: Path) -> Pass:
     wall = time.perf_counter()
     cpu = time.process_time()
     with open_raster(pixels) as raster:
-        found = ImageSearch(raster, detector, Search(search_scales=False, effort="full")).searched()
+        vehicles = ImageSearch(
+            raster, detector, Search(search_scales=False, effort="full")
+        ).searched()
     spent = time.perf_counter() - wall, time.process_time() - cpu
     status = Path("/proc/self/status").read_text().splitlines()
     peak_kib = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
-    return Pass(_OURS, *spent, peak_kib / 1024, len(found.boxes), found.n_tiles)
+    return Pass(_OURS, *spent, peak_kib / 1024, len(vehicles.boxes), vehicles.n_tiles)
 
 
 def run_pass(command: list[str], tool: str) -> list[Pass]:
@@ -158,14 +160,14 @@ def passes(
     """
     here = [sys.executable, "-m", "research.benchmarks.peers", "--here", str(model)]
     inside = [str(python), str(Path(__file__).with_name("peers_inside.py"))]
-    found: dict[str, list[list[Pass]]] = {tool: [] for tool in (_BARE, _OURS, *_PEERS)}
-    for tool in [*found] * rounds + [_BARE]:
+    by_tool: dict[str, list[list[Pass]]] = {tool: [] for tool in (_BARE, _OURS, *_PEERS)}
+    for tool in [*by_tool] * rounds + [_BARE]:
         command = here if tool == _OURS else [*inside, tool, str(model), str(tiles)]
-        found[tool].append(run_pass([*command, *map(str, images)], tool))
-    return found
+        by_tool[tool].append(run_pass([*command, *map(str, images)], tool))
+    return by_tool
 
 
-def table(found: dict[str, list[list[Pass]]]) -> list[str]:
+def table(by_tool: dict[str, list[list[Pass]]]) -> list[str]:
     """Write the passes as lines of Markdown; medians of the rounds."""
     lines = [
         header(
@@ -180,22 +182,30 @@ def table(found: dict[str, list[list[Pass]]]) -> list[str]:
         )
     ]
     for k, vehicles in enumerate(_SCENES):
-        for tool, rounds in found.items():
-            mine = [each[k] for each in rounds]
-            wall, cpu = (
-                statistics.median(
-                    getattr(one, part) / statistics.mean(getattr(each[k], part) for each in around)
-                    for one, around in zip(mine, pairwise(found[_BARE]), strict=False)
-                )
-                for part in ("wall_s", "cpu_s")
-            )
-            lines.append(
-                f"| {vehicles} | {tool} | {mine[0].n_tiles} | {mine[0].n_boxes} | {wall:.2f} | "
-                f"{cpu:.2f} "
-                f"| {statistics.median(each.cpu_s for each in mine):.2f} "
-                f"| {statistics.median(each.peak_mib for each in mine):.0f} |"
-            )
+        bare = [of_round[k] for of_round in by_tool[_BARE]]
+        for tool, rounds in by_tool.items():
+            of_image = [of_round[k] for of_round in rounds]
+            cells = [
+                vehicles,
+                tool,
+                str(of_image[0].n_tiles),
+                str(of_image[0].n_boxes),
+                f"{_median_ratio(of_image, bare, 'wall_s'):.2f}",
+                f"{_median_ratio(of_image, bare, 'cpu_s'):.2f}",
+                f"{statistics.median(result.cpu_s for result in of_image):.2f}",
+                f"{statistics.median(result.peak_mib for result in of_image):.0f}",
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
     return lines
+
+
+def _median_ratio(results: list[Pass], bare: list[Pass], field: str) -> float:
+    """Compute the median ratio to the mean of the bare passes before and after each round."""
+    ratios = []
+    for result, (before, after) in zip(results, pairwise(bare), strict=False):
+        mean = statistics.mean((getattr(before, field), getattr(after, field)))
+        ratios.append(getattr(result, field) / mean)
+    return float(statistics.median(ratios))
 
 
 def main() -> None:
@@ -212,11 +222,9 @@ def main() -> None:
     if options.here:
         model, *images = options.here
         for image in images:
-            found = search_here(model, image)._asdict()
-            print(
-                json.dumps({name: value for name, value in found.items() if name != "tool"}),
-                flush=True,
-            )
+            result = search_here(model, image)._asdict()
+            del result["tool"]
+            print(json.dumps(result), flush=True)
         return
     python = make_environment(options.environment)
     with tempfile.TemporaryDirectory() as name:

@@ -1,4 +1,6 @@
-"""Run one tool inside the peers' own environment, for ``peers.py``: ``python peers_inside.py TOOL MODEL TILES IMAGE``.
+"""Run one tool inside the peers' own environment, for ``peers.py``.
+
+``python peers_inside.py TOOL MODEL TILES IMAGE``.
 
 IMAGE may be several files. Nothing of this project is imported here, and nothing here by this
 project: ultralytics is under the AGPL. Each line printed is JSON of an image: seconds, CPU seconds,
@@ -18,14 +20,15 @@ if TYPE_CHECKING:
 
 TILE_PX = 1024
 OVERLAP_PX = 256
-LEAST_SCORE = 0.35  # that of the bundled file
+# Least score of the bundled file.
+MIN_SCORE = 0.35
 NMS_IOU = 0.45
 
-Found = tuple[int, int]
+Counts = tuple[int, int]
 """Boxes and tiles."""
 
 
-def _bare(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], Found]:
+def _bare(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], Counts]:
     import numpy as np
     import onnxruntime
 
@@ -39,20 +42,21 @@ def _bare(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], 
     ]
     session.run(None, {"images": inputs[0]})
 
-    def run() -> Found:
-        found = [session.run(None, {"images": each})[0] for each in inputs]
-        return sum(int((each[0, 4] >= LEAST_SCORE).sum()) for each in found), len(inputs)
+    def run() -> Counts:
+        outputs = [session.run(None, {"images": tile})[0] for tile in inputs]
+        n_boxes = sum(int((output[0, 4] >= MIN_SCORE).sum()) for output in outputs)
+        return n_boxes, len(inputs)
 
     return run
 
 
-def _ultralytics(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], Found]:
+def _ultralytics(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], Counts]:
     predict = _predictor(model)
     predict(image[:TILE_PX, :TILE_PX])
 
-    def run() -> Found:
-        found = [predict(image[y : y + TILE_PX, x : x + TILE_PX]) for x, y in tiles]
-        return sum(len(each.obb) for each in found), len(tiles)
+    def run() -> Counts:
+        results = [predict(image[y : y + TILE_PX, x : x + TILE_PX]) for x, y in tiles]
+        return sum(len(result.obb) for result in results), len(tiles)
 
     return run
 
@@ -63,13 +67,13 @@ def _predictor(model: str) -> Callable[[Any], Any]:
     network = YOLO(model, task="obb")
 
     def predict(tile: Any) -> Any:
-        settings = {"imgsz": TILE_PX, "conf": LEAST_SCORE, "iou": NMS_IOU, "max_det": 3000}
+        settings = {"imgsz": TILE_PX, "conf": MIN_SCORE, "iou": NMS_IOU, "max_det": 3000}
         return network.predict(tile, device="cpu", verbose=False, **settings)[0]
 
     return predict
 
 
-def _sahi(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
+def _sahi(model: str, image: Any, _tiles: Any) -> Callable[[], Counts]:
     from sahi import AutoDetectionModel
     from sahi.predict import get_sliced_prediction
     from sahi.slicing import get_slice_bboxes
@@ -77,7 +81,7 @@ def _sahi(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
     network = AutoDetectionModel.from_pretrained(
         "ultralytics",
         model_path=model,
-        confidence_threshold=LEAST_SCORE,
+        confidence_threshold=MIN_SCORE,
         device="cpu",
         image_size=TILE_PX,
     )
@@ -88,27 +92,28 @@ def _sahi(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
     def sliced(pixels: Any) -> Any:
         return get_sliced_prediction(
             pixels, network, slice_height=TILE_PX, slice_width=TILE_PX, overlap_height_ratio=share,
-            overlap_width_ratio=share, perform_standard_pred=False, postprocess_match_threshold=NMS_IOU,
-            verbose=0,
+            overlap_width_ratio=share, perform_standard_pred=False,
+            postprocess_match_threshold=NMS_IOU, verbose=0,
         )  # fmt: skip
 
     rgb = image[:, :, ::-1].copy()
     sliced(rgb[:TILE_PX, :TILE_PX])
 
-    def run() -> Found:
+    def run() -> Counts:
         return len(sliced(rgb).object_prediction_list), n_slices
 
     return run
 
 
-def _supervision(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
+def _supervision(model: str, image: Any, _tiles: Any) -> Callable[[], Counts]:
     import supervision
 
     predict = _predictor(model)
-    seen = []
+    n_tiles = 0
 
     def callback(tile: Any) -> Any:
-        seen.append(1)
+        nonlocal n_tiles
+        n_tiles += 1
         return supervision.Detections.from_ultralytics(predict(tile))
 
     slicer = supervision.InferenceSlicer(
@@ -119,9 +124,11 @@ def _supervision(model: str, image: Any, _tiles: Any) -> Callable[[], Found]:
     )
     slicer(image[:TILE_PX, :TILE_PX])
 
-    def run() -> Found:
-        seen.clear()
-        return len(slicer(image)), len(seen)
+    def run() -> Counts:
+        nonlocal n_tiles
+        n_tiles = 0
+        n_boxes = len(slicer(image))
+        return n_boxes, n_tiles
 
     return run
 
@@ -132,7 +139,7 @@ def main() -> None:
     import cv2
 
     model, tiles, *images = sys.argv[2:]
-    makers: dict[str, Callable[..., Callable[[], Found]]] = {
+    makers: dict[str, Callable[..., Callable[[], Counts]]] = {
         "ONNX Runtime alone": _bare,
         "ultralytics, tile by tile, no merge": _ultralytics,
         "SAHI": _sahi,

@@ -1,4 +1,6 @@
-"""Count true and false cars by place: ``python -m research.benchmarks.regression_sets [--detector FILE]``.
+"""Count true and false cars by place.
+
+``python -m research.benchmarks.regression_sets [--detector FILE]``.
 
 Prints Markdown; ``--record`` keeps it. ``--part`` chooses:
 
@@ -45,26 +47,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
-_LEAST_SCORE = 0.15
+_MIN_SCORE = 0.15
 _THRESHOLDS = (0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
 _LOOKED_AT = Path(chips.__file__).with_name("looked_at.csv")
-_SAME_PLACE = 0.35  # of a length
+# Largest distance of a box to a doubtful object, in its lengths, at which it is on the object.
+_SAME_PLACE = 0.35
 _HIGH_ERROR = 0.2
-_NEARCAR_LENGTH_M = 3.0  # of a car that is there, a box is not false
+# A box within this distance of a known car is not false.
+_NEAR_CAR_M = 3.0
 _PARTS = ("people", "clutter", "mistakes")
 
 
 class Sighted(NamedTuple):
-    """One image: the detector's boxes at a low threshold, and what is known about the place.
+    """Image with the detector's boxes at a low threshold, and the known cars.
 
     Attributes:
         boxes: ``[n, 5]`` in image pixels, best first.
         scores: ``[n]``.
-        megapixels: of the image.
-        labels: ``[m, 4, 2]`` corners of the people's boxes of cars; none where nobody drew any.
-        spared: ``[k, 2]`` where a car stands that no box says; boxes within ``spared_px`` of it are
-            not false.
-        spared_px: distance.
+        megapixels: size of the image.
+        labels: ``[m, 4, 2]`` corners of the boxes of cars that people drew.
+        spared: ``[k, 2]`` centres of cars without a label; boxes near them are not false.
+        spared_px: largest distance to them.
     """
 
     boxes: NDArray[np.float64]
@@ -75,13 +78,13 @@ class Sighted(NamedTuple):
     spared_px: float = 0.0
 
     def above(self, min_score: float) -> Sighted:
-        """The same with the boxes of at least this score."""
-        kept = self.scores >= min_score
-        return self._replace(boxes=self.boxes[kept], scores=self.scores[kept])
+        """Keep the boxes of at least this score."""
+        is_kept = self.scores >= min_score
+        return self._replace(boxes=self.boxes[is_kept], scores=self.scores[is_kept])
 
 
 def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArray[np.intp]:
-    """The upright label that each box hits, -1 for none.
+    """Find the upright label that each box hits, -1 for none.
 
     Args:
         boxes: ``[n, 5]``, best first.
@@ -91,36 +94,38 @@ def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArr
     high = labels.max(axis=1)
     side = high - low
     middle = (low + high) / 2
-    free = np.ones(len(labels), bool)
-    out = np.full(len(boxes), -1, np.intp)
+    is_free = np.ones(len(labels), bool)
+    hits = np.full(len(boxes), -1, np.intp)
+    # The best box takes the nearest label, which no other box can hit then.
     for k, box in enumerate(boxes):
-        inside = (np.abs(middle - box[:2]) <= 0.55 * side).all(axis=1)
-        fits = (box[2] >= 0.6 * side.max(axis=1)) & (box[2] <= 1.25 * np.hypot(*side.T))
-        chosen = np.flatnonzero(inside & fits & free)
-        if len(chosen):
-            nearest = chosen[np.linalg.norm(middle[chosen] - box[:2], axis=1).argmin()]
-            out[k] = nearest
-            free[nearest] = False
-    return out
+        is_inside = (np.abs(middle - box[:2]) <= 0.55 * side).all(axis=1)
+        is_long_enough = box[2] >= 0.6 * side.max(axis=1)
+        is_short_enough = box[2] <= 1.25 * np.hypot(*side.T)
+        candidates = np.flatnonzero(is_inside & is_long_enough & is_short_enough & is_free)
+        if len(candidates):
+            distances = np.linalg.norm(middle[candidates] - box[:2], axis=1)
+            nearest = candidates[distances.argmin()]
+            hits[k] = nearest
+            is_free[nearest] = False
+    return hits
 
 
 def precision_recall(images: Iterable[Sighted]) -> tuple[float, float, int, int]:
-    """Precision, recall, boxes and labels of all images together; 0 of 0 is 1."""
-    n_boxes = n_labels = n_hits = 0
+    """Compute precision, recall, boxes and labels of all images together; 0 of 0 is 1."""
+    n_boxes = 0
+    n_labels = 0
+    n_hits = 0
     for image in images:
         n_hits += int((hit_labels(image.boxes, image.labels) >= 0).sum())
         n_boxes += len(image.boxes)
         n_labels += len(image.labels)
-    return (
-        (n_hits / n_boxes if n_boxes else 1.0),
-        (n_hits / n_labels if n_labels else 1.0),
-        n_boxes,
-        n_labels,
-    )
+    precision = n_hits / n_boxes if n_boxes else 1.0
+    recall = n_hits / n_labels if n_labels else 1.0
+    return precision, recall, n_boxes, n_labels
 
 
 def false_boxes(image: Sighted) -> int:
-    """Boxes that are neither on a label nor beside a car that is known to be there."""
+    """Count the boxes that are neither on a label nor near a known car."""
     wrong = hit_labels(image.boxes, image.labels) < 0
     if len(image.spared):
         gap = np.linalg.norm(image.boxes[:, None, :2] - image.spared[None], axis=2)
@@ -128,22 +133,22 @@ def false_boxes(image: Sighted) -> int:
     return int(wrong.sum())
 
 
-# --- Where the images come from
-# --------------------------------------------------------------------------------------
+# --- Images
 
 
 def sighted(image: Path | NDArray[np.uint8], detector: Detector) -> Sighted:
     """Search an image with the default options, at a low threshold."""
-    ground = load_scene_scale()
+    scene_scale = load_scene_scale()
     with open_raster(image) as raster:
-        found = ImageSearch(
-            raster, detector, Search(min_score=_LEAST_SCORE), prior=ground.predict(raster)
-        ).searched()
-        return Sighted(found.boxes, found.scores, raster.width_px * raster.height_px / 1e6)
+        prior = scene_scale.predict(raster)
+        search = ImageSearch(raster, detector, Search(min_score=_MIN_SCORE), prior=prior)
+        vehicles = search.searched()
+        megapixels = raster.width_px * raster.height_px / 1e6
+        return Sighted(vehicles.boxes, vehicles.scores, megapixels)
 
 
 def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]]:
-    """Set, image and labels of people's upright boxes."""
+    """List set, image and labels of people's upright boxes."""
     if held_out:
         for place in places(data):
             if place.set == "estonia" and place.labels and is_held_out(place):
@@ -158,27 +163,21 @@ def people_images(data: Path, held_out: bool) -> Iterator[tuple[str, Path, Path]
 
 def with_known_cars(place: Place, detector: Detector) -> Sighted:
     """Search an unlabelled place; cars known from contact sheets are excused."""
-    cars = [
-        (x, y) for x, y, kind in looked_at().get(place.path.name, []) if kind in ("car", "ignore")
-    ]
-    reach = _NEARCAR_LENGTH_M / place.gsd_m_per_px
+    candidates = looked_at().get(place.path.name, [])
+    cars = [(x, y) for x, y, kind in candidates if kind in ("car", "ignore")]
     return sighted(place.path, detector)._replace(
-        spared=np.array(cars).reshape(-1, 2), spared_px=reach
+        spared=np.array(cars).reshape(-1, 2), spared_px=_NEAR_CAR_M / place.gsd_m_per_px
     )
 
 
 def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sighted]]]:
-    """The sets without cars, or with known ones."""
+    """Search the sets without cars, or with known ones."""
     all_places = places(data)
-    apart = [place for place in all_places if is_held_out(place)]
-    yield (
-        "quays (held-out tenth)",
-        [with_known_cars(p, detector) for p in apart if p.set == "estonia_port"],
-    )
-    yield (
-        "harbours (held-out tenth)",
-        [with_known_cars(p, detector) for p in apart if p.kind == "harbor"],
-    )
+    held_out = [place for place in all_places if is_held_out(place)]
+    quays = [place for place in held_out if place.set == "estonia_port"]
+    yield "quays (held-out tenth)", [with_known_cars(place, detector) for place in quays]
+    harbours = [place for place in held_out if place.kind == "harbor"]
+    yield "harbours (held-out tenth)", [with_known_cars(place, detector) for place in harbours]
     empty = [
         item.path
         for item in survey_table(data / "gsd" / "table.csv").images
@@ -186,55 +185,50 @@ def clutter_sets(data: Path, detector: Detector) -> Iterator[tuple[str, list[Sig
     ]
     yield "empty, val", [sighted(path, detector) for path in empty]
     trained = {place.path for place in all_places}
-    fields = [
-        p
-        for p in sorted((data / "flights" / "seneca").iterdir())
-        if p.suffix == ".jpg" and p not in trained
-    ]
+    photographs = sorted((data / "flights" / "seneca").iterdir())
+    fields = [path for path in photographs if path.suffix == ".jpg" and path not in trained]
     yield "fields (seneca, photographs not in train)", [sighted(path, detector) for path in fields]
 
 
-def corrected(found: Sighted, file: str) -> Sighted:
-    """Add the cars that were seen on contact sheets to the labels; leave out boxes on doubtful things."""
+def corrected(image: Sighted, file: str) -> Sighted:
+    """Add the cars seen on contact sheets to the labels; leave out boxes on doubtful objects."""
     with _LOOKED_AT.open(newline="") as handle:
-        seen = [row for row in csv.DictReader(handle) if row["file"] == file]
-    if not seen:
-        return found
-    at = np.array([[float(row["x"]), float(row["y"]), float(row["length"])] for row in seen])
-    cars, doubtful = (at[[row["kind"] == kind for row in seen]] for kind in ("car", "doubtful"))
+        rows = [row for row in csv.DictReader(handle) if row["file"] == file]
+    if not rows:
+        return image
+    names = ("x", "y", "length")
+    objects = np.array([[float(row[name]) for name in names] for row in rows])
+    cars = objects[[row["kind"] == "car" for row in rows]]
+    doubtful = objects[[row["kind"] == "doubtful" for row in rows]]
     corner = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     squares = cars[:, None, :2] + corner * cars[:, None, 2:]
-    gap = np.linalg.norm(found.boxes[:, None, :2] - doubtful[None, :, :2], axis=2)
-    known = (hit_labels(found.boxes, found.labels) >= 0) | ~(
-        gap < _SAME_PLACE * doubtful[:, 2]
-    ).any(axis=1)
-    return found._replace(
-        boxes=found.boxes[known],
-        scores=found.scores[known],
-        labels=np.concatenate([found.labels, squares]),
+    gap = np.linalg.norm(image.boxes[:, None, :2] - doubtful[None, :, :2], axis=2)
+    is_doubtful = (gap < _SAME_PLACE * doubtful[:, 2]).any(axis=1)
+    counts = (hit_labels(image.boxes, image.labels) >= 0) | ~is_doubtful
+    return image._replace(
+        boxes=image.boxes[counts],
+        scores=image.scores[counts],
+        labels=np.concatenate([image.labels, squares]),
     )
 
 
 # --- The tables
-#
-# ------------------------------------------------------------------------------------------------------
 
 
 def people_sets(data: Path, detector: Detector, held_out: bool) -> dict[str, list[Sighted]]:
-    """Images with people's boxes, by set."""
+    """Search the images with people's boxes, by set."""
     by_set: dict[str, list[Sighted]] = {}
-    for name, path, labels in people_images(data, held_out):
-        found = sighted(path, detector)._replace(
-            labels=read_labels(labels).of_class("small-vehicle")
-        )
-        by_set.setdefault(name, []).append(found)
+    for name, path, label_file in people_images(data, held_out):
+        labels = read_labels(label_file).of_class("small-vehicle")
+        image = sighted(path, detector)._replace(labels=labels)
+        by_set.setdefault(name, []).append(image)
         if name == "estonia, val":
-            by_set.setdefault(f"{name}, corrected by eye", []).append(corrected(found, path.name))
+            by_set.setdefault(f"{name}, corrected by eye", []).append(corrected(image, path.name))
     return by_set
 
 
 def people_report(by_set: Mapping[str, list[Sighted]], thresholds: list[float]) -> list[str]:
-    """Precision and recall by set and threshold."""
+    """Tabulate precision and recall by set and threshold."""
     lines = [
         "| labelled boxes | score | images | labels | boxes | precision | recall |",
         "|---|---|---|---|---|---|---|",
@@ -252,7 +246,7 @@ def people_report(by_set: Mapping[str, list[Sighted]], thresholds: list[float]) 
 
 
 def clutter_report(data: Path, detector: Detector, thresholds: list[float]) -> list[str]:
-    """False boxes a megapixel by set and threshold."""
+    """Tabulate false boxes a megapixel by set and threshold."""
     lines = [
         "| ground | score | images | megapixels | false boxes | a megapixel |",
         "|---|---|---|---|---|---|",
@@ -269,7 +263,7 @@ def clutter_report(data: Path, detector: Detector, thresholds: list[float]) -> l
 
 
 def mistakes_report(data: Path, detector: Detector) -> list[str]:
-    """Confident mistakes by set."""
+    """Tabulate confident mistakes by set."""
     counts: dict[str, list[int]] = {}
     items = [
         (item.set, item.path, item.gsd_m_per_px, bool(item.labelled_vehicles))

@@ -32,17 +32,25 @@ from vehanchor.scale.posterior import Witness, answer
 from vehanchor_evaluation.table import survey_table
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"
-DRAWS = 3  # for each image
-# log spread, chance wrong
+# Draws for each image.
+DRAWS = 3
+# Log spread and chance of being wrong of each ruler.
 _STATED = {"camera": (0.13, 0.05), "height": (0.064, 0.05), "known_length": (0.015, 0.05)}
 _LIE = (math.log(1.5), math.log(5.0))
-_LEAST_CARS = 5
+_MIN_CARS = 5
 _PROBABLY = 0.5
 _SEED = 17
 
 
-class Seen(NamedTuple):
-    """One image: witnesses of vehicles and scene-scale prior, the truth, and whether vehicles alone are usable."""
+class MeasuredImage(NamedTuple):
+    """Image with the witnesses of vehicles and scene-scale prior, and the truth.
+
+    Attributes:
+        cars: the witness of the vehicles.
+        ground: the witness of the prior, if there is one.
+        true_gsd: the true scale.
+        usable: whether vehicles alone are usable.
+    """
 
     cars: Witness
     ground: tuple[Witness, ...]
@@ -55,12 +63,12 @@ class Case(NamedTuple):
 
     name: str
     kinds: tuple[str, ...]
-    liar: str | None = None
-    only: Callable[[Seen], bool] = lambda _: True
+    wrong_kind: str | None = None
+    only: Callable[[MeasuredImage], bool] = lambda _: True
     wrong_at_times: bool = False
 
 
-def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
+def measure_images(data: Path, n_images: int, n_scenes: int) -> list[MeasuredImage]:
     """Measure val images with labelled cars, and scenes."""
     detector = Detector(resolve_model(None), runtime=Runtime(threads=1))
     items = [
@@ -71,13 +79,15 @@ def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
     ]
     random.Random(5).shuffle(items)
     options = ScaleOptions.of({"rulers": ("vehicles", "scene_scale")})
-    seen: list[Seen] = []
+    measured: list[MeasuredImage] = []
     for item in items[:n_images]:
         try:
             analysis = analyse_scale(item.path, options, detector=detector)
         except ImageError:
             continue
-        seen.append(_seen(analysis.witnesses, item.gsd_m_per_px, analysis.estimate.status == "ok"))
+        measured.append(
+            _measured(analysis.witnesses, item.gsd_m_per_px, analysis.estimate.status == "ok")
+        )
     rng = np.random.default_rng(3)
     for seed in range(n_scenes):
         gsd = float(np.exp(rng.uniform(math.log(0.06), math.log(0.22))))
@@ -86,37 +96,40 @@ def see(data: Path, n_images: int, n_scenes: int) -> list[Seen]:
         )
         analysis = analyse_scale(scene.image, options, detector=detector)
         usable = analysis.estimate.status == "ok"
-        seen.append(_seen(analysis.witnesses, gsd, usable))
-    return [each for each in seen if each.cars.gsd_m_per_px is not None]
+        measured.append(_measured(analysis.witnesses, gsd, usable))
+    return [image for image in measured if image.cars.gsd_m_per_px is not None]
 
 
-def _seen(witnesses: Sequence[Witness], true_gsd: float, usable: bool) -> Seen:
+def _measured(witnesses: Sequence[Witness], true_gsd: float, usable: bool) -> MeasuredImage:
     cars, *ground = witnesses
-    return Seen(cars, tuple(ground), true_gsd, usable and cars.n >= _LEAST_CARS)
+    return MeasuredImage(cars, tuple(ground), true_gsd, usable and cars.n >= _MIN_CARS)
 
 
-def drawn(rng: np.random.Generator, seen: Seen, case: Case) -> tuple[list[Witness], float]:
-    """Draw the witnesses of a case's rulers, and the true scale; another one if the vehicles are wrong."""
-    truth = seen.true_gsd
-    ground = seen.ground
-    if case.liar == "vehicles":
-        truth = _lie(rng, truth)
-        ground = ()
-    told: list[Witness] = [*ground]
+def drawn(
+    rng: np.random.Generator, image: MeasuredImage, case: Case
+) -> tuple[list[Witness], float]:
+    """Draw the witnesses of a case's rulers, and the true scale (another if vehicles are wrong)."""
+    truth = image.true_gsd
+    priors = image.ground
+    # If the vehicles are wrong, the truth moves away from them, and the prior no longer applies.
+    if case.wrong_kind == "vehicles":
+        truth = _wrong_gsd(rng, truth)
+        priors = ()
+    witnesses: list[Witness] = [*priors]
     for kind in case.kinds:
         if kind == "vehicles":
-            told.append(seen.cars)
+            witnesses.append(image.cars)
             continue
         spread, chance_wrong = _STATED[kind]
-        lies = kind == case.liar or (case.wrong_at_times and rng.random() < chance_wrong)
-        gsd = _lie(rng, truth) if lies else truth * math.exp(rng.normal(0, spread))
-        told.append(
+        is_wrong = kind == case.wrong_kind or (case.wrong_at_times and rng.random() < chance_wrong)
+        gsd = _wrong_gsd(rng, truth) if is_wrong else truth * math.exp(rng.normal(0, spread))
+        witnesses.append(
             point_witness(kind, gsd, log_sd=spread, chance_wrong=chance_wrong, statement="{}")
         )
-    return told, truth
+    return witnesses, truth
 
 
-def _lie(rng: np.random.Generator, gsd: float) -> float:
+def _wrong_gsd(rng: np.random.Generator, gsd: float) -> float:
     return float(np.clip(gsd * math.exp(rng.choice([-1, 1]) * rng.uniform(*_LIE)), 0.004, 2.5))
 
 
@@ -133,41 +146,42 @@ CASES = (
         wrong_at_times=True,
     ),
     *(
-        Case(f"{', '.join(kinds)}: {liar} wrong", kinds, liar, lambda seen: seen.usable)
-        for kinds, liar in ((_THREE, "camera"), (_THREE, "known_length"), (_THREE, "vehicles"))
+        Case(f"{', '.join(_THREE)}: {wrong} wrong", _THREE, wrong, lambda image: image.usable)
+        for wrong in ("camera", "known_length", "vehicles")
     ),
 )
 
 
-def row(case: Case, seen: Sequence[Seen]) -> str:
-    """One row of the table."""
+def row(case: Case, images: Sequence[MeasuredImage]) -> str:
+    """Format a row of the table from ``DRAWS`` answers to each image."""
     rng = np.random.default_rng(_SEED)
     errors = []
-    held = []
-    flagged = []
+    is_held = []
+    is_named = []
     chances = []
-    for image in (each for each in seen if case.only(each)):
+    for image in images:
+        if not case.only(image):
+            continue
         for _ in range(DRAWS):
-            told, truth = drawn(rng, image, case)
-            found = answer(told)
-            assert found is not None
-            errors.append(abs(found.gsd_m_per_px / truth - 1))
-            held.append(found.interval.low <= truth <= found.interval.high)
-            chances.append(found.chance)
-            heard = [each for each in told if each.found]
+            witnesses, truth = drawn(rng, image, case)
+            scale = answer(witnesses)
+            assert scale is not None
+            errors.append(abs(scale.gsd_m_per_px / truth - 1))
+            is_held.append(scale.interval.low <= truth <= scale.interval.high)
+            chances.append(scale.chance)
+            heard = [witness for witness in witnesses if witness.found]
             doubted = {
-                each.kind for each, p in zip(heard, found.p_right, strict=True) if p < _PROBABLY
+                witness.kind
+                for witness, chance in zip(heard, scale.p_right, strict=True)
+                if chance < _PROBABLY
             }
-            flagged.append(case.liar in doubted)
-    off = np.array(errors)
-    named = f"{100 * np.mean(flagged):.1f} %" if case.liar else ""
-    return (
-        f"| {case.name} | {len(off)} | {100 * np.median(off):.1f} % | "
-        f"{100 * np.quantile(off, 0.9):.1f} % | "
-        f"{100 * np.mean(off < 0.1):.1f} % | {100 * np.mean(off < 0.2):.1f} % | "
-        f"{100 * np.mean(chances):.1f} % | "
-        f"{100 * np.mean(held):.1f} % | {named} |"
-    )
+            is_named.append(case.wrong_kind in doubted)
+    error = np.array(errors)
+    shares = [np.mean(error < 0.1), np.mean(error < 0.2), np.mean(chances), np.mean(is_held)]
+    quantiles = [np.median(error), np.quantile(error, 0.9)]
+    cells = [f"{100 * share:.1f} %" for share in (*quantiles, *shares)]
+    named = f"{100 * np.mean(is_named):.1f} %" if case.wrong_kind else ""
+    return f"| {case.name} | {len(error)} | {' | '.join(cells)} | {named} |"
 
 
 def main() -> None:
@@ -177,7 +191,7 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=90)
     parser.add_argument("--scenes", type=int, default=50)
     options = add_record_option(parser).parse_args()
-    seen = see(options.data, options.images, options.scenes)
+    images = measure_images(options.data, options.images, options.scenes)
     with recording("rulers", ["fused"], options.record):
         print(
             "| rulers | n | median | 90 % are below | within 10 % | within 20 % | said | cover "
@@ -185,7 +199,7 @@ def main() -> None:
         )
         print("|---|---|---|---|---|---|---|---|---|")
         for case in CASES:
-            print(row(case, seen), flush=True)
+            print(row(case, images), flush=True)
 
 
 if __name__ == "__main__":

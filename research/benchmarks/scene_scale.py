@@ -31,20 +31,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
-# ucas has too few labels, some displaced
+# The set ucas is left out: it has too few labels, and some are displaced.
 _CAR_M = {"jekhor": 4.3, "drashti": 3.9, "dota": 4.6, "crossings": 4.8}
-_LEAST_CARS = 2  # of an oriented set
-_LEVEL_RATIO = 1.9  # of an upright box's sides, from which on its car stands level in it
+# Cars that a photograph of an oriented set needs.
+_MIN_CARS = 2
+# From this ratio of an upright box's sides on, its car is parallel to the box.
+_LEVEL_RATIO = 1.9
 _BORDER_PX = 3
 _NEAR = np.log(1.5)
 
 
-class Told(NamedTuple):
+class Prior(NamedTuple):
     """Prior of one photograph, and the truth.
 
     Attributes:
-        gsd_m_per_px: by its cars.
-        log_error: absolute, of the density's median.
+        gsd_m_per_px: scale by its cars.
+        log_error: absolute log error of the density's median.
         held: whether the 95 % interval holds the scale.
         spread: the interval's upper end over its lower one.
     """
@@ -56,7 +58,7 @@ class Told(NamedTuple):
 
 
 def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
-    """Set, photograph and median length of its cars in pixels, where people's boxes are turned."""
+    """List set, photograph and median length of its cars in pixels, with turned boxes."""
     with (folder / "index.csv").open(newline="") as handle:
         rows = [
             row for row in csv.DictReader(handle) if row["split"] == "val" and row["set"] in _CAR_M
@@ -65,12 +67,12 @@ def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
         cars = read_labels(folder / "labels" / f"{Path(row['file']).stem}.txt").of_class(
             "small-vehicle"
         )
-        if len(cars) >= _LEAST_CARS:
+        if len(cars) >= _MIN_CARS:
             yield row["set"], folder / row["file"], float(np.median(boxes_from_corners(cars)[:, 2]))
 
 
 def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
-    """The same where they are upright, by the cars that stand level in them and are not cut off."""
+    """List the same with upright boxes, by whole cars that are parallel to their box."""
     with (folder / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["set"] in _CAR_M]
     for row in rows:
@@ -85,7 +87,7 @@ def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
 
 
 def level_lengths(corners: NDArray[np.float64], ends: NDArray[np.int_]) -> NDArray[np.float64]:
-    """The longer sides of upright boxes ``[n, 4, 2]`` that are clearly longer one way and whole in the image."""
+    """Measure the longer sides of upright boxes ``[n, 4, 2]`` that are clearly longer one way."""
     low = corners.min(axis=1)
     high = corners.max(axis=1)
     sides = np.sort(high - low, axis=1)
@@ -93,15 +95,15 @@ def level_lengths(corners: NDArray[np.float64], ends: NDArray[np.int_]) -> NDArr
     return np.asarray(sides[whole & (sides[:, 1] > _LEVEL_RATIO * sides[:, 0]), 1])
 
 
-def row(name: str, told: list[Told]) -> str:
-    """A line of the table."""
-    errors = np.array([each.log_error for each in told])
-    scales = [each.gsd_m_per_px for each in told]
+def row(name: str, priors: list[Prior]) -> str:
+    """Format a line of the table."""
+    errors = np.array([prior.log_error for prior in priors])
+    scales = [prior.gsd_m_per_px for prior in priors]
     return (
-        f"| {name} | {len(told)} | {min(scales):.3f} to {max(scales):.3f} | "
+        f"| {name} | {len(priors)} | {min(scales):.3f} to {max(scales):.3f} | "
         f"{np.median(errors):.2f} "
-        f"| {np.mean(errors < _NEAR):.0%} | {np.mean([each.held for each in told]):.0%} "
-        f"| {np.median([each.spread for each in told]):.1f} |"
+        f"| {np.mean(errors < _NEAR):.0%} | {np.mean([prior.held for prior in priors]):.0%} "
+        f"| {np.median([prior.spread for prior in priors]):.1f} |"
     )
 
 
@@ -110,26 +112,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--network", type=Path)
     options = add_record_option(parser).parse_args()
-    ground = SceneScaleNetwork(options.network) if options.network else load_scene_scale()
-    by_set: dict[str, list[Told]] = {}
+    network = SceneScaleNetwork(options.network) if options.network else load_scene_scale()
+    by_set: dict[str, list[Prior]] = {}
     for images in (oriented_images(DATA / "vehicles"), upright_images(DATA / "upright")):
         for name, path, length_px in images:
             gsd = _CAR_M[name] / length_px
             with open_raster(path) as raster:
-                density = ground.predict(raster).density
-            middle = credible_interval(density, probability=0.0).low
-            (low, high) = credible_interval(density)
-            told = Told(gsd, abs(float(np.log(middle / gsd))), low < gsd < high, high / low)
-            by_set.setdefault(name, []).append(told)
-    every = [each for told in by_set.values() for each in told]
-    by_set["all"] = every
+                density = network.predict(raster).density
+            median = credible_interval(density, probability=0.0).low
+            low, high = credible_interval(density)
+            prior = Prior(
+                gsd,
+                log_error=abs(float(np.log(median / gsd))),
+                held=low < gsd < high,
+                spread=high / low,
+            )
+            by_set.setdefault(name, []).append(prior)
+    by_set["all"] = [prior for priors in by_set.values() for prior in priors]
     with recording("scale", ["unseen_ground"], options.record):
         print(
             "| set | images | m/px by cars | median log error | within 1.5 | 95 % interval "
             "holds | its high to low |"
         )
         print("|---|---|---|---|---|---|---|")
-        print("\n".join(row(name, told) for name, told in by_set.items()))
+        print("\n".join(row(name, priors) for name, priors in by_set.items()))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Measure the figures of speed in one run, beside other tools: ``python -m research.benchmarks.seconds``.
+"""Measure all figures of speed in one run: ``python -m research.benchmarks.seconds``.
 
 Prints Markdown; ``--record`` keeps it. It takes seven minutes on two quiet cores and needs no
 network access, if ``peers.py`` has made its environment (``--environment``). The speed of the bare
@@ -59,7 +59,7 @@ def printed(module: str, *options: str) -> list[Table]:
 
 
 def tile_ms() -> float:
-    """Milliseconds of the bare network for a tile, all cores; median of 15."""
+    """Measure the milliseconds of the bare network for a tile, all cores; median of 15."""
     session = onnxruntime.InferenceSession(str(resolve_model()), providers=["CPUExecutionProvider"])
     tile = np.random.default_rng(0).random((1, 3, 1024, 1024), np.float32)
     return 1000 * statistics.median(
@@ -68,7 +68,7 @@ def tile_ms() -> float:
 
 
 def search(environment: Path, rounds: int) -> list[Row]:
-    """The search with one detector beside the other tools."""
+    """Compare the search with one detector with the other tools."""
     (table,) = printed("peers", "--environment", str(environment), "--rounds", str(rounds))
     rows: list[Row] = []
     for vehicles in ("200", "2,000", "15,000"):
@@ -82,7 +82,7 @@ def search(environment: Path, rounds: int) -> list[Row]:
 
 
 def photographs(folder: Path) -> list[Row]:
-    """Adaptive search of photographs of 12 megapixels beside the full one, and two workers beside one."""
+    """Compare adaptive with full search of 12 megapixels, and two workers with one."""
     engine = Engine(runtime=Runtime(threads=1))
     ratios = []
     changes = []
@@ -126,7 +126,7 @@ def photographs(folder: Path) -> list[Row]:
 
 
 def car_park() -> list[Row]:
-    """All networks on a car park from edge to edge, adaptively, beside the bare detector on all tiles; one thread."""
+    """Compare all networks, adaptively, with the bare detector on all tiles; one thread."""
     image = large_scene()
     engine = Engine(runtime=Runtime(threads=1))
     options = onnxruntime.SessionOptions()
@@ -149,7 +149,7 @@ def car_park() -> list[Row]:
 
 
 def start(folder: Path) -> list[Row]:
-    """Starts, warm calls and memory."""
+    """Measure starts, warm calls and memory."""
     small = folder / "small.png"
     cv2.imwrite(
         str(small), render_scene(0.15, width_px=256, height_px=256, seed=5).image[:, :, ::-1]
@@ -186,8 +186,8 @@ def main() -> None:
             *start(Path(name)),
         ]
         bare: list[Row] = [
-            (f"bare network, {when}: ms a tile", "", [round(each, 1)])
-            for when, each in (("before", before), ("after", tile_ms()))
+            (f"bare network, {when}: ms a tile", "", [round(tile_time, 1)])
+            for when, tile_time in (("before", before), ("after", tile_ms()))
         ]
         print(header("figure", _OURS, "ultralytics", "SAHI", "supervision", "aim"))
         for figure, aim, values in [*bare, *rows]:

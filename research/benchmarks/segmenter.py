@@ -1,4 +1,6 @@
-"""Measure a segmenter on real masks: ``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
+"""Measure a segmenter on real masks.
+
+``python -m research.benchmarks.segmenter [--segmenter ENCODER DECODER]``.
 
 Every object of at least 15 px a side is prompted by its bounding box, each side moved by up to 5 %
 of the box (fixed seed). Beside it, on the same prompts: GrabCut. Prints Markdown; ``--record``
@@ -32,16 +34,16 @@ _GRABCUT_ROUNDS = 5
 
 
 def segmenter_method(segmenter: Segmenter) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
-    """The library's own path: crop, encode, decode, place."""
+    """Run the library's own path: crop, encode, decode, place."""
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
         with open_raster(target.image) as raster:
-            found = segmenter.segment(raster, Prompt(box=target.box))
+            segmentation = segmenter.segment(raster, Prompt(box=target.box))
         whole = np.zeros(target.mask.shape, bool)
-        window = found.window
+        window = segmentation.window
         rows = slice(window.y_px, window.y_px + window.height_px)
-        whole[rows, window.x_px : window.x_px + window.width_px] = found.mask
-        return whole, found.score
+        whole[rows, window.x_px : window.x_px + window.width_px] = segmentation.mask
+        return whole, segmentation.score
 
     return method
 
@@ -52,7 +54,7 @@ def _pixels(box: Box) -> tuple[int, int, int, int]:
 
 
 def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
-    """The box itself."""
+    """Return the box itself."""
     x1, y1, x2, y2 = _pixels(target.box)
     whole = np.zeros(target.mask.shape, bool)
     whole[y1:y2, x1:x2] = True
@@ -60,7 +62,7 @@ def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
 
 
 def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
-    """OpenCV's GrabCut started from the box, in a crop of twice the box."""
+    """Run OpenCV's GrabCut from the box, in a crop of twice the box."""
     height, width = target.mask.shape
     x1, y1, x2, y2 = _pixels(target.box)
     reach = max(x2 - x1, y2 - y1)
@@ -72,7 +74,7 @@ def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
     labels = np.full(crop.shape[:2], cv2.GC_BGD, np.uint8)
     labels[y1 - top : y2 - top, x1 - left : x2 - left] = cv2.GC_PR_FGD
     whole = np.zeros(target.mask.shape, bool)
-    # a box that fills the image leaves nothing to learn the background from
+    # A box that fills the image leaves no background to learn.
     if not (labels == cv2.GC_BGD).any():
         return filled_box(target)
     cv2.setRNGSeed(0)

@@ -29,7 +29,7 @@ from vehanchor.records import AreaMeasurement, GsdEstimate
 
 
 async def overhead(n_calls: int, threads: int) -> None:
-    """Library and server in turns, so that both meet the same machine; both remember what they found in the image."""
+    """Run library and server in turns, so that both meet the same machine with warm caches."""
     engine = Engine(runtime=Runtime(threads=threads))
     memory = AnalysisMemory()
     with tempfile.TemporaryDirectory() as directory:

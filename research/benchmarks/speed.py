@@ -1,8 +1,8 @@
-"""Measure speed and memory: ``python -m research.benchmarks.speed``. Prints Markdown; ``--record`` keeps it.
+"""Measure speed and memory: ``python -m research.benchmarks.speed``.
 
-The whole pipeline on a 4096 x 4096 scene is timed against bare ONNX Runtime on the same tiles, in
-turns, and against all of its own networks; ``--detector`` names other files that take turns with
-it.
+Prints Markdown; ``--record`` keeps it. The whole pipeline on a 4096 x 4096 scene is timed against
+bare ONNX Runtime on the same tiles, in turns, and against all of its own networks; ``--detector``
+names other files that take turns with it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
 
-# an image of that size is not searched wholly by default
+# An image of that size is not searched wholly by default.
 _EVERY_TILE = ScaleOptions(search=Search(effort="full"))
 
 
@@ -72,13 +72,13 @@ def networks_seconds(clock: Callable[[], float]) -> Iterator[dict[str, float]]:
 
 
 def large_scene() -> NDArray[np.uint8]:
-    """One rendered 1024 px scene repeated: what matters here is the number of pixels and cars."""
+    """Repeat one rendered 1024 px scene; only the number of pixels and cars matters here."""
     scene = render_scene(0.15, width_px=1024, height_px=1024, seed=5, layout="parking")
     return np.ascontiguousarray(np.tile(scene.image, (4, 4, 1)))
 
 
 def input_tiles(image: NDArray[np.uint8], card: DetectorCard) -> list[NDArray[np.float32]]:
-    """Tiles of an image at all resolutions, as the detector takes them."""
+    """Cut the tiles of an image at all resolutions, as the detector takes them."""
     tiles = []
     with open_raster(image) as raster:
         for level in search_levels(
@@ -98,7 +98,7 @@ def bare_seconds(
     tiles: list[NDArray[np.float32]],
     clock: Callable[[], float],
 ) -> float:
-    """Seconds of a network alone."""
+    """Measure the seconds of a network alone."""
     started = clock()
     for tile in tiles:
         session.run(None, {"images": tile})
@@ -167,7 +167,7 @@ def peak_memory() -> str:
 
 
 def command_time(*command: str) -> float:
-    """Median wall time of five runs of the interpreter, s."""
+    """Measure the median wall time of five runs of the interpreter, s."""
     times = []
     for _ in range(5):
         started = time.perf_counter()

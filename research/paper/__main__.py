@@ -1,4 +1,4 @@
-"""Run a baseline of the paper: ``python -m research.paper rs-gsd | vlm | questions | agents | transcript``."""
+"""Run a baseline of the paper: ``python -m research.paper rs-gsd | vlm | questions | ...``."""
 
 from __future__ import annotations
 

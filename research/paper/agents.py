@@ -77,7 +77,7 @@ class AgentScore(BaseModel):
 
 
 class AgentRun(NamedTuple):
-    """Answers of a model, its cost, and the reason for an early end (None if the run is complete)."""
+    """Answers of a model, its cost, and the reason for an early end (None for a complete run)."""
 
     answers: list[Answered]
     calls: int
@@ -85,7 +85,7 @@ class AgentRun(NamedTuple):
     stopped: str | None
 
 
-def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCaller) -> AgentRun:
+def ask_agent(tasks: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCaller) -> AgentRun:
     """Give a model each task separately, with the picture, the recognised facts and the tools.
 
     The run ends early if the budget is spent, the service refuses the key or the model, or a
@@ -97,9 +97,9 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
     answers: list[Answered] = []
     calls = tokens = 0
     try:
-        for task, path in asked:
+        for task, path in tasks:
             image = checked_file(task.question, path)
-            told = converse(
+            conversation = converse(
                 api,
                 _SYSTEM,
                 text=_words(task, image),
@@ -107,9 +107,9 @@ def ask_agent(asked: Iterable[tuple[Task, Path]], api: ModelApi, tools: ToolCall
                 tools=tools,
                 max_turns=_MAX_TURNS,
             )
-            calls = calls + len(told.called)
-            tokens = tokens + told.tokens
-            answers.append(_answered(task, image, told.text))
+            calls = calls + len(conversation.called)
+            tokens = tokens + conversation.tokens
+            answers.append(_answered(task, image, conversation.text))
     except (ApiRefusedError, BudgetSpentError, RequestFailedError) as error:
         return AgentRun(answers, calls, tokens=tokens, stopped=str(error))
     return AgentRun(answers, calls, tokens=tokens, stopped=None)
@@ -123,7 +123,7 @@ def agent_score(
     tokens: int | None = None,
 ) -> AgentScore:
     """Count the deeds in tasks of one kind."""
-    deeds = [each.deed for each in answers]
+    deeds = [answer.deed for answer in answers]
     return AgentScore(
         name=name,
         task=task,
@@ -142,7 +142,7 @@ def _answered(task: Task, image: Path, text: str) -> Answered:
 
 
 def read_reply(kind: TaskKind, text: str) -> Reply:
-    """Parse the last ``ANSWER=`` of a reply; None for "unknown" and for anything that is no answer to the task."""
+    """Parse the last ``ANSWER=`` of a reply; None for "unknown" and for anything else."""
     if kind == "direction":
         bearings = _BEARING.findall(text)
         interval = read_answer(f"ANSWER={bearings[-1][1]}") if bearings else None
@@ -152,13 +152,13 @@ def read_reply(kind: TaskKind, text: str) -> Reply:
 
 
 def read_answer(reply: str) -> tuple[float, float] | bool | None:
-    """Parse the last ``ANSWER=`` of a reply: an interval, yes or no; None for anything else, such as "unknown"."""
+    """Parse the last ``ANSWER=`` of a reply: an interval, yes or no; None for anything else."""
     lines = _ANSWER.findall(reply)
     text = lines[-1].strip(" .*_`\"'").lower().replace(",", "") if lines else ""
     if text in ("yes", "no"):
         return text == "yes"
-    found = _INTERVAL.match(text)
-    return None if found is None else (float(found[1]), float(found[2]))
+    interval = _INTERVAL.match(text)
+    return None if interval is None else (float(interval[1]), float(interval[2]))
 
 
 def _words(task: Task, image: Path) -> str:
@@ -166,21 +166,21 @@ def _words(task: Task, image: Path) -> str:
     (x1, y1), (x2, y2) = task.ends
     first = f"({x1:.4g}, {y1:.4g})"
     second = f"({x2:.4g}, {y2:.4g})"
-    asked = {
+    questions = {
         "distance": f"How far is it on the ground from {first} to {second}?",
         "fit": f"Does a thing {task.needed_m(*size):.1f} m long fit between {first} and {second}?",
         "direction": f"In which direction and how far is {second} from {first}?",
     }
-    seen = [
+    facts = [
         f"The line from ({fact['x1']}, {fact['y1']}) to ({fact['x2']}, {fact['y2']}) seems to be "
-        f"{fact['metres'] if isinstance(fact['metres'], str) else format(fact['metres'], 'g') + ' m long'}."
+        f"{_length_text(fact['metres'])}."
         for fact in task.question.facts
     ]
     return " ".join(
         [
-            asked[task.kind],
+            questions[task.kind],
             "Places are fractions of the image's width and height from its upper left corner.",
-            *seen,
+            *facts,
             f"The file is {image.resolve()}. Measure with your tools, and do not use a result "
             "whose status is not ok. "
             f"End with a last line {_LAST_LINES[task.kind]}, or ANSWER=unknown.",
@@ -188,14 +188,21 @@ def _words(task: Task, image: Path) -> str:
     )
 
 
+def _length_text(metres: float | str) -> str:
+    """Format a length in metres; a name of a known thing stays as it is."""
+    return metres if isinstance(metres, str) else f"{metres:g} m long"
+
+
 def _encoded_picture(image: Path) -> str:
     """Encode an image as base64 JPEG, reduced to the size that models see."""
     with open_raster(image, DATASET_READING) as raster:
-        seen = read_reduced(raster)
-    factor = min(1.0, _MAX_SIDE_PX / max(seen.shape[:2]))
+        picture = read_reduced(raster)
+    factor = min(1.0, _MAX_SIDE_PX / max(picture.shape[:2]))
     if factor < 1:
-        size = max(1, round(seen.shape[1] * factor)), max(1, round(seen.shape[0] * factor))
-        seen = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        height, width = picture.shape[:2]
+        size = max(1, round(width * factor)), max(1, round(height * factor))
+        reduced = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        picture = np.asarray(reduced, dtype=np.uint8)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(seen[:, :, ::-1]), quality)
+    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[:, :, ::-1]), quality)
     return base64.b64encode(encoded.tobytes()).decode()

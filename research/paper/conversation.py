@@ -48,7 +48,7 @@ def converse(
     *,
     max_turns: int = 8,
 ) -> Conversation:
-    """Ask a model about a picture, and execute its tool calls until it answers or its turns are spent.
+    """Ask a model about a picture and run its tool calls, until it answers or its turns are spent.
 
     Args:
         api: the model.

@@ -96,13 +96,13 @@ class AnnotatedImage:
 
 
 def find_annotated_images(
-    folder: Path, known: KnownScaleSet
+    folder: Path, data: KnownScaleSet
 ) -> tuple[list[AnnotatedImage], list[FileIssue]]:
     """Find the images of a copy of iSAID whose scale is known from DOTA.
 
     Args:
         folder: folder with iSAID's label images, at any depth.
-        known: DOTA's images with their scales, from ``vehanchor_evaluation.dota.survey_dota``.
+        data: DOTA's images with their scales, from ``vehanchor_evaluation.dota.survey_dota``.
 
     Returns:
         The images by name, and issues: DOTA's, and images without annotations.
@@ -110,10 +110,10 @@ def find_annotated_images(
     Raises:
         InvalidParameterError: ``folder`` has no label images.
     """
-    issues = list(known.issues)
+    issues = list(data.issues)
     readers = _readers(folder, issues)
     images = []
-    for image in known.images:
+    for image in data.images:
         reader = readers.get(image.path.stem)
         if reader is None:
             issues.append(FileIssue(image.path, "no_masks", f"{folder} has no annotation of it"))
@@ -167,26 +167,24 @@ def _size(picture: NDArray[np.int32]) -> str:
 
 
 # --- Its files
-#
-# ------------------------------------------------------------------------------------------------------
 
 
 def _readers(folder: Path, issues: list[FileIssue]) -> dict[str, Callable[[], list[InstanceMask]]]:
     """Find the reader of each annotated image's objects."""
-    found: dict[str, Callable[[], list[InstanceMask]]] = {}
+    by_image: dict[str, Callable[[], list[InstanceMask]]] = {}
     for path in sorted(folder.rglob("*" + ID_SUFFIX)):
         name = path.name.removesuffix(ID_SUFFIX)
         colours = path.with_name(name + COLOUR_SUFFIX)
         if not colours.is_file():  # as downloaded, the two kinds are in separate folders
             colours = next(iter(sorted(folder.rglob(name + COLOUR_SUFFIX))), colours)
-        if name in found:
+        if name in by_image:
             issues.append(
                 FileIssue(
                     path, "duplicate_name", "another image has the same name; only that is used"
                 )
             )
             continue
-        found[name] = partial(read_instances, path, colours)
-    if not found:
+        by_image[name] = partial(read_instances, path, colours)
+    if not by_image:
         raise InvalidParameterError(f"{folder} has no iSAID annotations: no *{ID_SUFFIX}")
-    return found
+    return by_image

@@ -1,4 +1,4 @@
-"""Commands ``python -m research.paper questions`` and ``agents``: planners with and without tools."""
+"""Commands ``python -m research.paper questions`` and ``agents``: planners and their tools."""
 
 from __future__ import annotations
 
@@ -48,31 +48,32 @@ class QuestionsRequest:
 
 @plain_command(QuestionsRequest)
 def questions(request: QuestionsRequest) -> None:
-    """Compare a scripted planner with tools and one that guesses the scale: how far, does it fit."""
+    """Compare a scripted planner with tools with one that guesses the scale: distance, fit."""
     data = survey_known_scale(table=request.table, set_name=request.set_name, split=request.split)
-    asked = questions_of_photographs(data.images, request.limit)
-    with open_tools(sorted({question.image.resolve().parent for question in asked})) as tools:
+    questions = questions_of_photographs(data.images, request.limit)
+    with open_tools(sorted({question.image.resolve().parent for question in questions})) as tools:
         outcomes = {
-            "a script with the tools": ask_with_tools(asked, tools),
+            "a script with the tools": ask_with_tools(questions, tools),
             "the same, which asks a person for one measured stretch": ask_with_tools(
-                asked, tools, with_person=True
+                questions, tools, with_person=True
             ),
-            "a script that takes a pixel for 0.15 m": ask_blindly(asked),
+            "a script that takes a pixel for 0.15 m": ask_blindly(questions),
         }
     with recording("agents", ["photographs"], request.record):
         costs = ("calls a right answer", "tokens a right answer")
         print(header("planner", "questions", "right", "wrong", "no answer", *costs))
-        for name, each in outcomes.items():
-            print(_line(score(name, each)))
-    for name, each in outcomes.items():
-        _print_wrong(name, each)
+        for name, of_planner in outcomes.items():
+            print(_line(score(name, of_planner)))
+    for name, of_planner in outcomes.items():
+        _print_wrong(name, of_planner)
 
 
 def _line(row: PlannerScore) -> str:
     cost = [
         f"{value:.1f}" if value else "-" for value in (row.calls_per_right, row.tokens_per_right)
     ]
-    return f"| {' | '.join([row.name, *map(str, (row.questions, row.right, row.wrong, row.no_answer)), *cost])} |"
+    counts = [str(n) for n in (row.questions, row.right, row.wrong, row.no_answer)]
+    return f"| {' | '.join([row.name, *counts, *cost])} |"
 
 
 def _print_wrong(planner: str, outcomes: Sequence[Outcome]) -> None:
@@ -97,25 +98,31 @@ class AgentsRequest(PlannerRequest):
     limit: Annotated[int, typer.Option(min=1, metavar="N", help="Maximum number of pictures.")] = 40
 
     def questions(self) -> list[tuple[SetQuestion, Path]]:
-        """Return the questions with their pictures, rendered if necessary; photographs only with their folder."""
-        chosen = [
-            each for each in question_set() if each.scene is not None or self.data is not None
-        ][: self.limit]
-        return [(each, picture_of(each, self.data or Path(), self.pictures)) for each in chosen]
+        """Return the questions with their pictures; those of photographs only with their folder."""
+        available = [
+            question
+            for question in question_set()
+            if question.scene is not None or self.data is not None
+        ]
+        data = self.data or Path()
+        return [
+            (question, picture_of(question, data, self.pictures))
+            for question in available[: self.limit]
+        ]
 
 
 @plain_command(AgentsRequest)
 def agents(request: AgentsRequest) -> None:
-    """Score planners on pictures with recognised things, traps among them: acted or abstained, rightly or not.
+    """Score planners on pictures with recognised objects, traps among them: acted or abstained.
 
     Each picture has a task of distance, of fit and of direction. The scripted planner does them
-    with and without the recognised things. With --provider and --model, a real model also does. Its
-    key comes from the environment.
+    with and without the recognised objects. With --provider and --model, a real model also does.
+    Its key comes from the environment.
     """
     request.check_model()
-    asked = request.questions()
-    with open_tools(sorted({path.resolve().parent for _, path in asked})) as tools:
-        rows, stopped = _rows(request, asked, tools)
+    questions = request.questions()
+    with open_tools(sorted({path.resolve().parent for _, path in questions})) as tools:
+        rows, stopped = _rows(request, questions, tools)
     with recording("agents", ["question_set"], request.record):
         deeds = ("acted rightly", "acted wrongly", "abstained rightly", "abstained needlessly")
         print(header("planner", "task", "questions", *deeds, "calls", "tokens"))
@@ -129,20 +136,21 @@ def _rows(
     request: AgentsRequest, questions: Sequence[tuple[SetQuestion, Path]], tools: ToolCaller
 ) -> tuple[list[AgentScore], str | None]:
     """Give every planner the tasks; return their rows, and the reason for an early end."""
-    asked = {kind: [(task_of(each, kind), path) for each, path in questions] for kind in TASKS}
+    tasks = {
+        kind: [(task_of(question, kind), path) for question, path in questions] for kind in TASKS
+    }
     rows = []
     for name, catalogue in (("with what it recognises", True), ("without", False)):
-        every = [asked[kind][k] for k in range(len(questions)) for kind in TASKS]
-        done = ask_set(every, tools, catalogue=catalogue)
-        rows += [
-            agent_score(name, kind, [each for each in done if each.task.kind == kind])
-            for kind in TASKS
-        ]
+        by_picture = [tasks[kind][k] for k in range(len(questions)) for kind in TASKS]
+        answers = ask_set(by_picture, tools, catalogue=catalogue)
+        for kind in TASKS:
+            of_kind = [answer for answer in answers if answer.task.kind == kind]
+            rows.append(agent_score(name, kind, of_kind))
     api = request.model_api()
     stopped = None
     if api is not None:
         for kind in TASKS:
-            run = ask_agent(asked[kind], api, tools)
+            run = ask_agent(tasks[kind], api, tools)
             rows.append(
                 agent_score(
                     request.model, kind, answers=run.answers, calls=run.calls, tokens=run.tokens

@@ -1,9 +1,10 @@
-"""Forty pictures with what a planner recognises in them, traps among it, and tasks about them: ``question_set.json``.
+"""Forty pictures with the objects a planner recognises, traps among them, and tasks.
 
-Half of the images are rendered, half are val photographs. Facts are lines along things that the
-planner recognises: right ones, and in traps wrong ones. Each picture has three tasks: a distance, a
-length that must fit, and a direction with its distance. A planner acts on a scale that is ``ok``,
-and abstains otherwise. To abstain is right where no careful person would act.
+``question_set.json`` has the pictures. Half of the images are rendered, half are val photographs.
+Facts are lines along things that the planner recognises: right ones, and in traps wrong ones. Each
+picture has three tasks: a distance, a length that must fit, and a direction with its distance. A
+planner acts on a scale that is ``ok``, and abstains otherwise. To abstain is right where no careful
+person would act.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ Ends: TypeAlias = tuple[tuple[float, float], tuple[float, float]]
 
 _ENDS: Ends = ((0.1, 0.5), (0.9, 0.5))
 _FIT_ENDS: Ends = ((0.5, 0.2), (0.5, 0.8))
-# of the length between the ends: one fits, one does not, one cannot be decided
+# Shares of the length between the ends: one fits, one does not, one cannot be decided.
 _FIT_SHARES = (0.6, 1.6, 1.0)
-# number of directions from the middle, and the distance as a share of the sides
+# Number of directions from the middle, and distance as a share of the sides.
 _DIRECTIONS = 8
 _REACH = 0.35
 _BEARING_TOLERANCE_DEG = 5.0
@@ -83,7 +84,7 @@ class SetQuestion(BaseModel):
 
 
 class Direction(NamedTuple):
-    """Answer to a task of direction: degrees clockwise from the top of the picture, and the interval in metres."""
+    """Answer to a task of direction: degrees clockwise from the top, and the interval in metres."""
 
     bearing_deg: float
     interval: tuple[float, float]
@@ -129,7 +130,7 @@ class Task:
         return self.share * self.truth_m(width_px, height_px)
 
     def bearing_deg(self, width_px: int, height_px: int) -> float:
-        """Compute the direction from the first end to the second, degrees clockwise from the top of the picture."""
+        """Compute the direction from the first end to the second, clockwise from up, degrees."""
         (x1, y1), (x2, y2) = _in_pixels(self.ends, width_px, height_px)
         return math.degrees(math.atan2(x2 - x1, y1 - y2)) % 360
 
@@ -186,7 +187,7 @@ class Answered:
 def question_set() -> tuple[SetQuestion, ...]:
     """Read the questions."""
     text = Path(__file__).with_suffix(".json").read_text(encoding="utf-8")
-    return tuple(SetQuestion.model_validate(each) for each in json.loads(text))
+    return tuple(SetQuestion.model_validate(entry) for entry in json.loads(text))
 
 
 def picture_of(question: SetQuestion, data: Path, rendered: Path) -> Path:
@@ -220,12 +221,12 @@ def checked_file(question: SetQuestion, path: Path) -> Path:
 
 
 def ask_set(
-    asked: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue: bool
+    tasks: Iterable[tuple[Task, Path]], tools: ToolCaller, *, catalogue: bool
 ) -> list[Answered]:
     """Do tasks with tools: one call for all tasks about a picture that follow each other.
 
     Args:
-        asked: the tasks with their pictures.
+        tasks: the tasks with their pictures.
         tools: the tools; they may read the pictures.
         catalogue: whether the planner gives the tool what it recognises.
 
@@ -233,7 +234,7 @@ def ask_set(
         InvalidParameterError: a picture is missing or another one.
     """
     answers: list[Answered] = []
-    for (_, path), group in groupby(asked, lambda each: (each[0].question, each[1])):
+    for (_, path), group in groupby(tasks, lambda pair: (pair[0].question, pair[1])):
         answers += _ask([task for task, _ in group], tools, path, catalogue=catalogue)
     return answers
 
@@ -268,7 +269,11 @@ def _answered(task: Task, record: dict[str, Any]) -> Answered:
         reply = Direction(task.bearing_deg(*size), (low, high))
     elif task.kind == "fit":
         needed = task.needed_m(*size)
-        reply = True if low >= needed else False if high < needed else None
+        reply = None
+        if low >= needed:
+            reply = True
+        elif high < needed:
+            reply = False
     return Answered(task, task.deed(reply, *size))
 
 

@@ -1,4 +1,4 @@
-"""Planner questions about photographs of known scale (how far, does it fit), answered with and without tools.
+"""Planner questions about photographs of known scale, answered with and without tools.
 
 The planner is a script, so the results depend only on the tools' answers and their cost. If a scale
 is not usable, the planner can ask a person, who has measured one line on the ground. Without tools
@@ -28,10 +28,13 @@ Kind: TypeAlias = Literal["distance", "fit"]
 Verdict: TypeAlias = Literal["right", "wrong", "no answer"]
 
 CHARACTERS_A_TOKEN = 4
-USUAL_GSD_M = 0.15  # assumption of a planner without tools
-USUAL_ERROR = 0.3  # and its assumed relative error
-_FIT_SHARES = (0.6, 1.6)  # required length as a share of the available one: one fits, one does not
-_QUESTIONS_PER_TWO = 7  # questions per two photographs: four distances and three fits
+# Pixel size that a planner without tools assumes, and its relative error.
+USUAL_GSD_M = 0.15
+USUAL_ERROR = 0.3
+# Required length as a share of the available one: one fits, one does not.
+_FIT_SHARES = (0.6, 1.6)
+# Questions about two photographs: four distances and three fits.
+_QUESTIONS_PER_TWO = 7
 
 STRETCH = ((0.4, 0.6), (0.6, 0.6))
 """Ends of the line that a person has measured, as fractions of the sides."""

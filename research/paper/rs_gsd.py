@@ -1,4 +1,4 @@
-"""Area benchmark modelled on the paper's RS-GSD: objects of iSAID with known masks in images of known scale.
+"""Area benchmark modelled on the paper's RS-GSD: objects of iSAID with masks and known scale.
 
 The paper's benchmark has 100 entries in 8 categories of iSAID, and oversamples irregular objects.
 It names three of the categories; the other five are our choice of immobile objects. Vehicles (the
@@ -46,7 +46,8 @@ CATEGORIES = (
     "baseball-diamond",
     "storage-tank",
 )
-IRREGULAR = ("swimming-pool", "roundabout")  # oversampled in the paper by an unpublished factor
+# The paper oversamples these by an unpublished factor.
+IRREGULAR = ("swimming-pool", "roundabout")
 IRREGULAR_WEIGHT = 2
 _MASKS = "masks"
 
@@ -108,31 +109,30 @@ def build_benchmark(
     if (out / INDEX).exists():
         raise InvalidParameterError(f"{out} has a benchmark: choose another folder")
     images, issues = _annotated_images(folders)
-    found: dict[str, list[_Candidate]] = {category: [] for category in categories}
+    by_category: dict[str, list[_Candidate]] = {category: [] for category in categories}
     n_small = 0
-    known = set[str]()
+    present = set[str]()
     for done, image in enumerate(images, start=1):
         reading = _read_candidates(image, categories)
         n_small += reading.n_small
-        known |= reading.categories
+        present |= reading.categories
         issues += reading.issues
         for candidate in reading.candidates:
-            found[candidate.category].append(candidate)
+            by_category[candidate.category].append(candidate)
         if progress is not None:
             progress(done, len(images))
-    available = {category: len(found[category]) for category in sorted(found)}
-    chosen = _choose(found, quotas(available, entries), seed)
-    if not chosen:
+    available = {category: len(by_category[category]) for category in sorted(by_category)}
+    sample = _sample(by_category, quotas(available, entries), seed)
+    if not sample:
         first = f"; the first problem: {issues[0].file}: {issues[0].message}" if issues else ""
+        objects = ", ".join(sorted(present)) or "no objects"
         raise InvalidParameterError(
             f"no object of category {', '.join(available)} to choose from: the {len(images)} "
-            "images have "
-            f"{', '.join(sorted(known)) or 'no objects'}; {n_small} are smaller than "
-            f"{MIN_SIDE_PX} px{first}"
+            f"images have {objects}; {n_small} are smaller than {MIN_SIDE_PX} px{first}"
         )
-    _write(out, chosen)
+    _write(out, sample)
     return Built(
-        dict(Counter(candidate.category for candidate in chosen)),
+        dict(Counter(candidate.category for candidate in sample)),
         available,
         too_small=n_small,
         issues=issues,
@@ -146,9 +146,9 @@ def _annotated_images(
     first: dict[str, AnnotatedImage] = {}
     issues: list[FileIssue] = []
     for masks, split in folders:
-        found, left_out = isaid.find_annotated_images(masks, survey_dota(split))
+        annotated, left_out = isaid.find_annotated_images(masks, survey_dota(split))
         issues += left_out
-        for image in found:
+        for image in annotated:
             if image.name in first:
                 message = f"{first[image.name].path} has the same name, and only that one is used"
                 issues.append(FileIssue(image.path, "duplicate_name", message))
@@ -157,7 +157,7 @@ def _annotated_images(
 
 
 def quotas(available: Mapping[str, int], n_entries: int | None) -> dict[str, int]:
-    """Divide entries among categories: irregular ones get twice as many, and none gets more than it has.
+    """Divide entries among categories: irregular ones get twice as many, none more than it has.
 
     Entries that a small category cannot fill go to the others by the same weights. Entries left by
     rounding go to the largest remainders.
@@ -172,21 +172,23 @@ def quotas(available: Mapping[str, int], n_entries: int | None) -> dict[str, int
     """
     if n_entries is None:
         return dict(available)
-    given = dict.fromkeys(available, 0)
-    left = min(n_entries, sum(available.values()))
-    while left:
-        open_ = [category for category in available if given[category] < available[category]]
-        total = sum(map(_weight, open_))
-        shares = {category: left * _weight(category) / total for category in open_}
-        wanted = {category: int(share) for category, share in shares.items()}
-        for category in sorted(open_, key=lambda name: wanted[name] - shares[name])[
-            : left - sum(wanted.values())
-        ]:
-            wanted[category] += 1
-        for category in open_:
-            given[category] += min(wanted[category], available[category] - given[category])
-        left = min(n_entries, sum(available.values())) - sum(given.values())
-    return given
+    quota = dict.fromkeys(available, 0)
+    n_total = min(n_entries, sum(available.values()))
+    n_left = n_total
+    while n_left:
+        unfilled = [category for category in available if quota[category] < available[category]]
+        total = sum(map(_weight, unfilled))
+        shares = {category: n_left * _weight(category) / total for category in unfilled}
+        additions = {category: int(share) for category, share in shares.items()}
+        # The entries that rounding leaves go to the largest remainders.
+        n_rest = n_left - sum(additions.values())
+        by_remainder = sorted(unfilled, key=lambda name: additions[name] - shares[name])
+        for category in by_remainder[:n_rest]:
+            additions[category] += 1
+        for category in unfilled:
+            quota[category] += min(additions[category], available[category] - quota[category])
+        n_left = n_total - sum(quota.values())
+    return quota
 
 
 def _weight(category: str) -> int:
@@ -212,8 +214,8 @@ def _read_candidates(image: AnnotatedImage, categories: Sequence[str]) -> _Image
             categories=frozenset(),
             issues=[FileIssue(image.path, "unreadable_masks", str(error))],
         )
-    wanted = [mask for mask in masks if mask.category in categories]
-    large = [mask for mask in wanted if min(mask.mask.shape) >= MIN_SIDE_PX]
+    of_categories = [mask for mask in masks if mask.category in categories]
+    large = [mask for mask in of_categories if min(mask.mask.shape) >= MIN_SIDE_PX]
     candidates = [
         _Candidate(
             image, mask.category, left_px=mask.left_px, top_px=mask.top_px, png=_png(mask.mask)
@@ -222,7 +224,7 @@ def _read_candidates(image: AnnotatedImage, categories: Sequence[str]) -> _Image
     ]
     return _ImageObjects(
         candidates,
-        len(wanted) - len(large),
+        len(of_categories) - len(large),
         categories=frozenset(mask.category for mask in masks),
         issues=[],
     )
@@ -234,30 +236,32 @@ def _png(mask: NDArray[np.bool_]) -> bytes:
     )
 
 
-def _choose(
-    found: Mapping[str, list[_Candidate]], wanted: Mapping[str, int], seed: int
+def _sample(
+    candidates: Mapping[str, list[_Candidate]], quota: Mapping[str, int], seed: int
 ) -> list[_Candidate]:
+    """Draw the entries of each category; categories alternate in the result."""
     by_category = []
-    for index, category in enumerate(wanted):
+    for index, category in enumerate(quota):
         generator = np.random.default_rng([seed, index])
-        turns: Counter[str] = Counter()
+        n_of_image: Counter[str] = Counter()
         queue: list[tuple[int, int, _Candidate]] = []
-        for place in generator.permutation(len(found[category])):
-            candidate = found[category][place]
-            turns[candidate.image.name] += 1
-            queue.append((turns[candidate.image.name], len(queue), candidate))
+        for k in generator.permutation(len(candidates[category])):
+            candidate = candidates[category][k]
+            n_of_image[candidate.image.name] += 1
+            queue.append((n_of_image[candidate.image.name], len(queue), candidate))
+        # Each image gives one object before any gives a second one.
         queue.sort(key=lambda item: item[:2])
-        by_category.append([candidate for _, _, candidate in queue[: wanted[category]]])
+        by_category.append([candidate for _, _, candidate in queue[: quota[category]]])
     longest = max(map(len, by_category), default=0)
     return [queue[turn] for turn in range(longest) for queue in by_category if turn < len(queue)]
 
 
-def _write(folder: Path, chosen: Sequence[_Candidate]) -> None:
-    """Write the masks, each as large as it reaches from the image's corner, and the index."""
+def _write(folder: Path, candidates: Sequence[_Candidate]) -> None:
+    """Write the index and the masks, each from the image's corner to the end of its object."""
     try:
         (folder / _MASKS).mkdir(parents=True, exist_ok=True)
         rows = []
-        for number, candidate in enumerate(chosen, start=1):
+        for number, candidate in enumerate(candidates, start=1):
             mask = cv2.imdecode(np.frombuffer(candidate.png, np.uint8), cv2.IMREAD_GRAYSCALE)
             assert mask is not None
             whole = np.pad(mask, ((candidate.top_px, 0), (candidate.left_px, 0)))
@@ -269,7 +273,7 @@ def _write(folder: Path, chosen: Sequence[_Candidate]) -> None:
             whole_file(folder / INDEX) as partial,
             partial.open("w", newline="", encoding="utf-8") as handle,
         ):
-            # last: it marks the folder as complete
+            # The index is written last: it marks the folder as complete.
             csv.writer(handle, lineterminator="\n").writerows([COLUMNS, *rows])
     except OSError as error:
         raise OutputError(

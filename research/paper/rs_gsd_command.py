@@ -43,7 +43,10 @@ class RsGsdRequest:
 
 @plain_command(RsGsdRequest)
 def rs_gsd(request: RsGsdRequest) -> None:
-    """Choose a hundred objects of iSAID as the paper does; measure them with 'vehanchor evaluate area --segments'."""
+    """Choose a hundred objects of iSAID as the paper does.
+
+    Measure them with 'vehanchor evaluate area --segments'.
+    """
     if len(request.isaid) != len(request.dota):
         raise InvalidParameterError("give a --dota DIR for each --isaid DIR")
     with work_progress("files") as tell:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 Request = TypeVar("Request")
 
-STOPPED = 3  # exit status of a run that ended early; its results are written or printed
+# Exit status of a run that ended early; its results are written or printed.
+STOPPED = 3
 _LIMITS = "Limits and service"
 RecordOption: TypeAlias = Annotated[
     str | None,

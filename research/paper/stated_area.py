@@ -43,10 +43,10 @@ def read_area(reply: str) -> StatedArea:
     lines = _LINE.findall(reply)
     if not lines:
         return StatedArea(None, "no_area_line")
-    found = _STATED.match(_MARKUP.sub("", lines[-1]))
-    if found is None:
+    match = _STATED.match(_MARKUP.sub("", lines[-1]))
+    if match is None:
         return StatedArea(None, "no_number")
-    unit = found["unit"].strip(" .,;:\t")
+    unit = match["unit"].strip(" .,;:\t")
     if unit and not _SQUARE_METRES.fullmatch(unit):
         return StatedArea(None, "unknown_unit")
-    return StatedArea(float(found["number"].replace(",", "")))
+    return StatedArea(float(match["number"].replace(",", "")))

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from mcp.types import CallToolResult
 
-_DRAWING_FIELDS = ("outline",)  # hundreds of numbers without use to a model
+# Hundreds of numbers without use to a model.
+_DRAWING_FIELDS = ("outline",)
 
 
 class ToolCaller(Protocol):

@@ -36,7 +36,8 @@ DEEDS: tuple[Deed, ...] = (
     "abstained rightly",
     "abstained needlessly",
 )
-_TOLERANCE = 0.3  # a choice
+# Relative error of a right action, our choice.
+_TOLERANCE = 0.3
 _CHARACTERS_A_TOKEN = 4
 
 
@@ -66,7 +67,7 @@ class Turn(BaseModel):
         if self.tokens is not None:
             return self.tokens
         return (
-            sum(len(json.dumps(each.arguments)) + len(each.result) for each in self.calls)
+            sum(len(json.dumps(call.arguments)) + len(call.result) for call in self.calls)
             // _CHARACTERS_A_TOKEN
         )
 
@@ -81,13 +82,12 @@ class Truth(NamedTuple):
 def read_key(rows: Iterable[dict[str, str]]) -> dict[str, Truth]:
     """Read the truths by the names of their questions."""
     words: dict[str, float | bool | None] = {"": None, "yes": True, "no": False}
-    return {
-        row["question"]: Truth(
-            words[row["truth"]] if row["truth"] in words else float(row["truth"]),
-            float(row.get("tolerance") or _TOLERANCE),
-        )
-        for row in rows
-    }
+    key = {}
+    for row in rows:
+        text = row["truth"]
+        truth = words[text] if text in words else float(text)
+        key[row["question"]] = Truth(truth, float(row.get("tolerance") or _TOLERANCE))
+    return key
 
 
 def deed(answer: float | bool | tuple[float, float] | None, truth: Truth) -> Deed:
@@ -143,7 +143,7 @@ class TranscriptRequest:
 
 @plain_command(TranscriptRequest)
 def transcript(request: TranscriptRequest) -> None:
-    """Score a recorded transcript of tool calls against a key: acted or abstained, rightly or not, calls, tokens."""
+    """Score a recorded transcript of tool calls against a key: acted or not, calls, tokens."""
     try:
         lines = request.transcript.read_text(encoding="utf-8").splitlines()
         turns = [Turn.model_validate_json(line) for line in lines if line.strip()]

@@ -1,4 +1,4 @@
-"""Areas stated by a vision-language model: the paper's baselines, and the same model with VehAnchor's tools.
+"""Areas stated by a vision-language model: the paper's baselines, and with VehAnchor's tools.
 
 The protocol is the paper's: a system role, a red rectangle around the target, and one question that
 asks for square metres in a last line ``AREA=<number>``. The hinted setting adds one sentence. Every
@@ -47,11 +47,13 @@ _AGENT = (
     "frame. In the picture's "
     "pixels the red rectangle has the corners ({x1:.1f}, {y1:.1f}) and ({x2:.1f}, {y2:.1f})."
 )
-MAX_SIDE_PX = 1568  # the longest side that the Messages API does not reduce
+# Longest side that the Messages API does not reduce.
+MAX_SIDE_PX = 1568
 MAX_TURNS = 8
 _RED_RGB = (255, 0, 0)
 _JPEG_QUALITY = 95
-_FAILURES_IN_A_ROW = 5  # then the service is down and further requests would fail
+# After so many failures the service is down, and further requests would fail.
+_FAILURES_IN_A_ROW = 5
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class VlmTrial(BaseModel):
 
 
 class VlmRun(NamedTuple):
-    """Trials in the order of the entries, issues, and the reason for an early end (None if the run is complete)."""
+    """Trials in the order of the entries, issues, and the reason for an early end."""
 
     trials: list[VlmTrial]
     issues: list[FileIssue]
@@ -211,10 +213,10 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
             y2=y2,
         )
     picture = base64.b64encode(question.jpeg).decode()
-    told = converse(
+    conversation = converse(
         api, SYSTEM, text=text, jpeg_base64=picture, tools=tools, max_turns=query.max_turns
     )
-    reply = told.last
+    reply = conversation.last
     stated = read_area(reply.text)
     problem: str | None = stated.problem
     if problem and reply.refused:
@@ -229,10 +231,10 @@ def _ask(entry: AreaEntry, api: ModelApi, query: Query, tools: ToolCaller | None
         stated_area_m2=stated.area_m2,
         problem=problem,
         last_line=(reply.text.strip().splitlines() or [""])[-1][:200],
-        turns=told.turns,
-        tool_calls=" ".join(told.called),
-        input_tokens=told.input_tokens,
-        output_tokens=told.output_tokens,
+        turns=conversation.turns,
+        tool_calls=" ".join(conversation.called),
+        input_tokens=conversation.input_tokens,
+        output_tokens=conversation.output_tokens,
     )
 
 

@@ -30,8 +30,10 @@ _KEY_VARIABLES = {
     "openai": "OPENAI_API_KEY",
     "openai-compatible": "OPENAI_API_KEY",
 }
-_NO_KEY = "none"  # for compatible servers without keys: the client requires one
-_REFUSALS = (401, 403, 404)  # the key or the model is wrong: other requests would fail, too
+# The client requires a key, also for compatible servers without keys.
+_NO_KEY = "none"
+# The key or the model is wrong, so other requests would fail, too.
+_REFUSALS = (401, 403, 404)
 _JPEG = "image/jpeg"
 Messages: TypeAlias = list[dict[str, Any]]
 
@@ -116,7 +118,7 @@ class Budget:
 
 
 def reply_journal(folder: Path | None) -> Journal[dict[str, Any]]:
-    """Open the stored responses of a folder, which are never requested again; None keeps them in memory.
+    """Open the stored responses of a folder, which are never requested again; None: in memory.
 
     Raises:
         InvalidParameterError: the file in the folder is not a journal.
@@ -354,7 +356,7 @@ class OpenAiApi(ModelApi):
 
 
 def _arguments(text: str) -> dict[str, Any]:
-    """Parse a model's JSON; invalid JSON becomes arguments that the tool refuses, so the model gets the error."""
+    """Parse a model's JSON; invalid JSON becomes arguments that the tool refuses with an error."""
     try:
         arguments = json.loads(text or "{}")
     except ValueError:

@@ -1,4 +1,4 @@
-"""Command ``python -m research.paper vlm``: the error of areas that a vision-language model states."""
+"""Command ``python -m research.paper vlm``: the error of areas stated by a language model."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class VlmRequest(ServiceRequest):
 
 @plain_command(VlmRequest)
 def vlm(request: VlmRequest) -> None:
-    """Measure the error of areas that a vision-language model states: the paper's baselines, or --agent with tools.
+    """Measure the error of areas that a vision-language model states, or --agent with tools.
 
     Replies are stored and never requested again. Limits end a run cleanly (exit status 3); the same
     command resumes. Keys come from the environment and are never written.

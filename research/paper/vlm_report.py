@@ -56,7 +56,7 @@ def vlm_report(
 
 
 def _settings(query: Query) -> list[str]:
-    return [name for name, chosen in (("hint", query.hint), ("tools", query.agent)) if chosen]
+    return [name for name, is_set in (("hint", query.hint), ("tools", query.agent)) if is_set]
 
 
 def _replies(trials: Sequence[VlmTrial]) -> list[str]:

@@ -50,27 +50,33 @@ def _text(value: float | str | None, unit: str, rounding: str = "") -> str:
 
 
 def _rounding(table: Table, column: str) -> str:
-    """The format of a column: the decimals of its finest number, and a sign where numbers are negative."""
-    if column == "value":  # each row has a quantity of its own
+    """Choose the format of a column: the decimals of its finest number, and a sign if needed."""
+    # In a column of values, each row has its own quantity.
+    if column == "value":
         return ","
-    numbers = [cells[table.columns.index(column)] for cells in table.rows]
-    floats = [number for number in numbers if isinstance(number, float)]
+    cells = [row[table.columns.index(column)] for row in table.rows]
+    floats = [cell for cell in cells if isinstance(cell, float)]
     decimals = max((len(repr(number).partition(".")[2]) for number in floats), default=0)
-    sign = "+" if any(isinstance(number, float | int) and number < 0 for number in numbers) else ""
+    has_negative = any(isinstance(cell, float | int) and cell < 0 for cell in cells)
+    sign = "+" if has_negative else ""
     return f"{sign},.{decimals}f"
 
 
 def _table(name: str, columns: str, rows: str | None) -> str:
+    """Format some columns, renamed, and the rows whose names have one of the beginnings."""
     table = _entry(name)
-    chosen = [column.strip().partition(" = ") for column in columns.split(";")]
-    formats = [
-        (table.columns.index(c), table.units.get(c, ""), _rounding(table, c)) for c, _, _ in chosen
-    ]
+    headings = []
+    formats = []
+    for text in columns.split(";"):
+        column, _, heading = text.strip().partition(" = ")
+        headings.append(heading or column)
+        unit = table.units.get(column, "")
+        formats.append((table.columns.index(column), unit, _rounding(table, column)))
     starts = tuple(start.strip() for start in rows.split(";")) if rows else ("",)
-    lines = [[shown or column for column, _, shown in chosen], ["---" for _ in chosen]]
+    lines = [headings, ["---"] * len(headings)]
     for cells in table.rows:
         if names_of(cells)[-1].startswith(starts):
-            lines.append([_text(cells[place], unit, rounding) for place, unit, rounding in formats])
+            lines.append([_text(cells[k], unit, rounding) for k, unit, rounding in formats])
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -85,16 +91,17 @@ def _index() -> str:
 
 def render(template: str) -> str:
     """Fill in a template's placeholders."""
-    text = _TABLE.sub(lambda found: _table(found[1], found[2], found[3]), template)
+    text = _TABLE.sub(lambda match: _table(match[1], match[2], match[3]), template)
     return _VALUE.sub(_value, text).replace("{{index}}", _index())
 
 
-def _value(found: re.Match[str]) -> str:
-    name, row, column, rounding = (" ".join((part or "").split()) for part in found.groups())
+def _value(placeholder: re.Match[str]) -> str:
+    # Placeholders in wrapped text can have line breaks.
+    parts = [" ".join((part or "").split()) for part in placeholder.groups()]
+    name, row, column, rounding = parts
     table = _entry(name)
-    return _text(
-        table.value(row, column), table.units.get(column, ""), rounding or _rounding(table, column)
-    )
+    unit = table.units.get(column, "")
+    return _text(table.value(row, column), unit, rounding or _rounding(table, column))
 
 
 def page() -> str:
@@ -104,8 +111,9 @@ def page() -> str:
 
 def quotes() -> dict[str, list[str]]:
     """Fill in the quotes of each document."""
-    found: dict[str, list[str]] = json.loads((FOLDER / "quotes.json").read_text(encoding="utf-8"))
-    return {document: [render(quote) for quote in listed] for document, listed in found.items()}
+    text = (FOLDER / "quotes.json").read_text(encoding="utf-8")
+    templates: dict[str, list[str]] = json.loads(text)
+    return {document: [render(quote) for quote in listed] for document, listed in templates.items()}
 
 
 def missing_quotes() -> list[str]:
@@ -133,8 +141,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if stale and not check:
         target.write_text(page(), encoding="utf-8")
     missing = missing_quotes()
-    for each in missing:
-        print(f"not quoted as measured: {each}", file=sys.stderr)
+    for quote in missing:
+        print(f"not quoted as measured: {quote}", file=sys.stderr)
     return 1 if missing or (check and stale) else 0
 
 

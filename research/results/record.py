@@ -55,20 +55,23 @@ Cell = float | int | str | None
 
 
 class Table(NamedTuple):
-    """A table of results; ``units`` names those of the columns whose numbers have one."""
+    """Table of results; ``units`` has the units of columns whose numbers have one."""
 
     columns: list[str]
     units: dict[str, str]
     rows: list[list[Cell]]
 
     def value(self, row: str, column: str) -> Cell:
-        """A cell, by its row (the first cell, or the first ones as ``all / given``) and the name of its column."""
-        found = [cells for cells in self.rows if row in names_of(cells)]
-        if len(found) != 1:
+        """Find a cell by its row and column.
+
+        The name of a row is its first cell, or the first ones such as ``all / given``.
+        """
+        matches = [cells for cells in self.rows if row in names_of(cells)]
+        if len(matches) != 1:
             raise KeyError(
-                f"{len(found)} rows are called {row!r}: {[cells[:2] for cells in self.rows]}"
+                f"{len(matches)} rows are called {row!r}: {[cells[:2] for cells in self.rows]}"
             )
-        return found[0][self.columns.index(column)]
+        return matches[0][self.columns.index(column)]
 
 
 def names_of(cells: Sequence[Cell]) -> list[str]:
@@ -77,7 +80,7 @@ def names_of(cells: Sequence[Cell]) -> list[str]:
 
 
 def tables_of(markdown: str) -> list[Table]:
-    """Read the tables of a Markdown text; a column whose cells are all numbers of one unit becomes numbers."""
+    """Read the tables of a Markdown text; columns of numbers with one unit become numbers."""
     lines = [line.strip() for line in markdown.splitlines()]
     tables = []
     k = 0
@@ -101,6 +104,7 @@ def _table(columns: list[str], texts: list[list[str]]) -> Table:
     units = {}
     rows = [list[Cell]() for _ in texts]
     for k, column in enumerate(columns):
+        # A row that is too short has empty cells.
         cells, unit = _values([row[k] if k < len(row) else "" for row in texts])
         if unit:
             units[column] = unit
@@ -110,13 +114,15 @@ def _table(columns: list[str], texts: list[list[str]]) -> Table:
 
 
 def _values(texts: Sequence[str]) -> tuple[list[Cell], str]:
-    """The cells of a column and their unit; texts, where they are not all numbers of one unit."""
-    found = [None if text in {"", "-"} else _NUMBER.fullmatch(text) for text in texts]
-    said = [match for text, match in zip(texts, found, strict=True) if text not in {"", "-"}]
-    units = {match[2] or "" if match else None for match in said}
-    if len(units) != 1 or None in units:
+    """Convert the cells of a column; they stay texts unless all are numbers of one unit."""
+    matches = [_NUMBER.fullmatch(text) for text in texts]
+    is_empty = [text in {"", "-"} for text in texts]
+    filled = [match for match, empty in zip(matches, is_empty, strict=True) if not empty]
+    units = {match[2] or "" for match in filled if match is not None}
+    if None in filled or len(units) != 1:
         return [text or None for text in texts], ""
-    return [None if match is None else _number(match[1]) for match in found], units.pop() or ""
+    unit = units.pop()
+    return [None if match is None else _number(match[1]) for match in matches], unit
 
 
 def _number(text: str) -> float | int:
@@ -136,14 +142,14 @@ def add_record_option(parser: argparse.ArgumentParser) -> argparse.ArgumentParse
 def recording(
     topic: str, keys: Sequence[str], suffix: str | None, *, folder: Path = FOLDER, **facts: Any
 ) -> Iterator[None]:
-    """Print as always, and write the printed tables under their keys, one each.
+    """Print as usual, and write the printed tables, each under its key.
 
     Args:
-        topic: names the data file.
-        keys: of the tables, in the order in which they are printed.
-        suffix: of every key; ``None`` writes nothing.
-        folder: of the data files.
-        facts: more of the entry, such as ``model``: names and checksums.
+        topic: name of the data file.
+        keys: keys of the tables, in the order of printing.
+        suffix: suffix of every key; ``None`` writes nothing.
+        folder: folder of the data files.
+        facts: further fields of the entry, such as ``model``: names and checksums.
     """
     if suffix is None:
         yield
@@ -155,44 +161,53 @@ def recording(
     facts = {"command": _command(), "machine": _machine(load_before), **facts}
     for k, table in enumerate(tables_of(printed.getvalue())):
         key = keys[k] if k < len(keys) else f"{keys[-1]}_{k + 1}"
-        write(topic, f"{key}_{suffix}" if suffix else key, table, folder=folder, **facts)
+        if suffix:
+            key = f"{key}_{suffix}"
+        write(topic, key, table, folder=folder, **facts)
 
 
 def header(*columns: str) -> str:
-    """The two lines that begin a Markdown table."""
+    """Format the two lines that begin a Markdown table."""
     return f"| {' | '.join(columns)} |\n|" + "---|" * len(columns)
 
 
 def values_table(
     values: Mapping[str, float | str], aims: Mapping[str, float | str] | None = None
 ) -> list[str]:
-    """The lines of a table with one quantity a row; three significant digits, or all of a whole number."""
-    lines = [header("quantity", "value", "aim") if aims else header("quantity", "value")]
+    """List the lines of a table with one quantity a row, with three significant digits."""
+    columns = ["quantity", "value"]
+    if aims:
+        columns.append("aim")
+    lines = [header(*columns)]
     for name, value in values.items():
-        cells = [name, _shown(value), *([str(aims.get(name, ""))] if aims else [])]
+        cells = [name, _format_value(value)]
+        if aims:
+            cells.append(str(aims.get(name, "")))
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 
 
-def _shown(value: float | str) -> str:
+def _format_value(value: float | str) -> str:
     if isinstance(value, str | int | np.integer):
         return str(value)
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    if abs(value) >= 1000:
+        return f"{value:.0f}"
+    return f"{value:.3g}"
 
 
 class _Copy(io.StringIO):
-    """A stream that keeps what it passes on."""
+    """Stream that copies its text to another one."""
 
-    def __init__(self, shown: Any) -> None:
+    def __init__(self, other: Any) -> None:
         super().__init__()
-        self._shown = shown
+        self._other = other
 
     def write(self, text: str) -> int:
-        self._shown.write(text)
+        self._other.write(text)
         return super().write(text)
 
     def flush(self) -> None:
-        self._shown.flush()
+        self._other.flush()
 
 
 def _machine(load: float) -> str:
@@ -212,49 +227,47 @@ def _machine(load: float) -> str:
 
 
 def _command() -> str:
-    """Give the command as typed in the root of the repository."""
+    """Reconstruct the command as typed in the root of the repository."""
     main = getattr(sys.modules["__main__"], "__spec__", None)
     program = f"python -m {main.name}" if main else Path(sys.argv[0]).name
     return " ".join([program, *sys.argv[1:]])
 
 
 def write(topic: str, key: str, table: Table, *, folder: Path = FOLDER, **facts: Any) -> None:
-    """Write one entry, dated today; its title and its aim stay, everything else is of this run."""
-    entries = load(topic, folder) if (folder / f"{topic}.json").exists() else {}
-    kept = {
-        name: value
-        for name, value in entries.get(key, {"title": key}).items()
-        if name in {"title", "aim"}
-    }
-    entries[key] = {**kept, "date": datetime.date.today().isoformat(), **facts, **table._asdict()}
-    (folder / f"{topic}.json").write_text(f"{_dump(entries, 0)}\n", encoding="utf-8")
+    """Write one entry, dated today; only its title and its aim stay from an earlier run."""
+    path = folder / f"{topic}.json"
+    entries = load(topic, folder) if path.exists() else {}
+    earlier = entries.get(key, {"title": key})
+    entry = {name: value for name, value in earlier.items() if name in {"title", "aim"}}
+    today = datetime.date.today().isoformat()
+    entries[key] = {**entry, "date": today, **facts, **table._asdict()}
+    path.write_text(f"{_dump(entries, 0)}\n", encoding="utf-8")
 
 
 def load(topic: str, folder: Path = FOLDER) -> dict[str, dict[str, Any]]:
-    """The entries of a topic by their keys."""
-    found: dict[str, dict[str, Any]] = json.loads(
-        (folder / f"{topic}.json").read_text(encoding="utf-8")
-    )
-    return found
+    """Load the entries of a topic by their keys."""
+    text = (folder / f"{topic}.json").read_text(encoding="utf-8")
+    entries: dict[str, dict[str, Any]] = json.loads(text)
+    return entries
 
 
 def _dump(value: Any, depth: int) -> str:
-    """JSON with one row of a table a line."""
-    line = json.dumps(value, ensure_ascii=False)
-    if (
-        not isinstance(value, (dict, list))
-        or (depth and len(line) + depth <= _LINE_CHARACTERS)
-        or not value
-    ):
+    """Format JSON with one line for each row of a table."""
+    line = _json(value)
+    if not isinstance(value, (dict, list)) or not value:
         return line
-    space = "  " * (depth + 1)
+    if depth and len(line) + depth <= _LINE_CHARACTERS:
+        return line
+    inner = "  " * (depth + 1)
+    outer = "  " * depth
     if isinstance(value, dict):
-        parts = [
-            f"{space}{json.dumps(key, ensure_ascii=False)}: {_dump(each, depth + 1)}"
-            for key, each in value.items()
-        ]
-        return "{\n" + ",\n".join(parts) + "\n" + "  " * depth + "}"
-    if not any(isinstance(each, (dict, list)) for each in value):
+        parts = [f"{inner}{_json(key)}: {_dump(item, depth + 1)}" for key, item in value.items()]
+        return "{\n" + ",\n".join(parts) + "\n" + outer + "}"
+    if not any(isinstance(item, (dict, list)) for item in value):
         return line
-    parts = [f"{space}{json.dumps(each, ensure_ascii=False)}" for each in value]
-    return "[\n" + ",\n".join(parts) + "\n" + "  " * depth + "]"
+    parts = [f"{inner}{_json(item)}" for item in value]
+    return "[\n" + ",\n".join(parts) + "\n" + outer + "]"
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)

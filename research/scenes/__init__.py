@@ -1,4 +1,4 @@
-"""Aerial scenes of exactly known ground sampling distance, for demos, tests, benchmarks and training.
+"""Aerial scenes of exactly known ground sampling distance, for demos, tests and training.
 
 ``layout`` lays out a scene in metres (``streets``, with ``blocks`` between them) and ``fleet``
 draws vehicles from a known length distribution. ``painter``, ``roofs``, ``sprites`` and ``shadows``

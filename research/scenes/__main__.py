@@ -55,7 +55,10 @@ def scene(
         ),
     ] = None,
 ) -> None:
-    """Render an aerial scene of exactly known scale, with ground truth: GSD, oriented boxes (DOTA text), masks."""
+    """Render an aerial scene of exactly known scale.
+
+    The ground truth has the GSD, oriented boxes (DOTA text) and masks.
+    """
     with exit_on_error():
         check_picture_path(out)
         drawn = render_scene(

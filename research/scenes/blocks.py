@@ -21,11 +21,9 @@ def park(site: Site, width: float, depth: float) -> None:
     """Build a park: lawn, paths, trees, perhaps courts."""
     rng = site.rng
     palette = site.palette
-    site.rect(
-        (0, 0, width, depth),
-        jitter(rng, palette.lawn, 6),
-        Material.MEADOW if rng.random() < 0.5 else Material.LAWN,
-    )
+    lawn = jitter(rng, palette.lawn, 6)
+    material = Material.MEADOW if rng.random() < 0.5 else Material.LAWN
+    site.rect((0, 0, width, depth), lawn, material)
     path = jitter(rng, palette.gravel, 6)
     for _ in range(2):
         a, b = rng.uniform(0.1, 0.9, 2)

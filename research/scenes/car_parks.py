@@ -73,7 +73,8 @@ def _rows(site: Site, width: float, depth: float) -> None:
             for x in np.arange(start + 8, stop - 8, 30):
                 site.polygon([(x, row + y + aisle / 2 - 0.15), (x + 2, row + y + aisle / 2 - 0.15),
                               (x + 2, row + y + aisle / 2 - 0.4), (x + 3, row + y + aisle / 2),
-                              (x + 2, row + y + aisle / 2 + 0.4), (x + 2, row + y + aisle / 2 + 0.15),
+                              (x + 2, row + y + aisle / 2 + 0.4),
+                              (x + 2, row + y + aisle / 2 + 0.15),
                               (x, row + y + aisle / 2 + 0.15)], line, Material.PAINT)  # fmt: skip
         if rng.random() < 0.45 and stop - start > 24:
             model = fleet.small()

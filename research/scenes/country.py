@@ -8,7 +8,7 @@ import numpy as np
 
 from research.scenes.homes import garden, house
 from research.scenes.site import Site, jitter
-from research.scenes.world import Material, Rgb
+from research.scenes.world import Material, Rect, Rgb
 
 
 def field(site: Site, width: float, depth: float) -> None:
@@ -24,18 +24,16 @@ def field(site: Site, width: float, depth: float) -> None:
     rgb, material = kinds[int(rng.integers(len(kinds)))]
     edge = rng.uniform(1.0, 3.0)
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
-    plot = (edge, edge, width - edge, depth - edge)
-    site.rect(plot, jitter(rng, rgb, 10, 0.07), material)
-    site.target(
-        "field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])]
+    _field_plot(
+        site, (edge, edge, width - edge, depth - edge), jitter(rng, rgb, 10, 0.07), material
     )
-    along = width >= depth
-    own = site if along else site.at(width, 0, math.pi / 2)
-    long, broad = (width, depth) if along else (depth, width)
+    own, long, broad = _along_rows(site, width, depth, turned=width < depth)
+    # Furrows.
     spacing = float(rng.choice([0.75, 1.5, 3.0]))
     for y in np.arange(edge + spacing, broad - edge - 0.5, spacing):
         level = int(128 + rng.choice([-1, 1]) * rng.uniform(4, 12))
         own.stain_rect((edge, y, long - edge, y + spacing * rng.uniform(0.3, 0.6)), level)
+    # Tramlines: two wheel tracks each.
     for y in np.arange(edge + 9, broad - 9, rng.uniform(18, 28)):
         for offset in (0.0, 1.9):
             own.stain_rect((edge, y + offset, long - edge, y + offset + 0.45), 112)
@@ -43,9 +41,26 @@ def field(site: Site, width: float, depth: float) -> None:
         x = rng.uniform(edge + 8, width - edge - 8)
         y = rng.uniform(edge + 8, depth - edge - 8)
         r = min(rng.uniform(3, 15), x - edge, y - edge, width - edge - x, depth - edge - y)
-        site.blob(x, y, r * 0.8, r * 0.6, jitter(rng, rgb, 14, 0.05), material)
+        spot = jitter(rng, rgb, 14, 0.05)
+        site.blob(x, y, r * 0.8, r * 0.6, rgb=spot, material=material)
     if rng.random() < 0.5:
         _tree_line(site, width)
+
+
+def _field_plot(site: Site, plot: Rect, rgb: Rgb, material: Material) -> None:
+    """Cover the plot of a field, and add it to the masked objects."""
+    left, top, right, bottom = plot
+    site.rect(plot, rgb, material)
+    site.target("field", [(left, top), (right, top), (right, bottom), (left, bottom)])
+
+
+def _along_rows(
+    site: Site, width: float, depth: float, *, turned: bool
+) -> tuple[Site, float, float]:
+    """Return a site whose x axis runs along the rows, with its width and depth."""
+    if turned:
+        return site.at(width, 0, math.pi / 2), depth, width
+    return site, width, depth
 
 
 def vineyard(site: Site, width: float, depth: float) -> None:
@@ -55,18 +70,14 @@ def vineyard(site: Site, width: float, depth: float) -> None:
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
     edge = rng.uniform(2, 4)
     plot = (edge, edge, width - edge, depth - edge)
-    site.rect(plot, jitter(rng, palette.soil, 8), Material.SOIL)
-    site.target(
-        "field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])]
-    )
-    along = rng.random() < 0.5
-    own = site if along else site.at(width, 0, math.pi / 2)
-    long, broad = (width, depth) if along else (depth, width)
+    _field_plot(site, plot, jitter(rng, palette.soil, 8), Material.SOIL)
+    own, long, broad = _along_rows(site, width, depth, turned=rng.random() >= 0.5)
     spacing = rng.uniform(1.9, 2.8)
     green = palette.leaves[int(rng.integers(len(palette.leaves)))]
     for y in np.arange(edge + 1.2, broad - edge - 1.0, spacing):
         start = edge + 0.5
-        while start < long - edge - 2:  # gaps of dead plants
+        # Dead plants leave gaps.
+        while start < long - edge - 2:
             stop = min(start + rng.exponential(40) + 3, long - edge - 0.5)
             count = max(int((stop - start) / 1.2), 3)
             xs = np.linspace(start, stop, count)
@@ -83,26 +94,22 @@ def orchard(site: Site, width: float, depth: float) -> None:
     rng = site.rng
     palette = site.palette
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
+    if rng.random() < 0.5:
+        rgb = palette.soil
+        material = Material.SOIL
+    else:
+        rgb = palette.lawn
+        material = Material.MEADOW
     plot = (1.5, 1.5, width - 1.5, depth - 1.5)
-    soil = rng.random() < 0.5
-    site.rect(
-        plot,
-        jitter(rng, palette.soil if soil else palette.lawn, 8),
-        Material.SOIL if soil else Material.MEADOW,
-    )
-    site.target(
-        "field", [(plot[0], plot[1]), (plot[2], plot[1]), (plot[2], plot[3]), (plot[0], plot[3])]
-    )
+    _field_plot(site, plot, jitter(rng, rgb, 8), material)
     spacing = rng.uniform(4.5, 7)
     size = rng.uniform(1.2, 2.2)
     for x in np.arange(4, width - 3, spacing):
         for y in np.arange(4, depth - 3, spacing):
             if rng.random() < 0.94:
-                site.tree(
-                    x + rng.normal(0, 0.3),
-                    y + rng.normal(0, 0.3),
-                    float(size * rng.uniform(0.8, 1.2)),
-                )
+                tree_x = x + rng.normal(0, 0.3)
+                tree_y = y + rng.normal(0, 0.3)
+                site.tree(tree_x, tree_y, float(size * rng.uniform(0.8, 1.2)))
 
 
 def meadow(site: Site, width: float, depth: float) -> None:
@@ -115,9 +122,9 @@ def meadow(site: Site, width: float, depth: float) -> None:
         x = rng.uniform(3, width - 3)
         y = rng.uniform(3, depth - 3)
         size = min(rng.uniform(1.5, 9), x, y, width - x, depth - y) * 0.8
-        site.blob(
-            x, y, size, size * rng.uniform(0.5, 1), jitter(rng, blot, 8, 0.06), Material.MEADOW, 0.3
-        )
+        size_y = size * rng.uniform(0.5, 1)
+        rgb = jitter(rng, blot, 8, 0.06)
+        site.blob(x, y, size, size_y, rgb=rgb, material=Material.MEADOW, rough=0.3)
     _track(site, width, depth)
     site.grove((1, 1, width - 1, depth - 1), 0.0025 * palette.greenery)
     for _ in range(int(rng.poisson(width * depth / 220))):
@@ -170,17 +177,14 @@ def farm(site: Site, width: float, depth: float) -> None:
         yard_d / 2,
         yard_w / 2 + 3,
         yard_d / 2 + 2,
-        palette.gravel,
-        Material.GRAVEL,
-        0.05,
+        rgb=palette.gravel,
+        material=Material.GRAVEL,
+        rough=0.05,
     )
-    barn = jitter(
-        rng,
-        palette.roofs[int(rng.integers(len(palette.roofs)))]
-        if rng.random() < 0.6
-        else (168, 168, 164),
-        8,
-    )
+    roof: Rgb = (168, 168, 164)
+    if rng.random() < 0.6:
+        roof = palette.roofs[int(rng.integers(len(palette.roofs)))]
+    barn = jitter(rng, roof, 8)
     own.roof(((0, yard_d - 2, rng.uniform(20, 30), yard_d + 10),), "gable", 5.0, barn)
     house(own.at(-6, 3), rng.uniform(9, 11), rng.uniform(10, 14))
     x = 9.0
@@ -188,12 +192,9 @@ def farm(site: Site, width: float, depth: float) -> None:
         if rng.random() < 0.55:
             kind = rng.random()
             model = site.fleet.small() if kind < 0.75 else site.fleet.large("caravan", "truck")
-            own.vehicle(
-                model,
-                x,
-                y=10 + rng.uniform(0, 2.0),
-                angle=math.pi / 2 + float(np.clip(rng.normal(0, 0.1), -0.2, 0.2)),
-            )
+            y = 10 + rng.uniform(0, 2.0)
+            turn = float(np.clip(rng.normal(0, 0.1), -0.2, 0.2))
+            own.vehicle(model, x, y=y, angle=math.pi / 2 + turn)
         elif rng.random() < 0.3:
             own.box((x - 1.2, 8, x + 1.2, 14), 2.6, jitter(rng, (120, 84, 62), 14))
         x += 4.6

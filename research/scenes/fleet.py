@@ -35,7 +35,8 @@ _FLEETS: dict[FleetKind, tuple[tuple[float, float, float, tuple[str, ...]], ...]
 _MAX_DEVIATION = 2.5
 
 _WIDTH_PER_LENGTH = 0.40
-_WIDTH_FOLLOWS_LENGTH = 0.55  # short cars are narrower, but less than in proportion
+# Short cars are narrower, but less than in proportion.
+_WIDTH_FOLLOWS_LENGTH = 0.55
 _WIDTH_SD = 0.02
 
 # Shares of paint as seen on European car parks: white, silver, grey, black, blue, red, green,

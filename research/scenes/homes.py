@@ -8,7 +8,16 @@ import numpy as np
 
 from research.scenes.car_parks import bays
 from research.scenes.site import Site, flat_roof_rgb, jitter
-from research.scenes.world import Material, Rect
+from research.scenes.world import Material, Rect, Rgb
+
+_SHED_RGB = (
+    (128, 112, 96),
+    (150, 150, 148),
+    (104, 106, 110),
+    (172, 120, 96),
+    (198, 196, 190),
+)
+_PARASOL_RGB = ((222, 216, 200), (170, 60, 50), (90, 110, 90))
 
 
 def houses(site: Site, width: float, depth: float) -> None:
@@ -41,9 +50,14 @@ def garden(site: Site, width: float, depth: float) -> None:
     if house_w < 5 or house_d < 5:
         site.grove((1, 1, width - 1, depth - 1), 0.02 * palette.greenery)
         return
-    x0 = drive + 1.2 if left else 1.2
-    drive_x = 0.6 if left else width - drive - 0.6
-    paved = jitter(rng, palette.paving if rng.random() < 0.6 else palette.gravel, 8, 0.06)
+    if left:
+        x0 = drive + 1.2
+        drive_x = 0.6
+    else:
+        x0 = 1.2
+        drive_x = width - drive - 0.6
+    drive_rgb = palette.paving if rng.random() < 0.6 else palette.gravel
+    paved = jitter(rng, drive_rgb, 8, 0.06)
     drive_end = setback + rng.uniform(0.3, 0.9) * house_d
     site.rect((drive_x, -0.3, drive_x + drive, drive_end), paved, Material.PAVING)
     site.rect(
@@ -76,44 +90,34 @@ def _garden_ground(site: Site, width: float, depth: float) -> None:
     palette = site.palette
     ground = rng.random()
     if ground < 0.45:
-        site.rect(
-            (0, 0, width, depth),
-            jitter(rng, palette.meadow if rng.random() < 0.5 else palette.lawn, 10, 0.08),
-            Material.MEADOW,
-        )
+        grass = palette.meadow if rng.random() < 0.5 else palette.lawn
+        site.rect((0, 0, width, depth), jitter(rng, grass, 10, 0.08), Material.MEADOW)
     elif ground < 0.6:
         site.rect((0, 0, width, depth), jitter(rng, palette.soil, 8), Material.SOIL)
     else:
         site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 8, 0.06), Material.LAWN)
     for _ in range(int(rng.poisson(1.5))):
-        blot = jitter(rng, palette.soil if rng.random() < 0.5 else palette.meadow, 8)
+        other = palette.soil if rng.random() < 0.5 else palette.meadow
+        blot = jitter(rng, other, 8)
         x = rng.uniform(2, width - 2)
         y = rng.uniform(2, depth - 2)
-        site.blob(
-            x,
-            y,
-            min(rng.uniform(1, 4), x, width - x),
-            min(rng.uniform(1, 4), y, depth - y),
-            blot,
-            Material.MEADOW,
-        )
+        radius_x = min(rng.uniform(1, 4), x, width - x)
+        radius_y = min(rng.uniform(1, 4), y, depth - y)
+        site.blob(x, y, radius_x, radius_y, rgb=blot, material=Material.MEADOW)
 
 
 def _garden_plants(site: Site, width: float, depth: float, back: float, *, left: bool) -> None:
-    """Plant trees and bushes along the borders, away from the drive; ``back`` is the rear of the house."""
+    """Plant trees and bushes along the borders; ``back`` is the rear of the house."""
     rng = site.rng
     palette = site.palette
     for _ in range(int(rng.poisson(width * depth / 75 * palette.greenery))):
         if rng.random() < 0.75:
             site.tree(rng.uniform(1, width - 1), rng.uniform(back + 1.5, depth - 0.5))
         else:
-            near_wall = rng.uniform(0.8, 2.0)
-            site.tree(
-                width - near_wall if left else near_wall,
-                rng.uniform(0.5, depth),
-                rng.uniform(0.9, 2.2),
-                conical=rng.random() < 0.2,
-            )
+            from_wall = rng.uniform(0.8, 2.0)
+            x = width - from_wall if left else from_wall
+            y = rng.uniform(0.5, depth)
+            site.tree(x, y, rng.uniform(0.9, 2.2), conical=rng.random() < 0.2)
     for _ in range(int(rng.poisson(10 * palette.greenery))):
         side = rng.random()
         x = rng.uniform(0.6, width - 0.6) if side < 0.5 else float(rng.choice([0.9, width - 0.9]))
@@ -153,14 +157,13 @@ def _drive_cars(site: Site, x: float, width: float, end: float) -> None:
         centre = x + width * (slot + 0.5) / slots
         position = 0.6 + model.length_m / 2 + rng.uniform(0, 0.8)
         turn = float(np.clip(rng.normal(0, 0.03), -0.06, 0.06))
-        site.vehicle(
-            model, centre, y=position, angle=turn + float(rng.choice([-1, 1])) * math.pi / 2
-        )
+        heading = float(rng.choice([-1, 1])) * math.pi / 2
+        site.vehicle(model, centre, y=position, angle=turn + heading)
+        # A second car behind the first one.
         if slots == 1 and rng.random() < 0.35 and end > 2 * fleet.max_length_m + 2.2:
             other = fleet.small()
-            site.vehicle(
-                other, centre, y=1.8 + fleet.max_length_m + other.length_m / 2, angle=math.pi / 2
-            )
+            behind = 1.8 + fleet.max_length_m + other.length_m / 2
+            site.vehicle(other, centre, y=behind, angle=math.pi / 2)
 
 
 def _garden_things(site: Site, width: float, depth: float, behind: float) -> None:
@@ -169,12 +172,10 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
     palette = site.palette
     space = depth - behind
     if space > 8.5 and width > 13 and rng.random() < palette.pools:
-        site.pool(
-            width / 2 + rng.uniform(-1, 1) * max(width / 2 - 7.5, 0),
-            behind + space / 2 + 0.8,
-            rng.normal(0, 0.06),
-        )
-        for _ in range(int(rng.integers(0, 4))):  # loungers
+        pool_x = width / 2 + rng.uniform(-1, 1) * max(width / 2 - 7.5, 0)
+        site.pool(pool_x, behind + space / 2 + 0.8, rng.normal(0, 0.06))
+        # Loungers.
+        for _ in range(int(rng.integers(0, 4))):
             x = rng.uniform(2, width - 3)
             y = behind + rng.uniform(0.8, 1.6)
             site.box((x, y, x + 0.65, y + 1.9), 0.4, (226, 226, 220))
@@ -182,51 +183,32 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
         for row in range(int(rng.integers(2, 6))):
             y = behind + 2 + row * 0.9
             if y < depth - 1:
-                site.rect(
-                    (2, y, min(2 + width * 0.35, width - 1), y + 0.55),
-                    jitter(rng, (92, 84, 58), 12),
-                    Material.CROP,
-                )
+                bed = (2, y, min(2 + width * 0.35, width - 1), y + 0.55)
+                site.rect(bed, jitter(rng, (92, 84, 58), 12), Material.CROP)
     if space > 5 and rng.random() < 0.55:
         sx = rng.uniform(1.8, 4.6)
         sy = rng.uniform(1.6, 2.6)
         x = float(rng.choice([1.0, width - sx - 1.0]))
-        grey = jitter(
-            rng,
-            [(128, 112, 96), (150, 150, 148), (104, 106, 110), (172, 120, 96), (198, 196, 190)][
-                int(rng.integers(5))
-            ],
-            14,
-        )
-        site.box((x, depth - sy - 0.8, x + sx, depth - 0.8), rng.uniform(2.0, 2.8), grey)
+        rgb = jitter(rng, _SHED_RGB[int(rng.integers(5))], 14)
+        site.box((x, depth - sy - 0.8, x + sx, depth - 0.8), rng.uniform(2.0, 2.8), rgb)
     if rng.random() < 0.2 and space > 6:
         x = rng.uniform(3, width - 3)
         y = rng.uniform(behind + 3, depth - 2.5)
         radius = rng.uniform(1.4, 2.0)
-        site.disc(
-            x,
-            y,
-            radius=radius,
-            height=0.7,
-            rgb=(62, 92, 128) if rng.random() < 0.5 else (70, 96, 70),
-        )
+        rim = (62, 92, 128) if rng.random() < 0.5 else (70, 96, 70)
+        site.disc(x, y, radius=radius, height=0.7, rgb=rim)
         site.disc(x, y, radius=radius * 0.83, height=0.7, rgb=(44, 46, 48))
     if rng.random() < 0.4:
         x = rng.uniform(2, width - 2)
         y = behind + rng.uniform(0.8, 2.2)
-        site.disc(
-            x,
-            y,
-            radius=rng.uniform(0.9, 1.5),
-            height=2.2,
-            rgb=jitter(
-                rng, [(222, 216, 200), (170, 60, 50), (90, 110, 90)][int(rng.integers(3))], 8
-            ),
-        )
+        radius = rng.uniform(0.9, 1.5)
+        parasol = jitter(rng, _PARASOL_RGB[int(rng.integers(3))], 8)
+        site.disc(x, y, radius=radius, height=2.2, rgb=parasol)
     if rng.random() < 0.12 and space > 6 and width > 11:
         x = rng.uniform(2, width - 6)
         y = behind + rng.uniform(1.5, max(space - 4.5, 1.6))
-        for beam in np.arange(0, 3.6, 0.6):  # pergola
+        # The beams of a pergola.
+        for beam in np.arange(0, 3.6, 0.6):
             site.box((x, y + beam, x + 4, y + beam + 0.15), 2.3, (168, 142, 112))
 
 
@@ -261,28 +243,19 @@ def flats(site: Site, width: float, depth: float) -> None:
             long = min(rng.uniform(22, 48), width - 3 - x)
             if y + deep < depth - 2:
                 pitched = rng.random() < 0.5
-                rgb = (
-                    jitter(rng, palette.roofs[int(rng.integers(len(palette.roofs)))], 8)
-                    if pitched
-                    else flat_roof_rgb(site.rng)
-                )
+                rgb = _roof_rgb(site, pitched=pitched)
                 site.rect(
                     (x - 1, y - 1, x + long + 1, y + deep + 1), palette.paving, Material.PAVING
                 )
                 parts: tuple[Rect, ...] = ((x, y, x + long, y + deep),)
                 if rng.random() < 0.3 and y + deep + 12 < depth:
                     parts = (*parts, (x, y, x + 12, y + deep + 10))
-                site.roof(
-                    parts,
-                    ("hip" if rng.random() < 0.6 else "gable") if pitched else "flat",
-                    rng.uniform(8, 16),
-                    rgb,
-                )
-                site.rect(
-                    (x + long / 2 - 0.9, parking + 2, x + long / 2 + 0.9, y),
-                    palette.paving,
-                    Material.PAVING,
-                )
+                style = "flat"
+                if pitched:
+                    style = "hip" if rng.random() < 0.6 else "gable"
+                site.roof(parts, style, rng.uniform(8, 16), rgb)
+                path = (x + long / 2 - 0.9, parking + 2, x + long / 2 + 0.9, y)
+                site.rect(path, palette.paving, Material.PAVING)
             x += long + rng.uniform(7, 14)
         y += deep + rng.uniform(12, 20)
     y = parking + 4
@@ -290,6 +263,14 @@ def flats(site: Site, width: float, depth: float) -> None:
         site.tree(rng.uniform(1, width - 1), rng.uniform(y, depth - 1))
     for _ in range(int(rng.poisson(width * (depth - y) / 120))):
         site.bush(rng.uniform(1, width - 1), rng.uniform(y, depth - 1))
+
+
+def _roof_rgb(site: Site, *, pitched: bool) -> Rgb:
+    """Draw the colour of a roof."""
+    if not pitched:
+        return flat_roof_rgb(site.rng)
+    roofs = site.palette.roofs
+    return jitter(site.rng, roofs[int(site.rng.integers(len(roofs)))], 8)
 
 
 def town(site: Site, width: float, depth: float) -> None:
@@ -307,17 +288,10 @@ def town(site: Site, width: float, depth: float) -> None:
         while x + 7 < width:
             long = min(rng.uniform(9, 20), width - 0.5 - x)
             pitched = rng.random() < min(palette.pitched, 0.8)
-            rgb = (
-                jitter(rng, palette.roofs[int(rng.integers(len(palette.roofs)))], 8)
-                if pitched
-                else flat_roof_rgb(site.rng)
-            )
-            own.roof(
-                ((x, 0.5, x + long, 0.5 + deep + rng.normal(0, 0.8)),),
-                "gable" if pitched else "flat",
-                rng.uniform(8, 15),
-                rgb,
-            )
+            rgb = _roof_rgb(site, pitched=pitched)
+            part = (x, 0.5, x + long, 0.5 + deep + rng.normal(0, 0.8))
+            style = "gable" if pitched else "flat"
+            own.roof((part,), style, rng.uniform(8, 15), rgb)
             x += long
     yard = (1.0, deep + 3.0, width - 1.0, depth - deep - 3.0)
     for _ in range(int(rng.poisson(max(width * (depth - 2 * deep) / 260, 0)))):

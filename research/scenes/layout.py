@@ -55,7 +55,8 @@ _PLANS: dict[Layout, _Plan] = {
         {"sports_ground": 0.5, "park": 0.06, "houses": 0.2, "car_park": 0.16, "flats": 0.08},
     ),
 }
-_MARGIN_M = 45.0  # around the view: objects there can cast shadows into it
+# Margin around the view, from which objects can cast shadows into it.
+_MARGIN_M = 45.0
 _MIN_EXTENT_M = 150.0
 
 

@@ -29,10 +29,12 @@ from research.scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Sur
 _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 
-_SHADE = (0.40, 0.44, 0.52)  # light of the sky relative to sun and sky; bluish
+# Light of the bluish sky relative to sun and sky.
+_SHADE = (0.40, 0.44, 0.52)
 VEHICLE_SHADOW_HEIGHT_M = {
-    "van": 1.7, "suv": 1.3, "truck": 2.9, "bus": 2.9, "semitrailer": 3.3, "caravan": 2.3, "kei": 1.4, "minivan": 1.4,
-    "kei truck": 1.4, "single cab": 1.3, "crew cab": 1.4, "flatbed": 1.6,
+    "van": 1.7, "suv": 1.3, "truck": 2.9, "bus": 2.9, "semitrailer": 3.3, "caravan": 2.3,
+    "kei": 1.4, "minivan": 1.4, "kei truck": 1.4, "single cab": 1.3, "crew cab": 1.4,
+    "flatbed": 1.6,
 }  # fmt: skip
 
 # Amplitudes of fine, middle and coarse noise, and the coarse noise's contribution to red, green and
@@ -50,7 +52,8 @@ _TEXTURES: dict[Material, tuple[float, float, float, float, float, float]] = {
     Material.COURT: (0.025, 0.02, 0.03, 0, 0, 0),
     Material.CROP: (0.08, 0.09, 0.06, 10, 4, 0),
 }
-_LOOKS = 9  # crown sprites; the last two are conical
+# Crown sprites; the last two are conical.
+_N_CROWNS = 9
 
 
 @dataclass(eq=False)
@@ -72,9 +75,9 @@ class Painter:
         self._coarse = noise_texture(rng, 256, 1.5)
         largest = max((tree.radius for tree in self.world.trees), default=1.0)
         size = int(np.clip(2 ** math.ceil(math.log2(2 * largest * self.px_per_m)), 16, 512))
-        looks = range(_LOOKS) if self.world.trees else ()
+        looks = range(_N_CROWNS) if self.world.trees else ()
         self._crowns = [
-            _pyramid(crown_sprite(rng, size, self.sun, conical=look >= _LOOKS - 2))
+            _pyramid(crown_sprite(rng, size, self.sun, conical=look >= _N_CROWNS - 2))
             for look in looks
         ]
         reach = np.array(self.sun.shadow(1.0))
@@ -298,7 +301,7 @@ class Painter:
         if window is None:
             return None
         x0, y0, x1, y1 = window
-        levels = self._crowns[tree.look % _LOOKS]
+        levels = self._crowns[tree.look % _N_CROWNS]
         level = next(
             (sprite for sprite in reversed(levels) if sprite.shape[0] >= 1.4 * radius), levels[0]
         )

@@ -1,4 +1,4 @@
-"""Unbiased rasterisation of polygons by the pixel-centre rule, and periodic noise sampled in metres."""
+"""Unbiased rasterisation of polygons by the pixel-centre rule, and periodic noise in metres."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SMOOTH_BELOW = 0.34
 
 
 def polygon_area(points: NDArray[np.float64]) -> float:
-    """Compute the area of a simple polygon [N,2] by the shoelace formula, in the square of the points' unit."""
+    """Compute the area of a simple polygon [N,2] by the shoelace formula, in squared units."""
     x = points[:, 0]
     y = points[:, 1]
     return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
@@ -60,20 +60,20 @@ def clip_polygon(
         if len(current) == 0:
             break
         inside = sign * (current[:, axis] - bound) >= 0
-        kept: list[NDArray[np.float64]] = []
+        clipped: list[NDArray[np.float64]] = []
         for index, point in enumerate(current):
             previous = current[index - 1]
             if inside[index] != inside[index - 1]:
                 share = (bound - previous[axis]) / (point[axis] - previous[axis])
-                kept.append(previous + share * (point - previous))
+                clipped.append(previous + share * (point - previous))
             if inside[index]:
-                kept.append(point)
-        current = np.array(kept, dtype=np.float64).reshape(-1, 2)
+                clipped.append(point)
+        current = np.array(clipped, dtype=np.float64).reshape(-1, 2)
     return current
 
 
 def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArray[np.float32]:
-    """Create periodic noise [size, size] with amplitude spectrum f ** -exponent, zero mean, unit variance."""
+    """Create periodic noise [size, size]: spectrum f ** -exponent, zero mean, unit variance."""
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
     frequency[0, 0] = 1.0
@@ -125,7 +125,7 @@ def sample_noise(
     top = (y / texel + scale / 2 - 0.5) % size
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     border = cv2.BORDER_WRAP
-    # many pixels per texel: cubic interpolation, which OpenCV does not wrap
+    # With many pixels per texel, cubic interpolation, which OpenCV does not wrap.
     if scale < _SMOOTH_BELOW:
         columns = np.arange(-2, math.ceil(left % 1 + scale * width) + 3) + math.floor(left)
         rows = np.arange(-2, math.ceil(top % 1 + scale * height) + 3) + math.floor(top)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import cast, get_args
+from dataclasses import replace
+from typing import NamedTuple, cast, get_args
 
 import cv2
 import numpy as np
@@ -83,59 +84,68 @@ def render_scene(
         layout=layout,
         fleet_kind=fleet_kind,
     )
+    # The random layout is drawn even if it is not used, so that a seed always gives one sun.
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
-    chosen = cast("Layout", get_args(Layout)[int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))])
+    random_layout = int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))
+    layout = layout or cast("Layout", get_args(Layout)[random_layout])
     sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
     fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
     width_m = width_px * gsd_m_per_px
     height_m = height_px * gsd_m_per_px
-    world = lay_out(place_rng, layout or chosen, width_m, height_m, fleet)
+    world = lay_out(place_rng, layout, width_m=width_m, height_m=height_m, fleet=fleet)
     x0, y0 = _view_corner(world, width_m, height=height_m, rng=thin_rng)
     _thin(world, (x0, y0, x0 + width_m, y0 + height_m), limit=n_vehicles, rng=thin_rng)
 
-    painter = Painter(
-        world, sun, rng=paint_rng, px_per_m=_oversampling(gsd_m_per_px) / gsd_m_per_px
+    px_per_m = _oversampling(gsd_m_per_px) / gsd_m_per_px
+    painter = Painter(world, sun, rng=paint_rng, px_per_m=px_per_m)
+    image, crowns = _paint(
+        painter, x0, y0, gsd_m_per_px=gsd_m_per_px, width_px=width_px, height_px=height_px
     )
-    image, crowns = _paint(painter, x0, y0, gsd_m_per_px, width_px, height_px)
     image = _photograph(image, camera_rng)
 
-    hidden = crowns > 127
-    masks, objects = _masks(world.targets, x0, y0, gsd_m_per_px, hidden)
-    vehicles = tuple(
-        each
-        for v in world.vehicles
-        if (each := _record(v, x0, y0, gsd_m_per_px, hidden)) is not None
-    )
-    courts = tuple(
-        court
-        for each in world.courts
-        if (court := _court(each, x0, y0, gsd_m_per_px, hidden)) is not None
-    )
     parameters: dict[str, float | int | str | None] = {
-        "layout": layout or chosen,
+        "layout": layout,
         "n_vehicles": n_vehicles,
         "mean_vehicle_length_m": mean_vehicle_length_m,
-        **_drawn(sun, fleet_kind),
+        **_sun_and_fleet(sun, fleet_kind),
     }
+    view = _View(x0, y0, gsd_m_per_px=gsd_m_per_px, hidden=crowns > 127)
+    return _scene(image, world, view, seed=int(seed), parameters=parameters)
+
+
+def _scene(
+    image: NDArray[np.uint8],
+    world: World,
+    view: _View,
+    *,
+    seed: int,
+    parameters: dict[str, float | int | str | None],
+) -> Scene:
+    """Put the image and the ground truth of what it shows together."""
+    masks, objects = _masks(world.targets, view)
+    vehicles = [_vehicle(vehicle, view) for vehicle in world.vehicles]
+    courts = [_court(court, view) for court in world.courts]
     return Scene(
         image,
-        float(gsd_m_per_px),
-        vehicles=vehicles,
+        float(view.gsd_m_per_px),
+        vehicles=tuple(vehicle for vehicle in vehicles if vehicle is not None),
         masks=masks,
         objects=objects,
-        seed=int(seed),
+        seed=seed,
         parameters=parameters,
-        courts=courts,
+        courts=tuple(court for court in courts if court is not None),
     )
 
 
-def _drawn(sun: Sun, fleet_kind: FleetKind) -> dict[str, float | str]:
-    """Collect the parameters that the seed determines, and the fleet unless it is the default."""
-    drawn: dict[str, float | str] = {
+def _sun_and_fleet(sun: Sun, fleet_kind: FleetKind) -> dict[str, float | str]:
+    """Collect the sun that the seed determines, and the fleet unless it is the default."""
+    parameters: dict[str, float | str] = {
         "sun_elevation_deg": round(math.degrees(sun.elevation), 3),
         "shadow_azimuth_deg": round(math.degrees(sun.azimuth), 3),
     }
-    return drawn if fleet_kind == "passenger" else {**drawn, "fleet_kind": fleet_kind}
+    if fleet_kind != "passenger":
+        parameters["fleet_kind"] = fleet_kind
+    return parameters
 
 
 def _check_all(
@@ -173,13 +183,21 @@ def _check(name: str, value: float, low: float, high: float) -> None:
 
 def _oversampling(gsd_m_per_px: float) -> int:
     """Choose how many times finer than requested a scene is drawn before downsampling."""
-    return 3 if gsd_m_per_px >= 0.5 else 2 if gsd_m_per_px >= 0.02 else 1
+    if gsd_m_per_px >= 0.5:
+        return 3
+    if gsd_m_per_px >= 0.02:
+        return 2
+    return 1
 
 
 def _paint(
-    painter: Painter, x0: float, y0: float, gsd_m_per_px: float, width_px: int, height_px: int
+    painter: Painter, x0: float, y0: float, *, gsd_m_per_px: float, width_px: int, height_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Paint the view from (x0, y0) metres on: uint8 [H,W,3], and the cover by crowns, uint8 [H,W]."""
+    """Paint the view from (x0, y0) metres on.
+
+    Returns:
+        The image, uint8 [H,W,3], and the cover by crowns, uint8 [H,W].
+    """
     over = _oversampling(gsd_m_per_px)
     image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
     crowns = np.zeros((height_px, width_px), dtype=np.uint8)
@@ -188,9 +206,9 @@ def _paint(
         for left in range(0, width_px, tile_px):
             rows = min(tile_px, height_px - top)
             columns = min(tile_px, width_px - left)
-            tile = painter.paint(
-                x0 + left * gsd_m_per_px, y0 + top * gsd_m_per_px, columns * over, rows * over
-            )
+            tile_x = x0 + left * gsd_m_per_px
+            tile_y = y0 + top * gsd_m_per_px
+            tile = painter.paint(tile_x, tile_y, columns * over, rows * over)
             area = (columns, rows)
             cell = (slice(top, top + rows), slice(left, left + columns))
             image[cell] = cv2.resize(tile.rgb, area, interpolation=cv2.INTER_AREA)
@@ -201,23 +219,17 @@ def _paint(
 def _view_corner(
     world: World, width: float, height: float, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Choose the view's top left corner; small views move to the vehicle nearest to their centre."""
+    """Choose the view's top left corner; small views move to the vehicle nearest the centre."""
     jitter = rng.uniform(-0.2, 0.2, 2)
     if max(width, height) >= _SMALL_VIEW_M or not world.vehicles:
         return 0.0, 0.0
-    spots = np.array(
-        [
-            (vehicle.x, vehicle.y)
-            for vehicle in world.vehicles
-            if vehicle.model.kind == "small-vehicle"
-        ]
-    )
-    if len(spots) == 0:
+    small = [vehicle for vehicle in world.vehicles if vehicle.model.kind == "small-vehicle"]
+    centres = np.array([(vehicle.x, vehicle.y) for vehicle in small])
+    if len(centres) == 0:
         return 0.0, 0.0
-    nearest = spots[int(np.argmin(np.hypot(spots[:, 0] - width / 2, spots[:, 1] - height / 2)))]
-    return float(nearest[0] - width * (0.5 + jitter[0])), float(
-        nearest[1] - height * (0.5 + jitter[1])
-    )
+    distances = np.hypot(centres[:, 0] - width / 2, centres[:, 1] - height / 2)
+    x, y = centres[int(np.argmin(distances))]
+    return float(x - width * (0.5 + jitter[0])), float(y - height * (0.5 + jitter[1]))
 
 
 def _thin(
@@ -226,7 +238,7 @@ def _thin(
     limit: int | None,
     rng: np.random.Generator,
 ) -> None:
-    """Remove vehicles: keep at most ``limit`` small ones in view, and the same share of all others."""
+    """Remove vehicles: keep at most ``limit`` small ones in view, and that share of all others."""
     if limit is None:
         return
     left, top, right, bottom = view
@@ -242,17 +254,19 @@ def _thin(
     others = [vehicle for vehicle in world.vehicles if not counts(vehicle)]
     share = 0.0 if limit == 0 else min(limit / max(len(inside), 1), 1.0)
     order = rng.permutation(len(inside))[:limit]
-    kept = {id(inside[index]) for index in order} | {id(v) for v in others if rng.random() < share}
+    kept_inside = {id(inside[index]) for index in order}
+    kept_others = {id(vehicle) for vehicle in others if rng.random() < share}
+    kept = kept_inside | kept_others
     world.vehicles[:] = [vehicle for vehicle in world.vehicles if id(vehicle) in kept]
 
 
 def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Apply lens, haze, sensor and compression."""
     sigma = float(rng.uniform(0.45, 0.85))
-    image = cast(
-        "NDArray[np.uint8]", cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-    )
-    if rng.random() < 0.35:  # sharpened in post-processing
+    blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    image = cast("NDArray[np.uint8]", blurred)
+    # Sharpening in post-processing.
+    if rng.random() < 0.35:
         soft = cv2.GaussianBlur(image, (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
         amount = float(rng.uniform(0.3, 0.9))
         image = cast("NDArray[np.uint8]", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))
@@ -263,21 +277,23 @@ def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     saturation = float(rng.uniform(0.75, 1.1))
     noise_sd = float(rng.uniform(0.8, 3.6))
     colour_sd = float(rng.uniform(0.2, 1.2))
+    # Gamma, gain, haze and colour cast act on each value, so a table of 256 values holds them.
     levels = np.arange(256) / 255
     tables = [
         haze + (levels**gamma) * 255 * gain * factor * (1 - haze / 300) for factor in cast_rgb
     ]
     table = np.clip(np.stack(tables, axis=1), 0, 255).astype(np.uint8)[None]
     out = np.empty_like(image)
+    # Strips bound the memory of the noise.
     strip = 256
     for top in range(0, image.shape[0], strip):
         part = cv2.LUT(image[top : top + strip], table).astype(np.float32)
         grey = part.mean(axis=2, keepdims=True)
         part = grey + (part - grey) * np.float32(saturation)
-        part += rng.standard_normal(part.shape[:2], dtype=np.float32)[:, :, None] * np.float32(
-            noise_sd
-        )
-        part += rng.standard_normal(part.shape, dtype=np.float32) * np.float32(colour_sd)
+        noise = rng.standard_normal(part.shape[:2], dtype=np.float32)
+        part += noise[:, :, None] * np.float32(noise_sd)
+        colour_noise = rng.standard_normal(part.shape, dtype=np.float32)
+        part += colour_noise * np.float32(colour_sd)
         out[top : top + strip] = np.clip(part + 0.5, 0, 255).astype(np.uint8)
     if rng.random() < 0.6:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(78, 96))]
@@ -286,82 +302,117 @@ def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     return out
 
 
+class _View(NamedTuple):
+    """Part of a world that an image shows.
+
+    Attributes:
+        x0: left edge, metres.
+        y0: top edge, metres.
+        gsd_m_per_px: ground sampling distance.
+        hidden: ``[h, w]`` pixels that crowns of trees hide.
+    """
+
+    x0: float
+    y0: float
+    gsd_m_per_px: float
+    hidden: NDArray[np.bool_]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        height, width = self.hidden.shape
+        return width, height
+
+    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert points in metres to pixels."""
+        return np.asarray((points - (self.x0, self.y0)) / self.gsd_m_per_px)
+
+    def is_cut(self, corners: NDArray[np.float64]) -> bool:
+        """Return whether the image's edge cuts a polygon in pixels."""
+        return bool((corners < 0).any() or (corners > self.size).any())
+
+    def hidden_share(self, corners: NDArray[np.float64]) -> float:
+        """Compute the share of a polygon's pixels that crowns hide; 0 without pixels."""
+        width, height = self.size
+        low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
+        high = np.clip(np.ceil(corners.max(axis=0)), low + 1, (width, height)).astype(int)
+        inside = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
+        hidden = self.hidden[low[1] : high[1], low[0] : high[0]][inside]
+        return float(hidden.mean()) if hidden.size else 0.0
+
+
 def _masks(
-    targets: list[Target], x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]
+    targets: list[Target], view: _View
 ) -> tuple[dict[Category, NDArray[np.uint16]], tuple[SceneObject, ...]]:
-    height, width = hidden.shape
+    """Number the visible pixels of each object by category, and measure its areas."""
+    width, height = view.size
     masks: dict[Category, NDArray[np.uint16]] = {
-        c: np.zeros((height, width), dtype=np.uint16) for c in CATEGORIES
+        category: np.zeros((height, width), dtype=np.uint16) for category in CATEGORIES
     }
-    full: dict[Category, list[float]] = {category: [] for category in CATEGORIES}
+    full_areas: dict[Category, list[float]] = {category: [] for category in CATEGORIES}
     for target in targets:
-        outlines = [(polygon - (x0, y0)) / gsd for polygon in target.polygons]
-        mask = masks[target.category]
-        number = len(full[target.category]) + 1
-        drawn = False
-        for outline in outlines:
-            low = np.maximum(np.floor(outline.min(axis=0)), 0).astype(int)
-            high = np.minimum(np.ceil(outline.max(axis=0)), (width, height)).astype(int)
-            if (low >= high).any():
-                continue
-            inside = polygon_mask(outline - low, int(high[0] - low[0]), int(high[1] - low[1]))
-            if target.category in ("swimming-pool", "building"):
-                inside &= ~hidden[low[1] : high[1], low[0] : high[0]]
-            mask[low[1] : high[1], low[0] : high[0]][inside] = number
-            drawn |= bool(inside.any())
-        if drawn:
-            full[target.category].append(target.area)
+        number = len(full_areas[target.category]) + 1
+        if _draw_target(masks[target.category], target, number=number, view=view):
+            full_areas[target.category].append(target.area)
     objects: list[SceneObject] = []
     for category, mask in masks.items():
-        pixels = np.bincount(mask.ravel(), minlength=len(full[category]) + 1)
-        for index, area in enumerate(full[category]):
-            objects.append(
-                SceneObject(
-                    category,
-                    index + 1,
-                    area_m2=float(pixels[index + 1]) * gsd**2,
-                    full_area_m2=area,
-                )
-            )
+        n_pixels = np.bincount(mask.ravel(), minlength=len(full_areas[category]) + 1)
+        for number, full_area in enumerate(full_areas[category], start=1):
+            area_m2 = float(n_pixels[number]) * view.gsd_m_per_px**2
+            objects.append(SceneObject(category, number, area_m2=area_m2, full_area_m2=full_area))
     return masks, tuple(objects)
 
 
-def _record(
-    placed: PlacedVehicle, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]
-) -> SceneVehicle | None:
-    height, width = hidden.shape
-    x = (placed.x - x0) / gsd
-    y = (placed.y - y0) / gsd
+def _draw_target(mask: NDArray[np.uint16], target: Target, number: int, view: _View) -> bool:
+    """Write a target's number into its visible pixels; return whether there are any."""
+    width, height = view.size
+    is_visible = False
+    for polygon in target.polygons:
+        outline = view.pixels(polygon)
+        low = np.maximum(np.floor(outline.min(axis=0)), 0).astype(int)
+        high = np.minimum(np.ceil(outline.max(axis=0)), (width, height)).astype(int)
+        if (low >= high).any():
+            continue
+        window = np.s_[low[1] : high[1], low[0] : high[0]]
+        inside = polygon_mask(outline - low, int(high[0] - low[0]), int(high[1] - low[1]))
+        if target.category in ("swimming-pool", "building"):
+            inside &= ~view.hidden[window]
+        mask[window][inside] = number
+        is_visible |= bool(inside.any())
+    return is_visible
+
+
+def _vehicle(placed: PlacedVehicle, view: _View) -> SceneVehicle | None:
+    """Record a vehicle in pixels; None if its centre is outside the image."""
+    width, height = view.size
+    gsd = view.gsd_m_per_px
+    x = (placed.x - view.x0) / gsd
+    y = (placed.y - view.y0) / gsd
     if not (0 <= x < width and 0 <= y < height):
         return None
-    angle = math.remainder(placed.angle, 2 * math.pi)
-    size = (placed.model.length_m / gsd, placed.model.width_m / gsd)
-    whole = SceneVehicle(placed.model.kind, x, y, *size, angle)
+    whole = SceneVehicle(
+        placed.model.kind,
+        x,
+        y,
+        length_px=placed.model.length_m / gsd,
+        width_px=placed.model.width_m / gsd,
+        angle_rad=math.remainder(placed.angle, 2 * math.pi),
+        body=placed.model.body,
+    )
     corners = whole.corners()
-    cut = bool((corners < 0).any() or (corners > (width, height)).any())
-    low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
-    high = np.clip(np.ceil(corners.max(axis=0)), low + 1, (width, height)).astype(int)
-    body = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
-    below = hidden[low[1] : high[1], low[0] : high[0]][body]
-    covered = bool(below.size and below.mean() > _HIDDEN_SHARE)
-    return SceneVehicle(placed.model.kind, x, y, *size, angle, cut or covered, placed.model.body)
+    is_hidden = view.hidden_share(corners) > _HIDDEN_SHARE
+    return replace(whole, difficult=view.is_cut(corners) or is_hidden)
 
 
-def _court(
-    placed: PlacedCourt, x0: float, y0: float, gsd: float, hidden: NDArray[np.bool_]
-) -> SceneCourt | None:
-    height, width = hidden.shape
-    corners = (placed.corners - (x0, y0)) / gsd
-    if (
-        not (np.zeros(2) <= corners.mean(axis=0)).all()
-        or not (corners.mean(axis=0) < (width, height)).all()
-    ):
+def _court(placed: PlacedCourt, view: _View) -> SceneCourt | None:
+    """Record a court in pixels; None if its centre is outside the image."""
+    corners = view.pixels(placed.corners)
+    centre = corners.mean(axis=0)
+    if not (centre >= 0).all() or not (centre < view.size).all():
         return None
-    cut = bool((corners < 0).any() or (corners > (width, height)).any())
-    low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
-    high = np.clip(np.ceil(corners.max(axis=0)), low + 1, (width, height)).astype(int)
-    inside = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
-    below = hidden[low[1] : high[1], low[0] : high[0]][inside]
     return SceneCourt(
-        placed.kind, corners, hidden_share=float(below.mean()) if below.size else 0.0, cut=cut
+        placed.kind,
+        corners,
+        hidden_share=view.hidden_share(corners),
+        cut=view.is_cut(corners),
     )

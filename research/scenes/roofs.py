@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -13,7 +14,8 @@ from research.scenes.tile import Tile
 from research.scenes.world import Rect, Rgb, Roof
 
 _F = NDArray[np.float32]
-_COURSE_M = 0.36  # one course of tiles
+# Depth of one course of tiles.
+_COURSE_M = 0.36
 _PARAPET_M = 0.7
 
 
@@ -25,42 +27,48 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
         return
     x0, y0, x1, y1 = window
     step = tile.step
-    cos = math.cos(roof.frame.angle)
-    sin = math.sin(roof.frame.angle)
-    px = (np.arange(x0, x1, dtype=np.float32) + 0.5)[None, :] * step + np.float32(
-        tile.x - roof.frame.x
-    )
-    py = (np.arange(y0, y1, dtype=np.float32) + 0.5)[:, None] * step + np.float32(
-        tile.y - roof.frame.y
-    )
-    u = px * np.float32(cos) + py * np.float32(sin)
-    v = py * np.float32(cos) - px * np.float32(sin)
+    u, v = _roof_coordinates(tile, window, roof)
     light = sun.light(roof.frame.angle)
     noise = tuple(field[y0:y1, x0:x1] for field in tile.noise)
+
+    # Where the roofs of two parts meet, the higher one is seen.
     cover = np.zeros(u.shape, dtype=np.float32)
     height = np.full(u.shape, -1e9, dtype=np.float32)
     shade = np.ones(u.shape, dtype=np.float32)
     for part in roof.parts:
-        inset, level, part_shade = _part(roof, part, u, v, light, step)
+        inset, level, part_shade = _part(roof, part, u=u, v=v, light=light, step=step)
         above = level > height
         height = np.where(above, level, height)
         shade = np.where(above, part_shade, shade)
         cover = np.maximum(cover, np.clip(inset / step + 0.5, 0, 1))
     weather = 1 + 0.05 * noise[1] + 0.05 * noise[2] + 0.03 * noise[0]
     rng = np.random.default_rng(roof.seed)
-    picture = (shade * weather)[:, :, None] * np.array(roof.rgb, dtype=np.float32)
+    rgb = (shade * weather)[:, :, None] * np.array(roof.rgb, dtype=np.float32)
+    canvas = _Canvas(rgb, u=u, v=v, step=step, sun=sun, angle=roof.frame.angle)
     if roof.style == "flat":
         for part in roof.parts:
-            _flat_fittings(picture, roof, part=part, u=u, v=v, sun=sun, rng=rng, step=step)
+            _flat_fittings(canvas, roof.rgb, part, rng)
     else:
-        _pitched_fittings(picture, roof, u=u, v=v, sun=sun, rng=rng, step=step)
+        _pitched_fittings(canvas, roof.parts[0], rng)
     target = tile.rgb[y0:y1, x0:x1]
-    blend = target + (picture - target) * cover[:, :, None]
+    blend = target + (canvas.rgb - target) * cover[:, :, None]
     target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
 
+def _roof_coordinates(tile: Tile, window: tuple[int, int, int, int], roof: Roof) -> tuple[_F, _F]:
+    """Compute the coordinates of a window's pixels in the roof's frame, metres."""
+    x0, y0, x1, y1 = window
+    cos = np.float32(math.cos(roof.frame.angle))
+    sin = np.float32(math.sin(roof.frame.angle))
+    columns = (np.arange(x0, x1, dtype=np.float32) + 0.5)[None, :]
+    rows = (np.arange(y0, y1, dtype=np.float32) + 0.5)[:, None]
+    px = columns * tile.step + np.float32(tile.x - roof.frame.x)
+    py = rows * tile.step + np.float32(tile.y - roof.frame.y)
+    return px * cos + py * sin, py * cos - px * sin
+
+
 def _part(
-    roof: Roof, part: Rect, u: _F, v: _F, light: tuple[float, float, float], step: float
+    roof: Roof, part: Rect, *, u: _F, v: _F, light: tuple[float, float, float], step: float
 ) -> tuple[_F, _F, _F]:
     """Compute distance inside the outline, height and shading of one rectangle's roof."""
     left, top, right, bottom = part
@@ -70,155 +78,194 @@ def _part(
         v - np.float32(top),
         np.float32(bottom) - v,
     ]
-    inset = np.minimum(
-        np.minimum(distances[0], distances[1]), np.minimum(distances[2], distances[3])
-    ).astype(np.float32)
+    from_ends = np.minimum(distances[0], distances[1])
+    from_sides = np.minimum(distances[2], distances[3])
+    inset = np.minimum(from_ends, from_sides).astype(np.float32)
     if roof.style == "flat":
-        shade = np.ones_like(inset)
-        # The parapet is bright; on the sides towards the sun its shadow falls inside.
-        reach = _PARAPET_M / math.tan(max(math.asin(light[2]), 0.2))
-        horizontal = math.hypot(light[0], light[1])
-        sunward = ((-1, 0, 0), (1, 0, 1), (0, -1, 2), (0, 1, 3))
-        for nx, ny, index in sunward:
-            facing = (nx * light[0] + ny * light[1]) / horizontal
-            if facing > 0:
-                depth = 0.3 + reach * facing
-                shade *= 1 - 0.5 * np.clip((depth - distances[index]) / max(step, 0.05) + 0.5, 0, 1)
-        rim = np.clip((0.3 - inset) / step + 0.5, 0, 1)
-        shade += (1.12 - shade) * rim
-        return (
-            inset,
-            np.where(inset >= -step, 1.0, -1e6).astype(np.float32),
-            shade.astype(np.float32),
-        )
-    along_x = right - left >= bottom - top
-    normals = [(-1, 0), (1, 0), (0, -1), (0, 1)]
-    sides = [0, 1, 2, 3] if roof.style == "hip" else [2, 3] if along_x else [0, 1]
-    nearest = np.full(u.shape, 1e6, dtype=np.float32)
-    second = np.full(u.shape, 1e6, dtype=np.float32)
-    lambert = np.ones(u.shape, dtype=np.float32)
-    course = np.zeros(u.shape, dtype=np.float32)
-    for side in sides:
-        distance = distances[side]
-        nx, ny = normals[side]
-        face = (roof.pitch * (nx * light[0] + ny * light[1]) + light[2]) / math.hypot(roof.pitch, 1)
+        shade = _flat_shade(inset, distances, light=light, step=step)
+        level = np.where(inset >= -step, 1.0, -1e6)
+        return inset, level.astype(np.float32), shade
+    if roof.style == "hip":
+        sides = [0, 1, 2, 3]
+    elif right - left >= bottom - top:
+        sides = [2, 3]
+    else:
+        sides = [0, 1]
+    nearest, shade = _pitched_shade(
+        [distances[side] for side in sides],
+        [_NORMALS[side] for side in sides],
+        pitch=roof.pitch,
+        light=light,
+        step=step,
+    )
+    level = np.where(inset >= -step, nearest * roof.pitch, -1e6)
+    return inset, level.astype(np.float32), shade
+
+
+# Outward normals of the sides: left, right, top, bottom.
+_NORMALS = ((-1, 0), (1, 0), (0, -1), (0, 1))
+
+
+def _flat_shade(
+    inset: _F, distances: list[_F], *, light: tuple[float, float, float], step: float
+) -> _F:
+    """Shade a flat roof: a bright parapet, whose shadow falls inside on the sides to the sun."""
+    shade = np.ones_like(inset)
+    reach = _PARAPET_M / math.tan(max(math.asin(light[2]), 0.2))
+    horizontal = math.hypot(light[0], light[1])
+    for (nx, ny), distance in zip(_NORMALS, distances, strict=True):
+        facing = (nx * light[0] + ny * light[1]) / horizontal
+        if facing > 0:
+            depth = 0.3 + reach * facing
+            shade *= 1 - 0.5 * np.clip((depth - distance) / max(step, 0.05) + 0.5, 0, 1)
+    rim = np.clip((0.3 - inset) / step + 0.5, 0, 1)
+    shade += (1.12 - shade) * rim
+    return shade.astype(np.float32)
+
+
+def _pitched_shade(
+    distances: list[_F],
+    normals: list[tuple[int, int]],
+    *,
+    pitch: float,
+    light: tuple[float, float, float],
+    step: float,
+) -> tuple[_F, _F]:
+    """Shade the faces of a pitched roof, one for each side, with courses of tiles and ridges.
+
+    Returns:
+        Distance to the side of each pixel's face, and the shade.
+    """
+    shape = distances[0].shape
+    nearest = np.full(shape, 1e6, dtype=np.float32)
+    second = np.full(shape, 1e6, dtype=np.float32)
+    lambert = np.ones(shape, dtype=np.float32)
+    course = np.zeros(shape, dtype=np.float32)
+    for distance, (nx, ny) in zip(distances, normals, strict=True):
+        # Lambert's law relative to level ground, which light[2] lights, with 0.42 of sky.
+        face = (pitch * (nx * light[0] + ny * light[1]) + light[2]) / math.hypot(pitch, 1)
         value = 0.42 + 0.58 * max(face, 0.0) / light[2]
         closer = distance < nearest
         second = np.where(closer, nearest, np.minimum(second, distance))
         nearest = np.where(closer, distance, nearest)
         lambert = np.where(closer, np.float32(value), lambert)
         course = np.where(closer, distance, course)
+    # Courses fade out where the pixels are too coarse to show them.
     fade = float(np.clip(0.20 / step - 0.9, 0, 1))
     if fade > 0:
         phase = course / np.float32(_COURSE_M)
         lambert = lambert * (1 + fade * 0.10 * (0.5 - (phase - np.floor(phase))))
+    # A ridge is where two faces are equally near.
     ridge = np.clip((0.16 - (second - nearest)) / max(step, 0.08) + 0.5, 0, 1)
     shade = lambert * (1 + 0.14 * ridge)
-    level = np.where(inset >= -step, nearest * roof.pitch, -1e6)
-    return inset, level.astype(np.float32), shade.astype(np.float32)
+    return nearest, shade.astype(np.float32)
 
 
-def _rectangle(
-    picture: _F, u: _F, v: _F, box: Rect, rgb: Rgb, step: float, opacity: float = 1.0
-) -> None:
-    """Blend in an axis-aligned rectangle of the roof's frame, given by its centre and size."""
-    x, y, w, h = box
-    inset = np.minimum(w / 2 - np.abs(u - np.float32(x)), h / 2 - np.abs(v - np.float32(y)))
-    cover = np.clip(inset / step + 0.5, 0, 1)[:, :, None] * opacity * min(1.0, w / step, h / step)
-    picture += (np.array(rgb, dtype=np.float32) - picture) * cover
+@dataclass(eq=False)
+class _Canvas:
+    """Picture of a roof, on which fittings are drawn in the roof's frame.
+
+    Attributes:
+        rgb: ``[h, w, 3]``, changed in place.
+        u: ``[h, w]`` coordinate along the frame's x axis, metres.
+        v: ``[h, w]`` coordinate along the frame's y axis, metres.
+        step: metres per pixel.
+        sun: the sun, for shadows.
+        angle: angle of the frame in the scene, radians.
+    """
+
+    rgb: _F
+    u: _F
+    v: _F
+    step: float
+    sun: Sun
+    angle: float
+
+    def rectangle(self, box: Rect, rgb: Rgb, opacity: float = 1.0) -> None:
+        """Blend in an axis-aligned rectangle, given by its centre and size."""
+        x, y, w, h = box
+        cover = self._cover(x, y, w, h)[:, :, None] * opacity * self._visible(w, h)
+        self.rgb += (np.array(rgb, dtype=np.float32) - self.rgb) * cover
+
+    def block(self, box: Rect, height: float, rgb: Rgb) -> None:
+        """Draw a block, given by its centre and size, with its shadow."""
+        x, y, w, h = box
+        dx, dy = self.sun.shadow(height)
+        cos = math.cos(self.angle)
+        sin = math.sin(self.angle)
+        shift_x = dx * cos + dy * sin
+        shift_y = dy * cos - dx * sin
+        # The shadow is the union of the outline at four places between the block and its end.
+        shadow = np.zeros(self.u.shape, dtype=np.float32)
+        for share in (0.25, 0.5, 0.75, 1.0):
+            shadow = np.maximum(shadow, self._cover(x + share * shift_x, y + share * shift_y, w, h))
+        self.rgb *= 1 - 0.52 * shadow[:, :, None] * self._visible(w, h)
+        self.rectangle(box, rgb)
+        top = cast("Rgb", tuple(int(0.88 * channel) for channel in rgb))
+        self.rectangle((x, y, 0.6 * w, 0.6 * h), top)
+
+    def _cover(self, x: float, y: float, w: float, h: float) -> _F:
+        """Compute the cover of each pixel by a rectangle, a ramp one pixel wide."""
+        from_ends = w / 2 - np.abs(self.u - np.float32(x))
+        from_sides = h / 2 - np.abs(self.v - np.float32(y))
+        inset = np.minimum(from_ends, from_sides)
+        return np.asarray(np.clip(inset / self.step + 0.5, 0, 1))
+
+    def _visible(self, w: float, h: float) -> float:
+        """Compute the contrast of a rectangle that can be smaller than a pixel."""
+        return min(1.0, w / self.step, h / self.step)
 
 
-def _raised(
-    picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, box: Rect, height: float, rgb: Rgb, step: float
-) -> None:
-    """Draw a block on the roof, with its shadow."""
-    x, y, w, h = box
-    dx, dy = sun.shadow(height)
-    cos = math.cos(roof.frame.angle)
-    sin = math.sin(roof.frame.angle)
-    offset = (dx * cos + dy * sin, dy * cos - dx * sin)
-    shadow = np.zeros(u.shape, dtype=np.float32)
-    for share in (0.25, 0.5, 0.75, 1.0):
-        cx = x + share * offset[0]
-        cy = y + share * offset[1]
-        inset = np.minimum(w / 2 - np.abs(u - np.float32(cx)), h / 2 - np.abs(v - np.float32(cy)))
-        shadow = np.maximum(shadow, np.clip(inset / step + 0.5, 0, 1))
-    picture *= 1 - 0.52 * shadow[:, :, None] * min(1.0, w / step, h / step)
-    _rectangle(picture, u, v, box, rgb, step)
-    _rectangle(
-        picture,
-        u,
-        v,
-        (x, y, 0.6 * w, 0.6 * h),
-        cast("Rgb", tuple(int(0.88 * c) for c in rgb)),
-        step,
-    )
-
-
-def _pitched_fittings(
-    picture: _F, roof: Roof, u: _F, v: _F, sun: Sun, rng: np.random.Generator, step: float
-) -> None:
-    x0, y0, x1, y1 = roof.parts[0]
+def _pitched_fittings(canvas: _Canvas, part: Rect, rng: np.random.Generator) -> None:
+    """Add chimneys, roof windows and solar panels to a pitched roof."""
+    x0, y0, x1, y1 = part
     w = x1 - x0
     h = y1 - y0
+    centre_x = (x0 + x1) / 2
+    centre_y = (y0 + y1) / 2
     along_x = w >= h
     side = float(rng.choice([-1, 1]))
 
-    def place(along: float, across: float) -> tuple[float, float]:
+    def position(along: float, across: float) -> tuple[float, float]:
         """Convert shares of the half extents along and across the ridge to a position."""
-        cx = (x0 + x1) / 2
-        cy = (y0 + y1) / 2
-        return (
-            (cx + along * w / 2, cy + across * h / 2)
-            if along_x
-            else (cx + across * w / 2, cy + along * h / 2)
-        )
+        if along_x:
+            return centre_x + along * w / 2, centre_y + across * h / 2
+        return centre_x + across * w / 2, centre_y + along * h / 2
 
+    # Chimneys.
     for _ in range(int(rng.integers(0, 3))):
-        x, y = place(rng.uniform(-0.6, 0.6), rng.uniform(-0.35, 0.35))
-        _raised(picture, roof, u, v, sun, (x, y, 0.7, 0.6), 1.1, (150, 130, 118), step)
+        x, y = position(rng.uniform(-0.6, 0.6), rng.uniform(-0.35, 0.35))
+        canvas.block((x, y, 0.7, 0.6), 1.1, (150, 130, 118))
+    # Roof windows: a frame, and glass that reflects the sky or does not.
     if rng.random() < 0.35:
         for _ in range(int(rng.integers(1, 4))):
-            x, y = place(rng.uniform(-0.6, 0.6), side * rng.uniform(0.4, 0.6))
+            x, y = position(rng.uniform(-0.6, 0.6), side * rng.uniform(0.4, 0.6))
             size = (0.85, 1.2) if along_x else (1.2, 0.85)
-            _rectangle(picture, u, v, (x, y, size[0] + 0.2, size[1] + 0.2), (90, 84, 80), step)
-            _rectangle(
-                picture,
-                u,
-                v,
-                (x, y, *size),
-                (120, 140, 158) if rng.random() < 0.5 else (48, 56, 64),
-                step,
-            )
+            canvas.rectangle((x, y, size[0] + 0.2, size[1] + 0.2), (90, 84, 80))
+            glass = (120, 140, 158) if rng.random() < 0.5 else (48, 56, 64)
+            canvas.rectangle((x, y, *size), glass)
+    # Solar panels, left out where they would not fit on the roof.
     if rng.random() < 0.3:
         columns = int(rng.integers(2, 6))
         rows = int(rng.integers(1, 3))
         panel = (1.0, 1.65 * 0.9)
-        along = rng.uniform(-0.25, 0.25)
+        size = panel if along_x else panel[::-1]
+        x, y = position(rng.uniform(-0.25, 0.25), side * 0.5)
         for column in range(columns):
             for row in range(rows):
-                x, y = place(along, side * 0.5)
                 du = (column - columns / 2 + 0.5) * (panel[0] + 0.04)
                 dv = (row - rows / 2 + 0.5) * (panel[1] + 0.04)
                 if not along_x:
                     du, dv = dv, du
-                size = panel if along_x else panel[::-1]
-                if (
-                    abs(x + du - (x0 + x1) / 2) < w / 2 - 0.8
-                    and abs(y + dv - (y0 + y1) / 2) < h / 2 - 0.8
-                ):
-                    _rectangle(picture, u, v, (x + du, y + dv, *size), (112, 118, 128), step)
-                    _rectangle(
-                        picture,
-                        u,
-                        v,
-                        (x + du, y + dv, size[0] - 0.12, size[1] - 0.12),
-                        (34, 42, 66),
-                        step,
-                    )
+                fits_x = abs(x + du - centre_x) < w / 2 - 0.8
+                fits_y = abs(y + dv - centre_y) < h / 2 - 0.8
+                if fits_x and fits_y:
+                    canvas.rectangle((x + du, y + dv, *size), (112, 118, 128))
+                    cells = (x + du, y + dv, size[0] - 0.12, size[1] - 0.12)
+                    canvas.rectangle(cells, (34, 42, 66))
 
 
-def _spot(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Rect:
+def _random_box(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Rect:
     """Draw a position on a flat roof, away from its edge: centre and size."""
     x0, y0, x1, y1 = part
     margin = 1.6
@@ -229,81 +276,62 @@ def _spot(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Re
     return float(x), float(y), sx, sy
 
 
-def _flat_fittings(
-    picture: _F,
-    roof: Roof,
-    part: Rect,
-    u: _F,
-    v: _F,
-    sun: Sun,
-    rng: np.random.Generator,
-    step: float,
-) -> None:
+def _flat_fittings(canvas: _Canvas, roof_rgb: Rgb, part: Rect, rng: np.random.Generator) -> None:
+    """Add sheets, seams, roof lights, machinery and solar panels to one part of a flat roof."""
     x0, y0, x1, y1 = part
     w = x1 - x0
     h = y1 - y0
     area = w * h
     if min(w, h) < 5:
         return
-    for _ in range(int(rng.poisson(min(area / 500, 4)))):  # newer or older sheets
-        box = _spot(part, rng, (rng.uniform(3, 10), rng.uniform(3, 10)))
-        _rectangle(
-            picture,
-            u,
-            v,
-            box,
-            cast("Rgb", tuple(int(c * rng.uniform(0.88, 1.08)) for c in roof.rgb)),
-            step,
-            0.6,
-        )
-    seam = 1.2
-    fade = float(np.clip(0.12 / step - 0.5, 0, 1))
-    if fade > 0:
-        phase = (u - np.float32(x0)) / np.float32(seam)
-        lines = np.clip(1 - np.abs(phase - np.round(phase)) * seam / max(step, 0.05), 0, 1)
-        picture *= 1 - 0.05 * fade * lines[:, :, None]
-    if area > 700 and rng.random() < 0.6:  # rows of roof lights, as large as cars
+    # Newer or older sheets.
+    for _ in range(int(rng.poisson(min(area / 500, 4)))):
+        box = _random_box(part, rng, (rng.uniform(3, 10), rng.uniform(3, 10)))
+        sheet = cast("Rgb", tuple(int(channel * rng.uniform(0.88, 1.08)) for channel in roof_rgb))
+        canvas.rectangle(box, sheet, 0.6)
+    _draw_seams(canvas, x0)
+    # Rows of roof lights, as large as cars.
+    if area > 700 and rng.random() < 0.6:
         count_x = max(int(w // 11), 1)
         count_y = max(int(h // 9), 1)
         size = (4.2, 1.7) if rng.random() < 0.5 else (1.6, 1.6)
         for i in range(count_x):
             for j in range(count_y):
-                box = (x0 + (i + 0.5) * w / count_x, y0 + (j + 0.5) * h / count_y, *size)
-                _raised(picture, roof, u, v, sun, box, 0.35, (226, 230, 232), step)
+                x = x0 + (i + 0.5) * w / count_x
+                y = y0 + (j + 0.5) * h / count_y
+                canvas.block((x, y, *size), 0.35, (226, 230, 232))
+    # Machines for heating and air.
     for _ in range(int(rng.poisson(min(1 + area / 350, 8)))):
         size = (rng.uniform(0.9, 3.2), rng.uniform(0.9, 2.2))
         grey = int(rng.uniform(130, 215))
-        _raised(
-            picture,
-            roof,
-            u,
-            v,
-            sun,
-            _spot(part, rng, size),
-            rng.uniform(0.5, 1.4),
-            (grey, grey, grey),
-            step,
-        )
+        box = _random_box(part, rng, size)
+        canvas.block(box, rng.uniform(0.5, 1.4), (grey, grey, grey))
+    # Vents.
     for _ in range(int(rng.poisson(min(area / 150, 10)))):
-        _raised(picture, roof, u, v, sun, _spot(part, rng, (0.5, 0.5)), 0.5, (150, 150, 150), step)
-    if area > 120 and rng.random() < 0.4:  # staircase or lift
-        _raised(
-            picture,
-            roof,
-            u,
-            v,
-            sun,
-            _spot(part, rng, (rng.uniform(3, 5), rng.uniform(2.5, 4))),
-            2.6,
-            (188, 184, 178),
-            step,
-        )
+        canvas.block(_random_box(part, rng, (0.5, 0.5)), 0.5, (150, 150, 150))
+    # A staircase or lift.
+    if area > 120 and rng.random() < 0.4:
+        box = _random_box(part, rng, (rng.uniform(3, 5), rng.uniform(2.5, 4)))
+        canvas.block(box, 2.6, (188, 184, 178))
+    # Rows of solar panels.
     if rng.random() < 0.22:
-        box = _spot(part, rng, (rng.uniform(4, 0.5 * w + 4), rng.uniform(3, 0.4 * h + 3)))
-        rows = max(int(box[3] // 1.9), 1)
+        size = (rng.uniform(4, 0.5 * w + 4), rng.uniform(3, 0.4 * h + 3))
+        x, y, width, depth = _random_box(part, rng, size)
+        rows = max(int(depth // 1.9), 1)
         for row in range(rows):
-            y = box[1] - box[3] / 2 + (row + 0.5) * box[3] / rows
-            _rectangle(picture, u, v, (box[0], y, box[2], 1.1), (36, 44, 68), step)
-    pipe = _spot(part, rng, (0.35, 0.6 * h))
+            row_y = y - depth / 2 + (row + 0.5) * depth / rows
+            canvas.rectangle((x, row_y, width, 1.1), (36, 44, 68))
+    pipe = _random_box(part, rng, (0.35, 0.6 * h))
     if rng.random() < 0.3:
-        _raised(picture, roof, u, v, sun, pipe, 0.4, (176, 178, 180), step)
+        canvas.block(pipe, 0.4, (176, 178, 180))
+
+
+def _draw_seams(canvas: _Canvas, x0: float) -> None:
+    """Darken the seams between sheets, which fade out where the pixels are too coarse."""
+    seam = 1.2
+    fade = float(np.clip(0.12 / canvas.step - 0.5, 0, 1))
+    if fade > 0:
+        phase = (canvas.u - np.float32(x0)) / np.float32(seam)
+        from_seam = np.abs(phase - np.round(phase)) * seam
+        lines = np.clip(1 - from_seam / max(canvas.step, 0.05), 0, 1)
+        canvas.rgb *= 1 - 0.05 * fade * lines[:, :, None]

@@ -42,7 +42,12 @@ def roof_shadows(roof: Roof, sun: Sun) -> list[NDArray[np.float64]]:
 
 
 def tree_reach(tree: Tree, reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute two corners of the bounding box of a crown and its shadow; ``reach`` is the shadow of 1 m of height."""
+    """Compute two corners of the box around a crown and its shadow.
+
+    Args:
+        tree: the tree.
+        reach: shadow of 1 m of height.
+    """
     radius = tree.radius * CROWN_SPAN
     centre = np.array([tree.x, tree.y])
     ends = np.array([centre, centre + tree.height * reach])
@@ -85,6 +90,11 @@ def vehicle_outline(vehicle: PlacedVehicle) -> NDArray[np.float64]:
 
 
 def vehicle_reach(vehicle: PlacedVehicle, reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute points [8,2] that bound a vehicle and its shadow; ``reach`` is the shadow of 1 m of height."""
+    """Compute points [8,2] around a vehicle and its shadow.
+
+    Args:
+        vehicle: the vehicle.
+        reach: shadow of 1 m of height.
+    """
     corners = vehicle_corners(vehicle)
     return cast("NDArray[np.float64]", np.vstack([corners, corners + 3.5 * reach]))

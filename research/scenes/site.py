@@ -36,10 +36,11 @@ def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float 
     scale = 1 + brightness * gain
     shift = brightness * spread / 3
     hue = spread / 6
-    values = (
-        c * scale + shift + hue * tint for c, tint in zip(rgb, (red, green, blue), strict=True)
-    )
-    return cast("Rgb", tuple(int(min(max(value, 5), 245)) for value in values))
+    varied = []
+    for channel, tint in zip(rgb, (red, green, blue), strict=True):
+        value = channel * scale + shift + hue * tint
+        varied.append(int(min(max(value, 5), 245)))
+    return cast("Rgb", tuple(varied))
 
 
 def flat_roof_rgb(rng: np.random.Generator) -> Rgb:
@@ -84,7 +85,8 @@ class Palette:
             (76, 92, 70),
             (104, 110, 88),
         )
-        if rng.random() < 0.35:  # cooler and darker, towards conifers
+        # Cooler and darker greens, towards conifers.
+        if rng.random() < 0.35:
             greens = ((76, 92, 72), (68, 84, 66), (88, 102, 76), (96, 106, 82))
         red: tuple[Rgb, ...] = (
             (172, 116, 90),
@@ -100,11 +102,13 @@ class Palette:
         tone = rng.uniform(92, 150)
         warm = rng.uniform(-3, 7)
         dry = rng.random() < 0.4
+        lawn = (122, 124, 90) if dry else (100, 116, 80)
+        meadow = (156, 146, 114) if dry else (120, 124, 90)
         return cls(
             asphalt=(int(tone + warm * 0.6), int(tone), int(tone - warm * 0.3)),
             paving=jitter(rng, (168, 164, 156), 8, 0.08),
-            lawn=jitter(rng, (122, 124, 90) if dry else (100, 116, 80), 8),
-            meadow=jitter(rng, (156, 146, 114) if dry else (120, 124, 90), 10),
+            lawn=jitter(rng, lawn, 8),
+            meadow=jitter(rng, meadow, 10),
             soil=jitter(rng, (164, 142, 114) if rng.random() < 0.6 else (132, 112, 92), 8, 0.07),
             gravel=jitter(rng, (182, 172, 154), 8, 0.06),
             leaves=tuple(jitter(rng, rgb, 8, 0.08) for rgb in greens),
@@ -161,11 +165,9 @@ class Site:
         length = math.hypot(x1 - x0, y1 - y0)
         nx = -(y1 - y0) / length * width / 2
         ny = (x1 - x0) / length * width / 2
-        self.polygon(
-            [(x0 + nx, y0 + ny), (x1 + nx, y1 + ny), (x1 - nx, y1 - ny), (x0 - nx, y0 - ny)],
-            rgb,
-            Material.PAINT,
-        )
+        start = [(x0 - nx, y0 - ny), (x0 + nx, y0 + ny)]
+        end = [(x1 + nx, y1 + ny), (x1 - nx, y1 - ny)]
+        self.polygon([start[1], *end, start[0]], rgb, Material.PAINT)
 
     def stain(self, points: ArrayLike, level: int) -> None:
         """Darken (level below 128) or lighten the ground."""
@@ -187,11 +189,17 @@ class Site:
         self.stain(np.vstack([path + normal, (path - normal)[::-1]]), level)
 
     def target(self, category: Category, *polygons: ArrayLike, area: float | None = None) -> None:
-        """Add an object to be masked: polygons whose union has that area (default: the area of the only polygon)."""
+        """Add an object to be masked.
+
+        Args:
+            category: its category.
+            polygons: its outline.
+            area: area of the union; None for one polygon.
+        """
         placed = tuple(self.frame.points(polygon) for polygon in polygons)
-        self.world.targets.append(
-            Target(category, placed, polygon_area(placed[0]) if area is None else area)
-        )
+        if area is None:
+            area = polygon_area(placed[0])
+        self.world.targets.append(Target(category, placed, area))
 
     # Upright objects
 
@@ -243,8 +251,8 @@ class Site:
     ) -> None:
         """Add a tree with its trunk at (x, y), unless that place is kept free."""
         rng = self.rng
-        (place,) = self.frame.points([(x, y)])
-        if any(_within(place, frame, rect) for frame, rect in self.kept_free):
+        (centre,) = self.frame.points([(x, y)])
+        if any(_within(centre, frame, rect) for frame, rect in self.kept_free):
             return
         radius = float(np.clip(rng.lognormal(0.85, 0.35), 1.0, 5.5)) if radius is None else radius
         leaves = self.palette.leaves
@@ -255,8 +263,8 @@ class Site:
         height = radius * (rng.uniform(3.2, 4.6) if conical else rng.uniform(1.5, 2.3)) + 0.8
         self.world.trees.append(
             Tree(
-                float(place[0]),
-                float(place[1]),
+                float(centre[0]),
+                float(centre[1]),
                 radius=radius,
                 height=float(height),
                 rgb=rgb,
@@ -347,9 +355,11 @@ class Site:
 
     def vehicle(self, model: VehicleModel, x: float, y: float, angle: float) -> None:
         """Add a vehicle that points towards ``angle``."""
-        (place,) = self.frame.points([(x, y)])
+        (centre,) = self.frame.points([(x, y)])
         self.world.vehicles.append(
-            PlacedVehicle(model, float(place[0]), y=float(place[1]), angle=self.frame.angle + angle)
+            PlacedVehicle(
+                model, float(centre[0]), y=float(centre[1]), angle=self.frame.angle + angle
+            )
         )
 
 

@@ -1,4 +1,4 @@
-"""Tennis and basketball courts as in parks and schools: worn, in use, fenced, with lines of other games."""
+"""Tennis and basketball courts of parks and schools: worn, in use, fenced, with other lines."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from research.scenes.site import WHITE, Site, jitter
 from research.scenes.truth import CourtKind
 from research.scenes.world import Material, PlacedCourt, Rgb
 
-_TENNIS_M = (23.77, 10.97)  # ITF, outside the lines
+# Outer lines of a tennis court (ITF).
+_TENNIS_M = (23.77, 10.97)
 _SINGLES_HALF_M = 8.23 / 2
 _SERVICE_M = 6.40
 _SURFACES: tuple[Rgb, ...] = (
-    (72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128), (112, 114, 116), (150, 108, 84), (92, 136, 104),
+    (72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128), (112, 114, 116), (150, 108, 84),
+    (92, 136, 104),
 )  # fmt: skip
 _RING_STEPS = 24
 
@@ -143,7 +145,7 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
 
 
 def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
-    """Paint one court of exact size around the origin, with its long axis along x and with objects on it."""
+    """Paint one court of exact size around the origin, long axis along x, with objects on it."""
     rng = site.rng
     length, width = _TENNIS_M if kind == "tennis" else _BASKETBALL[kind][:2]
     site.rect((-length / 2, -width / 2, length / 2, width / 2), inner, Material.COURT)
@@ -234,8 +236,8 @@ def _other_game(site: Site) -> None:
     rgb: Rgb = ((206, 190, 80), (90, 130, 190), (190, 90, 80))[int(rng.integers(3))]
     paint = Paint(site, rgb, width=0.05, wear=0.0)
     length, width = (13.41, 6.10) if rng.random() < 0.6 else (18.0, 9.0)
-    at = float(rng.choice([0.0, 0.0, 3.0]))
-    shifted = Paint(site.at(at, 0.0), rgb, width=0.05, wear=0.0)
+    position = float(rng.choice([0.0, 0.0, 3.0]))
+    shifted = Paint(site.at(position, 0.0), rgb, width=0.05, wear=0.0)
     shifted.outline(length, width)
     cross = 2.13 if width < 9 else 3.0
     for x in (-cross, cross):
@@ -244,4 +246,4 @@ def _other_game(site: Site) -> None:
         for end in (-1, 1):
             shifted.line(end * cross, 0, end * length / 2, 0)
     else:
-        paint.line(at, -width / 2, at, width / 2)
+        paint.line(position, -width / 2, position, width / 2)

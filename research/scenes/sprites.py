@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CROWN_SPAN = 1.25
-# transparent margin on every side of a vehicle's sprite, as a share of the length
+# Transparent margin on every side of a vehicle's sprite, as a share of the length.
 VEHICLE_PAD = 0.03
 
 _F = NDArray[np.float32]
@@ -50,7 +50,7 @@ class Sun:
 
 @dataclass(frozen=True)
 class _Car:
-    """Shape of a car: positions along it as shares of its length from the front, half widths as shares of its own."""
+    """Shape of a car: positions along its length from the front, and half widths, as shares."""
 
     glass_front: float
     roof_front: float
@@ -64,7 +64,8 @@ class _Car:
     cabin_height: float = 1.45
 
 
-_BASE_HALF_WIDTH = 0.90  # of the greenhouse at its base; a share as in _Car
+# Half width of the greenhouse at its base, a share as in ``_Car``.
+_BASE_HALF_WIDTH = 0.90
 
 _CARS = {
     "city": _Car(0.17, 0.34, roof_rear=0.86, glass_rear=0.955, boot=0.9),
@@ -148,7 +149,7 @@ _CARS = {
 
 
 def _soft(distance: _F, width: float) -> _F:
-    """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide, 0.5 at the edge."""
+    """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide."""
     return cast("_F", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
 
 
@@ -226,7 +227,7 @@ def _car(
     cabin = np.clip(np.minimum(rise, fall), 0, 1)
     lean = np.clip((_BASE_HALF_WIDTH - across) / (_BASE_HALF_WIDTH - car.roof_half_width), 0, 1)
     belt = car.bonnet + (car.boot - car.bonnet) * np.clip(t, 0, 1)
-    roof_height = 2.1 if body == "van" else 1.65 if body == "suv" else car.cabin_height
+    roof_height = {"van": 2.1, "suv": 1.65}.get(body, car.cabin_height)
     crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
     edge = np.clip(inset / 0.22, 0, 1)
     height = (
@@ -265,7 +266,7 @@ def _car(
 
 
 def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
-    """Compute the distance inside the outline in metres; front and rear are rounded and slightly narrower."""
+    """Compute the distance inside the outline, metres; front and rear are rounded and narrower."""
     half_length = length / 2
     half_width = width / 2
     rounding = 0.10 * width if body == "van" else 0.17 * width
@@ -290,7 +291,7 @@ def _car_glass(
     half_width: float,
     px: float,
 ) -> _F:
-    """Compute the share of glass: windscreen, rear window, and side windows between their pillars."""
+    """Compute the share of glass: windscreen, rear window, and side windows between pillars."""
     base_half = _BASE_HALF_WIDTH
     roof_half = car.roof_half_width
     in_cabin = _soft(
@@ -339,7 +340,7 @@ def _car_trim(
     half_width: float,
     px: float,
 ) -> _Reals:
-    """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of the rear lamps."""
+    """Draw seams, grille and lamps into ``paint`` and ``grey``; return the red of rear lamps."""
     seam = _band(
         t * length, car.glass_front * length - 0.10, high=car.glass_front * length - 0.05, width=px
     )

@@ -1,4 +1,4 @@
-"""Street grid: a region split recursively by smaller and smaller streets, with markings and traffic."""
+"""Street grid: a region split by smaller and smaller streets, with markings and traffic."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class StreetPlan:
     block_size: tuple[float, float]
     """Largest block that is not split; drawn for each block."""
     carriages: tuple[float, ...]
-    """Width of the carriageway by depth of the split; the last value applies to all deeper splits."""
+    """Width of the carriageway by depth of the split; the last value holds for deeper splits."""
     pavement: float
     parking: float
     """Share of streets with cars along the kerb, among streets wide enough."""
@@ -29,7 +29,7 @@ class StreetPlan:
 
 @dataclass(eq=False)
 class Street:
-    """Straight street; in its own frame it runs along +x from 0 to ``length`` with its axis at y = 0."""
+    """Straight street; in its own frame its axis runs along +x from 0 to ``length``."""
 
     x: float
     y: float
@@ -50,7 +50,7 @@ class Street:
 
 @dataclass(frozen=True)
 class Block:
-    """Rectangle between streets, and which of its sides (left, top, right, bottom) lie on a street."""
+    """Rectangle between streets, and the streets at its left, top, right and bottom side."""
 
     rect: Rect
     streets: tuple[Street | None, Street | None, Street | None, Street | None]
@@ -76,25 +76,37 @@ def divide(
     carriage = plan.carriages[min(depth, len(plan.carriages) - 1)] * rng.uniform(0.92, 1.1)
     parking = carriage >= 7.5 and rng.random() < plan.parking
     pavement = plan.pavement * rng.uniform(0.8, 1.3)
-    extent = width if vertical else height
-    position = extent * rng.uniform(0.35, 0.65)
+    share = rng.uniform(0.35, 0.65)
+    if vertical:
+        x = x0 + width * share
+        y = y0
+        length = height
+        ends = (top, bottom)
+    else:
+        x = x0
+        y = y0 + height * share
+        length = width
+        ends = (left, right)
     street = Street(
-        x0 + position if vertical else x0,
-        y0 if vertical else y0 + position,
+        x,
+        y,
         vertical=vertical,
-        length=height if vertical else width,
+        length=length,
         carriage=carriage,
         pavement=pavement,
         depth=depth,
         parking=bool(parking),
     )
-    for other in (top, bottom) if vertical else (left, right):
-        if other is not None:
-            along = (street.y - other.y) if other.vertical else (street.x - other.x)
-            # A vertical street's y axis points to -x, so sides are given in the street's frame.
-            beyond = other in (top, left)
-            side = (1 if beyond else -1) * (-1 if other.vertical else 1)
-            other.junctions.append((along, street.half, side))
+    for other in ends:
+        if other is None:
+            continue
+        side = 1 if other in (top, left) else -1
+        along = street.x - other.x
+        if other.vertical:
+            # A vertical street's y axis points to -x, and sides are given in the street's frame.
+            side = -side
+            along = street.y - other.y
+        other.junctions.append((along, street.half, side))
     half = street.half
     streets = [street]
     blocks = []
@@ -110,14 +122,17 @@ def divide(
             ((x0, street.y + half, x1, y1), (left, street, right, bottom)),
         )
     for part, part_sides in halves:
-        more, found = divide(site, part, plan=plan, sides=part_sides, depth=depth + 1)
-        streets += more
-        blocks += found
+        part_streets, part_blocks = divide(site, part, plan=plan, sides=part_sides, depth=depth + 1)
+        streets += part_streets
+        blocks += part_blocks
     return streets, blocks
 
 
 def build_street(site: Site, street: Street, plan: StreetPlan, layer: str) -> None:
-    """Draw one layer of a street; drawing all streets' ``base``, then ``carriage``, then ``marks`` joins junctions."""
+    """Draw one layer of a street: ``base``, ``carriage`` or ``marks``.
+
+    Junctions are joined by drawing one layer of all streets before the next one.
+    """
     own = site.at(street.x, street.y, math.pi / 2 if street.vertical else 0.0)
     half = street.carriage / 2
     length = street.length
@@ -157,14 +172,11 @@ def _carriageway(own: Site, street: Street) -> None:
         for direction in (-1, 1):
             corner = along + direction * (other_half - street.pavement)
             radius = min(3.0, street.pavement + 2.0)
-            arc = np.linspace(0, np.pi / 2, 6)
-            curve = [
-                (
-                    corner + direction * radius * (1 - math.cos(a)),
-                    edge + side * radius * (1 - math.sin(a)),
-                )
-                for a in arc
-            ]
+            curve = []
+            for angle in np.linspace(0, np.pi / 2, 6):
+                x = corner + direction * radius * (1 - math.cos(angle))
+                y = edge + side * radius * (1 - math.sin(angle))
+                curve.append((x, y))
             own.polygon([(corner, edge), *curve], rgb, Material.ASPHALT)
 
 
@@ -194,7 +206,9 @@ def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
     if street.carriage < 5.5 or length < 25:
         return
     dash, gap = (3.0, 4.5) if rng.random() < 0.6 else (1.5, 3.0)
-    offsets = [0.0] if street.carriage < 12.5 else [-3.3, 0.0, 3.3]
+    offsets = [0.0]
+    if street.carriage >= 12.5:
+        offsets = [-3.3, 0.0, 3.3]
     for offset in offsets:
         solid = len(offsets) > 1 and offset == 0.0
         for start, stop in _free(street, 9, stop=length - 9, margin=1):
@@ -206,10 +220,9 @@ def _markings(own: Site, street: Street, plan: StreetPlan) -> None:
     if street.parking:
         lane = _lane(own) - 0.2
         for side in (-1, 1):
+            y = side * (half - lane)
             for start, stop in _free(street, 8, stop=length - 8, margin=5, side=side):
-                own.line(
-                    start, side * (half - lane), max(stop, start + 1), side * (half - lane), 0.1
-                )
+                own.line(start, y, max(stop, start + 1), y, 0.1)
     zebra = rng.random() < 0.55
     for end in (0, 1):
         direction = 1 - 2 * end
@@ -228,7 +241,8 @@ def _wear(own: Site, street: Street) -> None:
     rng = own.rng
     half = street.carriage / 2
     length = street.length
-    lane = min(half - (_lane(own) if street.parking else 0), 3.4)
+    driving_half = half - _lane(own) if street.parking else half
+    lane = min(driving_half, 3.4)
     for side in (-1, 1):
         for track in (0.28, 0.72):
             y = side * lane * track
@@ -237,9 +251,8 @@ def _wear(own: Site, street: Street) -> None:
         x = rng.uniform(0, length)
         y = rng.uniform(-half, half - 1)
         size = (rng.uniform(1, 14), rng.uniform(0.6, 2.6))
-        own.stain_rect(
-            (x, y, x + size[0], min(y + size[1], half)), int(rng.choice([108, 114, 119, 136, 141]))
-        )
+        patch = (x, y, x + size[0], min(y + size[1], half))
+        own.stain_rect(patch, int(rng.choice([108, 114, 119, 136, 141])))
     for _ in range(int(rng.poisson(length / 14))):
         heading = rng.choice([0.0, 0.0, math.pi / 2]) + rng.normal(0, 0.15)
         span = rng.uniform(2, 6) if abs(math.sin(heading)) > 0.5 else rng.uniform(4, 20)
@@ -267,70 +280,88 @@ def _furniture(own: Site, street: Street) -> None:
     for side in (-1, 1):
         y = side * (street.half - 0.75)
         for start, stop in _free(street, 6, stop=street.length - 6, margin=3, side=side):
-            for x in (
-                np.arange(start + rng.uniform(0, 6), stop, rng.uniform(7, 11)) if planted else ()
-            ):
-                if rng.random() < 0.85:
-                    own.rect((x - 0.6, y - 0.6, x + 0.6, y + 0.6), own.palette.soil, Material.SOIL)
+            if planted:
+                for x in np.arange(start + rng.uniform(0, 6), stop, rng.uniform(7, 11)):
+                    if rng.random() >= 0.85:
+                        continue
+                    pit = (x - 0.6, y - 0.6, x + 0.6, y + 0.6)
+                    own.rect(pit, own.palette.soil, Material.SOIL)
                     own.tree(float(x), y, float(radius * rng.uniform(0.75, 1.2)))
-            for x in np.arange(start + rng.uniform(2, 20), stop, 28) if side > 0 else ():
-                own.pole(float(x), side * (street.carriage / 2 + 0.4), 7.5)
+            # Lamp posts stand on one side only.
+            if side > 0:
+                for x in np.arange(start + rng.uniform(2, 20), stop, 28):
+                    own.pole(float(x), side * (street.carriage / 2 + 0.4), 7.5)
 
 
 def _lane(own: Site) -> float:
-    """Draw the width of the carriageway taken by cars at the kerb."""
+    """Compute the width of the carriageway that cars at the kerb take."""
     return own.fleet.max_width_m + 0.35
 
 
 def _traffic(own: Site, street: Street, plan: StreetPlan) -> None:
-    rng = own.rng
+    """Add cars at the kerb and vehicles that drive."""
     fleet = own.fleet
-    half = street.carriage / 2
-    length = street.length
-    slot = fleet.max_length_m
+    free_half = street.carriage / 2
     if street.parking:
-        filled = rng.uniform(0.35, 0.97)
-        for side in (-1, 1):
-            heading = 0.0 if side > 0 else math.pi
-            for start, stop in _free(street, 8, stop=length - 8, margin=5.5, side=side):
-                position = start
-                # Whether a car fits must not depend on its length: that would favour short ones.
-                while position + slot < stop:
-                    model = fleet.small()
-                    if rng.random() < filled:
-                        turn = (
-                            heading
-                            + (math.pi if rng.random() < 0.12 else 0)
-                            + float(np.clip(rng.normal(0, 0.015), -0.04, 0.04))
-                        )
-                        y = side * (
-                            half - 0.2 - model.width_m / 2 - min(abs(rng.normal(0, 0.05)), 0.1)
-                        )
-                        own.vehicle(model, position + model.length_m / 2, y=y, angle=turn)
-                    position += model.length_m + 0.5 + rng.exponential(0.45)
-    free_half = half - (_lane(own) if street.parking else 0)
+        _parked_cars(own, street)
+        free_half -= _lane(own)
     if free_half < fleet.max_width_m / 2 + 0.25:
         return
-    both_ways = free_half >= 1.2 * fleet.max_width_m
-    if not both_ways:  # too narrow for two cars: one lane, one way
+    sides: tuple[int, ...] = (-1, 1)
+    if free_half < 1.2 * fleet.max_width_m:
+        # Too narrow for two cars: one lane, one way.
+        sides = (1,)
         lanes = [0.0]
     elif street.carriage >= 12.5 and not street.parking:
         lanes = [1.65, 4.95]
     else:
         lanes = [free_half / 2]
-    density = (
-        plan.traffic / 100 * (1.6 if street.depth == 0 else 1.0 if street.depth == 1 else 0.45)
-    )
-    for side in (-1, 1) if both_ways else (1,):
-        heading = 0.0 if side > 0 else math.pi
+    # Wide streets, which split the region first, have the most traffic.
+    factor = {0: 1.6, 1: 1.0}.get(street.depth, 0.45)
+    density = plan.traffic / 100 * factor
+    for side in sides:
         for lane in lanes:
-            position = 9 + rng.exponential(1 / density)
-            while position + 17 < length - 5:
-                large = free_half > 3.1 and rng.random() < 0.10
-                model = fleet.large("truck", "bus", "semitrailer") if large else fleet.small()
-                y = side * lane + float(np.clip(rng.normal(0, 0.08), -0.15, 0.15)) * (
-                    0 if large else 1
-                )
-                turn = 0.0 if large else float(np.clip(rng.normal(0, 0.008), -0.02, 0.02))
-                own.vehicle(model, position + model.length_m / 2, y=y, angle=heading + turn)
-                position += 17 + 2.5 + rng.exponential(1 / density)
+            _driving(own, street, side * lane, density=density, free_half=free_half)
+
+
+def _parked_cars(own: Site, street: Street) -> None:
+    rng = own.rng
+    fleet = own.fleet
+    filled = rng.uniform(0.35, 0.97)
+    for side in (-1, 1):
+        heading = 0.0 if side > 0 else math.pi
+        for start, stop in _free(street, 8, stop=street.length - 8, margin=5.5, side=side):
+            position = start
+            # Whether a car fits must not depend on its length: that would favour short ones.
+            while position + fleet.max_length_m < stop:
+                model = fleet.small()
+                if rng.random() < filled:
+                    # Some cars face the other way.
+                    reversed_by = math.pi if rng.random() < 0.12 else 0
+                    turn = float(np.clip(rng.normal(0, 0.015), -0.04, 0.04))
+                    from_kerb = min(abs(rng.normal(0, 0.05)), 0.1)
+                    y = side * (street.carriage / 2 - 0.2 - model.width_m / 2 - from_kerb)
+                    x = position + model.length_m / 2
+                    own.vehicle(model, x, y=y, angle=heading + reversed_by + turn)
+                position += model.length_m + 0.5 + rng.exponential(0.45)
+
+
+def _driving(own: Site, street: Street, lane: float, density: float, free_half: float) -> None:
+    """Add the vehicles of one lane; ``lane`` is its distance from the axis, signed by side."""
+    rng = own.rng
+    heading = math.pi if lane < 0 else 0.0
+    position = 9 + rng.exponential(1 / density)
+    while position + 17 < street.length - 5:
+        offset = 0.0
+        turn = 0.0
+        if free_half > 3.1 and rng.random() < 0.10:
+            # Large vehicles keep to the middle of the lane; the number is drawn all the same.
+            model = own.fleet.large("truck", "bus", "semitrailer")
+            rng.normal(0, 0.08)
+        else:
+            model = own.fleet.small()
+            offset = float(np.clip(rng.normal(0, 0.08), -0.15, 0.15))
+            turn = float(np.clip(rng.normal(0, 0.008), -0.02, 0.02))
+        x = position + model.length_m / 2
+        own.vehicle(model, x, y=lane + offset, angle=heading + turn)
+        position += 17 + 2.5 + rng.exponential(1 / density)

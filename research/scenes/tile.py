@@ -17,7 +17,7 @@ _F = NDArray[np.float32]
 _U8 = NDArray[np.uint8]
 
 SUBPIXEL_BITS = 4
-# polygons that extend farther beyond a tile are clipped: OpenCV's coordinates are finite
+# Polygons that reach farther beyond a tile are clipped: OpenCV's coordinates are finite.
 _FAR_PX = 6000.0
 
 
@@ -41,7 +41,7 @@ class Tile:
     def window(
         self, low: NDArray[np.float64], high: NDArray[np.float64]
     ) -> tuple[int, int, int, int] | None:
-        """Compute the pixels x0, y0, x1, y1 that a box (in pixel coordinates) touches; None for none."""
+        """Compute the pixels x0, y0, x1, y1 that a box in pixels touches; None for none."""
         x0 = max(math.floor(low[0]), 0)
         y0 = max(math.floor(low[1]), 0)
         x1 = min(math.ceil(high[0]), self.width)
@@ -49,7 +49,10 @@ class Tile:
         return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
     def fixed(self, points: NDArray[np.float64]) -> NDArray[np.int32] | None:
-        """Convert metres to OpenCV's fixed-point coordinates (integers are pixel centres); None if out of reach."""
+        """Convert metres to OpenCV's fixed-point coordinates; None if out of reach.
+
+        Integers are pixel centres.
+        """
         pixels = self.pixels(points)
         if np.abs(pixels).max() > _FAR_PX:
             pixels = clip_polygon(pixels, -16, y0=-16, x1=self.width + 16, y1=self.height + 16)

@@ -112,7 +112,10 @@ class Scene:
     courts: tuple[SceneCourt, ...] = ()
 
     def dota_text(self) -> str:
-        """Format the vehicles as DOTA text: a ``gsd:`` line, then four corners, class and 1 if difficult per line."""
+        """Format the vehicles as DOTA text.
+
+        After a ``gsd:`` line, each line has four corners, the class, and 1 if difficult.
+        """
         lines = [f"gsd:{self.gsd_m_per_px:.10g}"]
         for vehicle in self.vehicles:
             corners = " ".join(f"{value:.3f}" for value in vehicle.corners().ravel())

@@ -35,7 +35,7 @@ class Material(IntEnum):
 
 @dataclass(frozen=True)
 class Frame:
-    """Local coordinate system: its origin and the direction of its x axis in the frame of the image."""
+    """Local coordinate system: its origin and the direction of its x axis in the image's frame."""
 
     x: float
     y: float

@@ -1,4 +1,4 @@
-"""A trained network in eight bits: static quantisation with ONNX Runtime, weights a scale a channel."""
+"""Trained network in eight bits: static quantisation with ONNX Runtime, one scale a channel."""
 
 from __future__ import annotations
 

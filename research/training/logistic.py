@@ -40,13 +40,13 @@ def logistic(
 
 
 def weight_of_sets(sets: NDArray[np.str_]) -> NDArray[np.float64]:
-    """Weights ``[n]`` of sum 1: each set counts by the root of its number."""
+    """Compute weights ``[n]`` of sum 1: each set counts by the root of its number."""
     _, number, counts = np.unique(sets, return_inverse=True, return_counts=True)
     weight = (1 / np.sqrt(counts))[number]
     return np.asarray(weight / weight.sum())
 
 
 def area(hits: NDArray[np.float64], false: NDArray[np.float64]) -> float:
-    """Area under the ROC curve."""
+    """Compute the area under the ROC curve."""
     rank = np.argsort(np.argsort(np.concatenate([hits, false]), kind="stable"), kind="stable")
     return float((rank[: len(hits)].mean() - (len(hits) - 1) / 2) / len(false))

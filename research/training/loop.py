@@ -27,10 +27,10 @@ _CHECKPOINT = "checkpoint.pt"
 
 
 class Examples(Protocol):
-    """An endless, seeded stream of examples that can be entered anywhere; ``DataLoader`` reads it by index."""
+    """Endless, seeded stream of examples, which ``DataLoader`` reads by index from anywhere."""
 
     def __getitem__(self, index: int, /) -> Any:
-        """The example of an index: always the same one."""
+        """Make the example of an index, always the same one."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Schedule:
     held: float = 0.0
 
     def rate(self, step: int) -> float:
-        """The learning rate of a step, counted from 0."""
+        """Compute the learning rate of a step, counted from 0."""
         if step < self.warm_up:
             return self.peak * (step + 1) / self.warm_up
         start = max(self.warm_up, self.held * self.steps)
@@ -165,10 +165,10 @@ def _optimizer(network: nn.Module, weight_decay: float) -> torch.optim.Optimizer
 
 
 def _batches(examples: Examples, recipe: Recipe, first: int) -> Iterator[Any]:
-    """The batches from a step on."""
+    """Load the batches from a step on."""
     size = recipe.batch or 1
     loader: DataLoader[Any] = DataLoader(
-        examples,  # type: ignore[arg-type]  # torch asks for its own base class, and uses __getitem__ alone
+        examples,  # type: ignore[arg-type]  # DataLoader uses only __getitem__
         batch_size=recipe.batch,
         sampler=range(first * size, recipe.schedule.steps * size),
         num_workers=recipe.workers,

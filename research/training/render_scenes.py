@@ -1,4 +1,6 @@
-"""Render labelled scenes to train on: ``python -m research.training.render_scenes detector OUT --count 120``.
+"""Render labelled scenes for training.
+
+``python -m research.training.render_scenes detector OUT --count 120``.
 
 ``detector``: car parks, streets and yards, a tenth of them without vehicles. ``chips``: mixed
 fleets with kei cars, open beds, loads and roof racks, finer; a quarter shows no vehicle, so that
@@ -23,11 +25,19 @@ if TYPE_CHECKING:
 
 
 class _Choice(NamedTuple):
-    """Range of the scale in m/px, side in pixels, first seed, share without vehicles, range of the mean length in m."""
+    """Options of a kind of scene.
+
+    Attributes:
+        gsd_m_per_px: range of the scale.
+        side_px: side of the image.
+        first_seed: first seed; tests and examples use those below 1,000.
+        empty_share: share without vehicles.
+        length_m: range of the fleet's mean length.
+    """
 
     gsd_m_per_px: tuple[float, float]
     side_px: int
-    first_seed: int  # tests and examples use those below 1,000
+    first_seed: int
     empty_share: float = 0.0
     length_m: tuple[float, float] | None = None
 
@@ -60,7 +70,7 @@ def rendered(kind: str, seed: int) -> Scene:
 
 
 def write(scene: Scene, kind: str, path: Path) -> None:
-    """Write a scene, and beside it what its labels lack: bodies of vehicles, or corners of courts."""
+    """Write a scene and what its labels lack: bodies of vehicles, or corners of courts."""
     if kind == "courts":
         cv2.imwrite(str(path.with_suffix(".png")), scene.image[:, :, ::-1])
         courts = [{"kind": court.kind, "corners": court.corners.tolist()} for court in scene.courts]

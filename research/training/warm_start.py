@@ -38,7 +38,7 @@ def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
     learnt = [
         node for node in graph.node if node.op_type in ("Conv", "Gemm") and node.input[1] in values
     ]
-    # a fixed blur is no initializer
+    # A fixed blur is not an initializer.
     stored = [[values[name] for name in node.input[1:]] for node in learnt]
     order: list[nn.Conv2d | nn.Linear] = []  # as the export traced them
     hooks = [

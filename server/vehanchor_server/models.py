@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, TypeVar
 from vehanchor.errors import VehAnchorError
 from vehanchor.models.files import read_model
 from vehanchor.models.runtime import DEFAULT_PROVIDERS, Runtime
-from vehanchor.models.zoo import auxiliary_model, resolve_model, resolve_segmenter
+from vehanchor.models.zoo import (
+    BUNDLED_MODELS,
+    auxiliary_model,
+    errors_file,
+    resolve_model,
+    resolve_segmenter,
+)
 from vehanchor_server.errors import CallError
 
 if TYPE_CHECKING:
@@ -76,13 +82,10 @@ class Models:
         paths: list[Path] = []
         # Loading will report a missing file.
         with contextlib.suppress(VehAnchorError):
-            paths.append(resolve_model(settings.detector))
+            paths += _detector_files(resolve_model(settings.detector))
         with contextlib.suppress(VehAnchorError):
             paths += resolve_segmenter(settings.segmenter)
-        if paths:
-            verifier = auxiliary_model(paths[0], "verifier")
-            chips = auxiliary_model(paths[0], "chips")
-            paths += [path for path in (verifier, chips) if path is not None]
+        paths += [model.path for model in BUNDLED_MODELS if model.role == "ruler"]
         if settings.calibration is not None:
             paths.append(settings.calibration)
         # Large models keep their weights in files of their own.
@@ -178,3 +181,18 @@ class Models:
         card = self.detector().card
         calibration.check_detector(card.name, card.sha256)
         return calibration
+
+
+def _detector_files(detector: Path) -> list[Path]:
+    """List the files of a detector, of its errors and of its auxiliary models."""
+    paths = [detector]
+    errors = errors_file(detector)
+    if errors is not None:
+        paths.append(errors)
+    for model in BUNDLED_MODELS:
+        if model.role != "auxiliary":
+            continue
+        auxiliary = auxiliary_model(detector, model.name)
+        if auxiliary is not None:
+            paths.append(auxiliary)
+    return paths

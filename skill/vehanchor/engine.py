@@ -24,16 +24,14 @@ from vehanchor.analysis.pipeline import (
     checked_detector,
     estimate_each,
 )
-from vehanchor.courts.network import load_court_network
 from vehanchor.detection.detector import Detector, load_detector
-from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.scale_source import given_scale
 from vehanchor.models.runtime import Cancellation, Runtime
-from vehanchor.models.zoo import resolve_model, resolve_segmenter
+from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.active import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
@@ -120,14 +118,15 @@ class Engine:
         return self._segmenter().under(self.runtime)
 
     def load(self) -> None:
-        """Load the detector and the auxiliary models before their first use.
+        """Load the detector, its auxiliary models and the rulers' networks before their first use.
 
         Raises:
             ModelError: a model cannot be used.
         """
         runtime = self.detector.runtime.idle
-        load_scene_scale(runtime)
-        load_court_network(runtime)
+        for model in BUNDLED_MODELS:
+            if model.loader is not None:
+                model.load(runtime)
 
     def replace(
         self,

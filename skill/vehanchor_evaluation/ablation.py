@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
@@ -22,15 +23,24 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.options import ScaleOptions
-    from vehanchor_evaluation.gsd import ScaleBenchmark
-    from vehanchor_evaluation.known_scale import KnownScaleImage
+    from vehanchor_evaluation.gsd import OptionsOf, ScaleBenchmark
 
 Boxes = Literal["detector", "labels"]
+_Setting = tuple[str, str, Boxes]
 
-_LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)  # paper: European, DOTA's, North American
-_MANY_VEHICLES = 20  # paper
-_GSD_EDGES = (0.0, 0.3, 0.5, 0.7, float("inf"))  # the paper reports below 0.3 and above 0.7
-_PAPER: dict[tuple[str, str, Boxes], tuple[float, float | None]] = {
+# Reference lengths in the paper: European, DOTA's, North American.
+_LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)
+# Limit of the paper's group of many vehicles.
+_MANY_VEHICLES = 20
+# The paper reports the groups below 0.3 and above 0.7 m/px.
+_GSD_GROUPS = (
+    ("< 0.3 m/px", 0.0, 0.3),
+    ("0.3 to 0.5 m/px", 0.3, 0.5),
+    ("0.5 to 0.7 m/px", 0.5, 0.7),
+    ("> 0.7 m/px", 0.7, math.inf),
+)
+# Median error and share below 20 % in the paper, by choice, setting and boxes.
+_PAPER: dict[_Setting, tuple[float, float | None]] = {
     ("aggregation", "kde", "detector"): (0.0687, 0.833),
     ("aggregation", "median", "detector"): (0.0731, 0.840),
     ("aggregation", "mean", "detector"): (0.0827, 0.837),
@@ -102,7 +112,7 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
     Returns:
         A row for each setting and kind of boxes, with the paper's number if it has one.
     """
-    sides: list[tuple[Boxes, tuple[ScaleTrial, ...], Callable[[KnownScaleImage], ScaleOptions]]] = [
+    sides: list[tuple[Boxes, tuple[ScaleTrial, ...], OptionsOf]] = [
         ("detector", benchmark.trials, benchmark.options_of)
     ]
     if benchmark.baseline:
@@ -110,14 +120,12 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
     rows = []
     for variant in _variants():
         for boxes, trials, options_of in sides:
-            again = [
+            repeated = [
                 _repeat(trial, options_of, variant=variant, benchmark=benchmark) for trial in trials
             ]
-            rows.append(_row(variant.choice, variant.setting, boxes, again))
-    rows += [
-        _row(choice, setting, "detector", some)
-        for choice, setting, some in _splits(benchmark.trials)
-    ]
+            rows.append(_row(variant.choice, variant.setting, boxes=boxes, trials=repeated))
+    for choice, setting, group in _splits(benchmark.trials):
+        rows.append(_row(choice, setting, boxes="detector", trials=group))
     return AblationReport(
         data=benchmark.data.source,
         detector=benchmark.detector.name,
@@ -128,65 +136,62 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
 
 def _variants() -> Iterator[_Variant]:
     for aggregation in get_args(Aggregation):
-        yield _Variant("aggregation", aggregation, partial(_with, aggregation=aggregation))
+        changed = partial(_with_lengths, aggregation=aggregation)
+        yield _Variant("aggregation", aggregation, changed)
     for length in _LENGTHS_M:
         factor = length / REFERENCE_LENGTH_M
         setting = "1" if factor == 1 else f"{length:g} / {REFERENCE_LENGTH_M:g}"
-        yield _Variant("reference length", setting, partial(_with_length, factor=factor))
+        yield _Variant("reference length", setting, partial(_with_reference, factor=factor))
     for alpha in ABLATION_ALPHAS:
-        yield _Variant(
-            "alpha", "none" if alpha is None else f"{alpha:g}", partial(_with, alpha=alpha)
-        )
+        setting = "none" if alpha is None else f"{alpha:g}"
+        yield _Variant("alpha", setting, partial(_with_lengths, alpha=alpha))
 
 
-def _with(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> ScaleOptions:
+def _with_lengths(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> ScaleOptions:
     return replace(options, lengths=replace(options.lengths, **changes))
 
 
-def _with_length(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) -> ScaleOptions:
+def _with_reference(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) -> ScaleOptions:
     length_m = analysis.estimate.details.reference_length_m
-    return options if length_m is None else replace(options, reference=Reference(length_m * factor))
+    if length_m is None:
+        return options
+    return replace(options, reference=Reference(length_m * factor))
 
 
 def _repeat(
     trial: ScaleTrial,
-    options_of: Callable[[KnownScaleImage], ScaleOptions],
+    options_of: OptionsOf,
     variant: _Variant,
     benchmark: ScaleBenchmark,
 ) -> ScaleTrial:
-    """Repeat a trial with one option changed, on the same vehicles; the detail follows the kept vehicles."""
+    """Repeat a trial with one option changed, on the same vehicles."""
     if trial.searched is None:
         raise InvalidParameterError(
             f"the trial of {trial.image.path} lacks its vehicles: use benchmark_scale"
         )
     options = variant.changed(trial.analysis, options_of(trial.image))
-    options = replace(options, method=Method(preset="paper"))  # the published scale, L_ref / P_mode
+    # The table is about the published scale, L_ref / P_mode.
+    options = replace(options, method=Method(preset="paper"))
     return replace(trial, analysis=trial.searched.analysis(benchmark.detector, options))
 
 
 def _splits(trials: Sequence[ScaleTrial]) -> Iterator[tuple[str, str, list[ScaleTrial]]]:
-    counts = [
+    """Split the trials by number of vehicles and by true GSD: choice, setting, trials."""
+    counts: tuple[tuple[str, float, float], ...] = (
         (f"N < {MIN_KDE_VEHICLES}", 1, MIN_KDE_VEHICLES),
         (f"{MIN_KDE_VEHICLES} <= N < {_MANY_VEHICLES}", MIN_KDE_VEHICLES, _MANY_VEHICLES),
-        (f"N >= {_MANY_VEHICLES}", _MANY_VEHICLES, None),
-    ]
+        (f"N >= {_MANY_VEHICLES}", _MANY_VEHICLES, math.inf),
+    )
     for name, low, high in counts:
-        yield (
-            "vehicles",
-            name,
-            [
-                t
-                for t in trials
-                if _within(t.analysis.estimate.details.n_detections or 0, low, high)
-            ],
-        )
-    names = ("< 0.3 m/px", "0.3 to 0.5 m/px", "0.5 to 0.7 m/px", "> 0.7 m/px")
-    for name, low_gsd, high_gsd in zip(names, _GSD_EDGES[:-1], _GSD_EDGES[1:], strict=True):
-        yield "true scale", name, [t for t in trials if low_gsd <= t.image.gsd_m_per_px < high_gsd]
+        group = [trial for trial in trials if low <= _n_detections(trial) < high]
+        yield "vehicles", name, group
+    for name, low, high in _GSD_GROUPS:
+        group = [trial for trial in trials if low <= trial.image.gsd_m_per_px < high]
+        yield "true scale", name, group
 
 
-def _within(value: int, low: int, high: int | None) -> bool:
-    return value >= low and (high is None or value < high)
+def _n_detections(trial: ScaleTrial) -> int:
+    return trial.analysis.estimate.details.n_detections or 0
 
 
 def _row(choice: str, setting: str, boxes: Boxes, trials: Sequence[ScaleTrial]) -> AblationRow:

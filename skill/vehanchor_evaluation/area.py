@@ -116,21 +116,23 @@ def segment_entries(
         The masks' figures by entry, and issues of entries and images that could not be segmented.
     """
     keys = {entry.name: _key(entry) for entry in entries}
+    # Entries of one image are segmented together, so that each image is opened once.
     missing = sorted((entry for entry in entries if keys[entry.name] not in log), key=_image)
     groups = [list(group) for _, group in itertools.groupby(missing, key=_image)]
+    segment = partial(_segment_image, segmenter)
     issues: list[FileIssue] = []
-    done = len(entries) - len(missing)
-    with closing(finished(workers, partial(_segment_image, segmenter), groups)) as results:
+    n_done = len(entries) - len(missing)
+    with closing(finished(workers, segment, groups)) as results:
         for group, future in results:
-            trials, found_issues = future.result()
+            trials, image_issues = future.result()
             for trial in trials:
                 log.add(keys[trial.entry], trial)
-            issues += found_issues
-            done += len(group)
+            issues += image_issues
+            n_done += len(group)
             if progress is not None:
-                progress(done, len(entries))
-    known = (log.get(key) for key in keys.values())
-    return {trial.entry: trial for trial in known if trial is not None}, issues
+                progress(n_done, len(entries))
+    logged = [log.get(key) for key in keys.values()]
+    return {trial.entry: trial for trial in logged if trial is not None}, issues
 
 
 def _image(entry: AreaEntry) -> Path:
@@ -144,34 +146,36 @@ def _segment_image(
     trials = []
     issues = []
     image = entries[0].image
+    limits = DATASET_READING.limits
     try:
         with open_raster(image, DATASET_READING) as raster:
             for entry in entries:
+                prompt = Prompt(box=entry.corners)
                 try:
-                    found = segmenter.segment(
-                        raster, Prompt(box=entry.corners), limits=DATASET_READING.limits
-                    )
+                    segmentation = segmenter.segment(raster, prompt, limits=limits)
                 except VehAnchorError as error:
                     issues.append(FileIssue(image, error.code, f"{entry.name}: {error}"))
                 else:
-                    trials.append(_mask_trial(entry, found))
+                    trials.append(_mask_trial(entry, segmentation))
     except VehAnchorError as error:
         issues.append(FileIssue(image, error.code, str(error)))
     return trials, issues
 
 
-def _mask_trial(entry: AreaEntry, found: Segmentation) -> MaskTrial:
+def _mask_trial(entry: AreaEntry, segmentation: Segmentation) -> MaskTrial:
     return MaskTrial(
         entry=entry.name,
-        mask_area_px=int(found.mask.sum()),
-        mask_score=found.score,
-        mask_iou=_overlap(entry, found),
+        mask_area_px=int(segmentation.mask.sum()),
+        mask_score=segmentation.score,
+        mask_iou=_iou(entry, segmentation),
     )
 
 
-def _overlap(entry: AreaEntry, found: Segmentation) -> float:
-    """Compute intersection over union; the model's window and the entry's box can each extend beyond the other."""
-    window = found.window
+def _iou(entry: AreaEntry, segmentation: Segmentation) -> float:
+    """Compute intersection over union of the true mask and the model's mask."""
+    # The model's window and the entry's box can each extend beyond the other, so the masks are
+    # compared where the two overlap.
+    window = segmentation.window
     left = entry.left_px
     top = entry.top_px
     height, width = entry.mask.shape
@@ -181,9 +185,13 @@ def _overlap(entry: AreaEntry, found: Segmentation) -> float:
     y2 = min(top + height, window.y_px + window.height_px)
     if x2 <= x1 or y2 <= y1:
         return 0.0
-    seen = found.mask[y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px]
-    both = int((seen & entry.mask[y1 - top : y2 - top, x1 - left : x2 - left]).sum())
-    return both / (int(found.mask.sum()) + entry.mask_area_px - both)
+    true_part = entry.mask[y1 - top : y2 - top, x1 - left : x2 - left]
+    model_part = segmentation.mask[
+        y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px
+    ]
+    n_both = int((model_part & true_part).sum())
+    n_either = int(segmentation.mask.sum()) + entry.mask_area_px - n_both
+    return n_both / n_either
 
 
 def area_trials(
@@ -209,6 +217,15 @@ def area_trials(
 def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:
     gsd = scale.gsd_m_per_px
     n_px = mask.mask_area_px
+    end_to_end_m2 = None
+    true_scale_m2 = None
+    true_mask_m2 = None
+    if n_px:
+        true_scale_m2 = n_px * entry.gsd_m_per_px**2
+    if gsd is not None:
+        true_mask_m2 = entry.mask_area_px * gsd**2
+        if n_px:
+            end_to_end_m2 = n_px * gsd**2
     return AreaTrial(
         **mask.model_dump(),
         image=str(entry.image),
@@ -219,30 +236,27 @@ def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTr
         gsd_m_per_px=gsd,
         scale_confidence=scale.confidence,
         n_vehicles=scale.n_vehicles or 0,
-        end_to_end_m2=None if gsd is None or not n_px else n_px * gsd**2,
-        true_scale_m2=n_px * entry.gsd_m_per_px**2 if n_px else None,
-        true_mask_m2=None if gsd is None else entry.mask_area_px * gsd**2,
+        end_to_end_m2=end_to_end_m2,
+        true_scale_m2=true_scale_m2,
+        true_mask_m2=true_mask_m2,
     )
 
 
 def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
-    """Summarise trials as rows: end to end (all, with a scale, confident), and each source of error."""
+    """Summarise trials as rows: end to end (all, scaled, confident), and each source of error."""
     scaled = [trial for trial in trials if trial.gsd_m_per_px is not None]
     usable = [trial for trial in trials if trial.scale_confidence >= USABLE_CHANCE]
-    end_to_end = (
-        ("end to end", trials),
-        ("end to end, with a scale", scaled),
-        (f"end to end, confidence >= {USABLE_CHANCE:g}", usable),
-    )
+    true_scale = [(trial.category, trial.true_scale_m2, trial.true_area_m2) for trial in trials]
+    true_mask = [(trial.category, trial.true_mask_m2, trial.true_area_m2) for trial in trials]
     return [
-        *(
-            area_errors(name, ((t.category, t.end_to_end_m2, t.true_area_m2) for t in some))
-            for name, some in end_to_end
-        ),
-        area_errors(
-            "true scale (GT-GSD)", ((t.category, t.true_scale_m2, t.true_area_m2) for t in trials)
-        ),
-        area_errors(
-            "true mask (GT-mask)", ((t.category, t.true_mask_m2, t.true_area_m2) for t in trials)
-        ),
+        area_errors("end to end", _end_to_end(trials)),
+        area_errors("end to end, with a scale", _end_to_end(scaled)),
+        area_errors(f"end to end, confidence >= {USABLE_CHANCE:g}", _end_to_end(usable)),
+        area_errors("true scale (GT-GSD)", true_scale),
+        area_errors("true mask (GT-mask)", true_mask),
     ]
+
+
+def _end_to_end(trials: Sequence[AreaTrial]) -> list[tuple[str, float | None, float]]:
+    """List category, end-to-end area and true area."""
+    return [(trial.category, trial.end_to_end_m2, trial.true_area_m2) for trial in trials]

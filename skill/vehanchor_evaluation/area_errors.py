@@ -1,4 +1,4 @@
-"""Errors of measured areas: the columns of the paper's Table II, by category, with the polarisation ratio."""
+"""Errors of measured areas: the columns of the paper's Table II, also by category."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-NO_ANSWER = 1.0  # a missing scale, mask or number counts as an error of 100 %
+# A missing scale, mask or number counts as an error of 100 %.
+NO_ANSWER = 1.0
 
 
 class CategoryErrors(BaseModel):
@@ -49,7 +50,9 @@ class AreaErrors(BaseModel):
 
 def relative_error(area: float | None, truth: float) -> float:
     """Compute ``|area - truth| / truth``; 1 without an answer."""
-    return NO_ANSWER if area is None else abs(area / truth - 1.0)
+    if area is None:
+        return NO_ANSWER
+    return abs(area / truth - 1.0)
 
 
 def area_errors(name: str, answers: Iterable[tuple[str, float | None, float]]) -> AreaErrors:
@@ -59,32 +62,49 @@ def area_errors(name: str, answers: Iterable[tuple[str, float | None, float]]) -
         name: name of the row.
         answers: category, stated area (None for no answer) and true area of each entry.
     """
-    every = list(answers)
-    errors = np.array([relative_error(area, truth) for _, area, truth in every])
+    entries = list(answers)
+    if not entries:
+        return AreaErrors(
+            name=name,
+            entries=0,
+            answered=0,
+            median=None,
+            mean=None,
+            below_10=None,
+            below_25=None,
+            below_50=None,
+            below_100=None,
+            catastrophic=None,
+            polarisation=None,
+            categories={},
+        )
+    errors = np.array([relative_error(area, truth) for _, area, truth in entries])
     by_category: dict[str, list[float]] = {}
-    for (category, _, _), error in zip(every, errors, strict=True):
+    for (category, _, _), error in zip(entries, errors, strict=True):
         by_category.setdefault(category, []).append(float(error))
     categories = {
-        category: CategoryErrors(entries=len(found), median=float(np.median(found)))
-        for category, found in sorted(by_category.items())
+        category: CategoryErrors(entries=len(errors_of), median=float(np.median(errors_of)))
+        for category, errors_of in sorted(by_category.items())
     }
-    medians = [category.median for category in categories.values()]
-    ratio = max(medians) / min(medians) if len(medians) > 1 and min(medians) > 0 else None
-
-    def below(limit: float) -> float | None:
-        return float((errors < limit).mean()) if len(errors) else None
-
     return AreaErrors(
         name=name,
-        entries=len(every),
-        answered=sum(area is not None for _, area, _ in every),
-        median=float(np.median(errors)) if len(errors) else None,
-        mean=float(errors.mean()) if len(errors) else None,
-        below_10=below(0.10),
-        below_25=below(0.25),
-        below_50=below(0.50),
-        below_100=below(1.00),
-        catastrophic=float((errors >= 1.0).mean()) if len(errors) else None,
-        polarisation=ratio if ratio is not None and math.isfinite(ratio) else None,
+        entries=len(entries),
+        answered=sum(area is not None for _, area, _ in entries),
+        median=float(np.median(errors)),
+        mean=float(errors.mean()),
+        below_10=float((errors < 0.10).mean()),
+        below_25=float((errors < 0.25).mean()),
+        below_50=float((errors < 0.50).mean()),
+        below_100=float((errors < 1.00).mean()),
+        catastrophic=float((errors >= 1.0).mean()),
+        polarisation=_polarisation([category.median for category in categories.values()]),
         categories=categories,
     )
+
+
+def _polarisation(medians: list[float]) -> float | None:
+    """Divide the worst category's median by the best one's; None if that is undefined."""
+    if len(medians) < 2 or min(medians) <= 0:
+        return None
+    ratio = max(medians) / min(medians)
+    return ratio if math.isfinite(ratio) else None

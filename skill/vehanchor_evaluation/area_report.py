@@ -44,11 +44,12 @@ def area_report(
     issues: Sequence[FileIssue],
 ) -> AreaReport:
     """Create a report."""
+    available = Counter(entry.category for entry in data.entries)
     return AreaReport(
         vehanchor=version("vehanchor"),
         data=str(data.source),
         data_sha256=data.sha256,
-        available=dict(sorted(Counter(entry.category for entry in data.entries).items())),
+        available=dict(sorted(available.items())),
         run=dict(run),
         rows=tuple(rows),
         facts=tuple(facts),
@@ -64,35 +65,46 @@ def area_markdown(report: AreaReport) -> str:
         "answered",
         "median",
         "mean",
-        *(f"< {limit} %" for limit in (10, 25, 50, 100)),
+        "< 10 %",
+        "< 25 %",
+        "< 50 %",
+        "< 100 %",
         "catastrophic",
         "polarisation",
     )
-    rows = [
-        (
-            row.name,
-            str(row.entries),
-            str(row.answered),
-            *map(
-                percent,
-                (row.median, row.mean, row.below_10, row.below_25, row.below_50, row.below_100),
-            ),
-            percent(row.catastrophic),
-            "-" if row.polarisation is None else f"{row.polarisation:.1f}x",
-        )
-        for row in report.rows
-    ]
-    names = sorted({category for row in report.rows for category in row.categories})
-    medians = [(row.name, *(_median(row, name) for name in names)) for row in report.rows]
-    tables = markdown_table(headings, rows)
-    if names:
-        tables += "\n" + markdown_table(("median error (entries)", *names), medians)
-    return tables + "\n" + "".join(f"- {fact}\n" for fact in report.facts)
+    tables = markdown_table(headings, [_cells(row) for row in report.rows])
+    categories = sorted({category for row in report.rows for category in row.categories})
+    if categories:
+        medians = [
+            (row.name, *(_median(row, category) for category in categories)) for row in report.rows
+        ]
+        tables += "\n" + markdown_table(("median error (entries)", *categories), medians)
+    facts = "".join(f"- {fact}\n" for fact in report.facts)
+    return f"{tables}\n{facts}"
+
+
+def _cells(row: AreaErrors) -> tuple[str, ...]:
+    polarisation = "-" if row.polarisation is None else f"{row.polarisation:.1f}x"
+    return (
+        row.name,
+        str(row.entries),
+        str(row.answered),
+        percent(row.median),
+        percent(row.mean),
+        percent(row.below_10),
+        percent(row.below_25),
+        percent(row.below_50),
+        percent(row.below_100),
+        percent(row.catastrophic),
+        polarisation,
+    )
 
 
 def _median(row: AreaErrors, category: str) -> str:
-    found = row.categories.get(category)
-    return "-" if found is None else f"{percent(found.median)} ({found.entries})"
+    errors = row.categories.get(category)
+    if errors is None:
+        return "-"
+    return f"{percent(errors.median)} ({errors.entries})"
 
 
 def write_area_report(

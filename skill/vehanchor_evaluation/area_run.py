@@ -1,4 +1,4 @@
-"""Run over objects of known area: masks, scales, trials and report."""
+"""Run over objects of known area: masks, scales, trials and a report."""
 
 from __future__ import annotations
 
@@ -66,8 +66,7 @@ def measure_areas(
         classes: detector classes that count as vehicles, as when the detector was opened.
         limit: measure only the first entries; categories alternate.
         workers: images in parallel, each held in memory; None chooses a number.
-        progress: takes the name of the next step and returns a function that is called with (done,
-            total).
+        progress: takes the name of the next step; returns a function of (done, total), or None.
 
     Raises:
         InvalidParameterError: a file is not a log.
@@ -76,28 +75,37 @@ def measure_areas(
     entries = data.entries[:limit]
     n_workers = workers or default_workers()
     step = progress or (lambda _: None)
-    masks, issues = segment_entries(
+    mask_file = None
+    detections_file = None
+    if logs is not None:
+        mask_file = logs / "masks.sqlite"
+        detections_file = logs / "detections.sqlite"
+
+    mask_log = open_mask_log(mask_file, segmenter.card.sha256)
+    masks, mask_issues = segment_entries(
         entries,
         segmenter,
-        open_mask_log(logs and logs / "masks.sqlite", segmenter.card.sha256),
+        mask_log,
         workers=n_workers,
         progress=step(count(len(entries), "object")),
     )
+    # Objects of one image share its search.
     images = {entry.image: KnownScaleImage(entry.image, entry.gsd_m_per_px) for entry in entries}
     searched = search_known_scale(
         KnownScaleSet(str(data.source), tuple(images.values())),
         detector,
         options,
         classes=classes,
-        cache=logs and logs / "detections.sqlite",
+        cache=detections_file,
         workers=n_workers,
         progress=step(count(len(images), "image")),
     )
+    search_issues = [result for result in searched.values() if isinstance(result, FileIssue)]
+    issues = [*data.issues, *mask_issues, *search_issues]
+
     trials = area_trials(entries, masks, _scales(searched, detector, options))
-    issues += [found for found in searched.values() if isinstance(found, FileIssue)]
     run = _run_facts(detector, segmenter, options=options, limit=limit)
     facts = _facts(trials, entries, detector.card.name, segmenter.card.name)
-    issues = [*data.issues, *issues]
     report = area_report(data, run, rows=summarise_area(trials), facts=facts, issues=issues)
     return AreaRun(report, tuple(trials), tuple(issues))
 
@@ -105,10 +113,11 @@ def measure_areas(
 def _scales(
     searched: Mapping[Path, SearchedImage | FileIssue], detector: Detector, options: ScaleOptions
 ) -> dict[Path, GsdEstimate]:
+    """Estimate the scale of each image that could be searched."""
     return {
-        image: found.analysis(detector.card, options).estimate
-        for image, found in searched.items()
-        if not isinstance(found, FileIssue)
+        image: result.analysis(detector.card, options).estimate
+        for image, result in searched.items()
+        if not isinstance(result, FileIssue)
     }
 
 
@@ -116,13 +125,13 @@ def _run_facts(
     detector: Detector, segmenter: Segmenter, options: ScaleOptions, limit: int | None
 ) -> dict[str, Any]:
     """Describe models and options for the report."""
+    calibration = options.reference.calibration
     return {
         "detector": {"name": detector.card.name, "sha256": detector.card.sha256},
         "segmenter": {"name": segmenter.card.name, "sha256": segmenter.card.sha256},
         "reference_length_m": options.reference.reference_length_m,
         "region": options.reference.region,
-        "calibration": options.reference.calibration
-        and options.reference.calibration.model_dump(mode="json"),
+        "calibration": None if calibration is None else calibration.model_dump(mode="json"),
         **asdict(options.search),
         **asdict(options.lengths),
         "bands": options.reading.bands,
@@ -134,17 +143,18 @@ def _facts(
     trials: Sequence[AreaTrial], entries: Sequence[AreaEntry], detector: str, segmenter: str
 ) -> list[str]:
     """Describe the basis of the table, one sentence each."""
+    objects = count(len(entries), "object")
     images = count(len({trial.image for trial in trials}), "image")
     facts = [
-        f"{len(trials)} of {count(len(entries), 'object')} measured, in {images}",
+        f"{len(trials)} of {objects} measured, in {images}",
         f"detector {detector}, segmenter {segmenter}; a missing scale or mask counts as an "
         "error of 100 %",
     ]
-    if trials:
-        iou = np.array([trial.mask_iou for trial in trials])
-        n_without = sum(trial.gsd_m_per_px is None for trial in trials)
-        facts.append(f"masks: IoU median {np.median(iou):.3f}, mean {iou.mean():.3f}")
-        facts.append(
-            f"scale: none for {count(n_without, 'object')} ({percent(n_without / len(trials), 0)})"
-        )
+    if not trials:
+        return facts
+    iou = np.array([trial.mask_iou for trial in trials])
+    facts.append(f"masks: IoU median {np.median(iou):.3f}, mean {iou.mean():.3f}")
+    n_without = sum(trial.gsd_m_per_px is None for trial in trials)
+    share = percent(n_without / len(trials), digits=0)
+    facts.append(f"scale: none for {count(n_without, 'object')} ({share})")
     return facts

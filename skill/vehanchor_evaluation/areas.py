@@ -1,7 +1,8 @@
-"""Objects of known area: a folder with an ``index.csv`` and label images, in which each number is an object.
+"""Objects of known area: a folder with an ``index.csv`` and label images.
 
-Columns: ``image`` and ``mask`` (relative to the folder), ``category``, ``gsd_m_per_px``, and
-optionally ``split``. A mask has 8 or 16 bit with 0 as background; an image can have several.
+The index has the columns ``image`` and ``mask`` (relative to the folder), ``category``,
+``gsd_m_per_px``, and optionally ``split``. A label image has 8 or 16 bit. Each number in it is an
+object, and 0 is the background. An image can have several label images.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MIN_SIDE_PX = 15  # of an object's box; smaller objects are too coarse for a mask
+# Shorter side of an object's box; smaller objects are too coarse for a mask.
+MIN_SIDE_PX = 15
 INDEX = "index.csv"
 COLUMNS = ("image", "mask", "category", "gsd_m_per_px")
 
@@ -120,29 +122,63 @@ def read_areas(
         InvalidParameterError: the index or a column is missing, the split has no rows, or there is
             no object.
     """
-    rows, issues = _rows(folder, split)
+    rows, issues = _usable_rows(folder, split)
     entries: list[AreaEntry] = []
     with ThreadPoolExecutor(workers) as pool:
-        for done, found in enumerate(pool.map(_entries, rows), start=1):
-            if isinstance(found, FileIssue):
-                issues.append(found)
+        for done, objects in enumerate(pool.map(_entries, rows), start=1):
+            if isinstance(objects, FileIssue):
+                issues.append(objects)
             else:
-                entries += found
+                entries += objects
             if progress is not None:
                 progress(done, len(rows))
     if not entries:
-        first = f"; the first problem: {issues[0].file}: {issues[0].message}" if issues else ""
-        raise InvalidParameterError(f"{folder} has no object of {MIN_SIDE_PX} px and more{first}")
+        message = f"{folder} has no object of {MIN_SIDE_PX} px and more"
+        if issues:
+            message += f"; the first problem: {issues[0].file}: {issues[0].message}"
+        raise InvalidParameterError(message)
     sha256 = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
     return AreaSet(folder, sha256, entries=tuple(_alternating(entries)), issues=tuple(issues))
 
 
-def _rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]:
+def _usable_rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]:
+    """Read the rows of a split, and list the rows that are malformed or repeated."""
     index = folder / INDEX
+    lines = _index_lines(index)
+    lines_of_split = [
+        (line, cells) for line, cells in lines if split is None or cells.get("split") == split
+    ]
+    if not lines_of_split:
+        splits = sorted({cells.get("split") or "" for _, cells in lines})
+        raise InvalidParameterError(
+            f"{index} has no rows of split {split!r}: it has {', '.join(splits) or 'no rows'}"
+        )
+
+    rows = []
+    issues = []
+    names = set()
+    for line, cells in lines_of_split:
+        row = _row(folder, cells)
+        if row is None:
+            message = f"line {line}: expected {','.join(COLUMNS)}, gsd > 0"
+            issues.append(FileIssue(index, "malformed_row", message))
+        elif row.name in names:
+            message = f"line {line}: {cells['mask']} is already listed"
+            issues.append(FileIssue(index, "duplicate_name", message))
+        else:
+            names.add(row.name)
+            rows.append(row)
+    return rows, issues
+
+
+def _index_lines(index: Path) -> list[tuple[int, dict[str, str]]]:
+    """Read the cells of each row by column, with the number of its line."""
     try:
         with index.open(newline="", encoding="utf-8") as handle:
             reader = csv.DictReader(handle)
-            missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+            columns = reader.fieldnames or ()
+            missing = [column for column in COLUMNS if column not in columns]
+            # The header is line 1.
             lines = list(enumerate(reader, start=2))
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidParameterError(
@@ -152,37 +188,12 @@ def _rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]
         raise InvalidParameterError(
             f"{index} has no column {', '.join(missing)}: it needs {', '.join(COLUMNS)}"
         )
-    chosen = [(line, row) for line, row in lines if split is None or row.get("split") == split]
-    if not chosen:
-        known = sorted({row.get("split") or "" for _, row in lines})
-        raise InvalidParameterError(
-            f"{index} has no rows of split {split!r}: it has {', '.join(known) or 'no rows'}"
-        )
-    rows = []
-    issues = []
-    seen = set()
-    for line, cells in chosen:
-        row = _row(folder, cells)
-        if row is None:
-            issues.append(
-                FileIssue(
-                    index, "malformed_row", f"line {line}: expected {','.join(COLUMNS)}, gsd > 0"
-                )
-            )
-        elif row.name in seen:
-            issues.append(
-                FileIssue(
-                    index, "duplicate_name", f"line {line}: {cells['mask']} is already listed"
-                )
-            )
-        else:
-            seen.add(row.name)
-            rows.append(row)
-    return rows, issues
+    return lines
 
 
 def _row(folder: Path, cells: Mapping[str, str | None]) -> _Row | None:
-    image, mask, category, gsd_text = (cells[column] or "" for column in COLUMNS)
+    """Parse a row; None if it is malformed."""
+    image, mask, category, gsd_text = [cells[column] or "" for column in COLUMNS]
     try:
         gsd = float(gsd_text)
     except ValueError:
@@ -190,12 +201,16 @@ def _row(folder: Path, cells: Mapping[str, str | None]) -> _Row | None:
     if not (math.isfinite(gsd) and gsd > 0 and image and mask and category):
         return None
     return _Row(
-        (folder / image).resolve(), folder / mask, str(Path(mask).with_suffix("")), category, gsd
+        image=(folder / image).resolve(),
+        mask=folder / mask,
+        name=str(Path(mask).with_suffix("")),
+        category=category,
+        gsd_m_per_px=gsd,
     )
 
 
 def _entries(row: _Row) -> list[AreaEntry] | FileIssue:
-    """Read the objects of a row, or the reason why there are none."""
+    """Read the objects of a row, or state why there are none."""
     if not row.image.is_file():
         return FileIssue(row.image, "no_image", "it has a mask, but there is no such file")
     try:
@@ -219,18 +234,17 @@ def _entries(row: _Row) -> list[AreaEntry] | FileIssue:
 
 
 def _alternating(entries: Sequence[AreaEntry]) -> list[AreaEntry]:
-    turns: Counter[str] = Counter()
+    """Sort the entries so that categories alternate: the first of each, the second of each."""
+    n_earlier: Counter[str] = Counter()
 
-    def turn(entry: AreaEntry) -> int:
-        turns[entry.category] += 1
-        return turns[entry.category]
+    def rank_in_category(entry: AreaEntry) -> int:
+        n_earlier[entry.category] += 1
+        return n_earlier[entry.category]
 
-    return sorted(entries, key=turn)
+    return sorted(entries, key=rank_in_category)
 
 
 # --- Label images
-#
-# ----------------------------------------------------------------------------------------------------
 
 
 def read_masks(path: Path) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
@@ -258,6 +272,7 @@ def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
         data = np.frombuffer(path.read_bytes(), np.uint8)
     except OSError as error:
         raise ImageNotFoundError(f"{path}: {error.strerror}") from None
+    # OpenCV raises its own error for an empty buffer.
     pixels = cv2.imdecode(data, flags) if len(data) else None
     if pixels is None:
         raise ImageDecodeError(f"{path}: damaged, or not an image")
@@ -277,12 +292,15 @@ def split_instances(
     """
     from scipy.ndimage import find_objects
 
-    present = np.zeros(int(ids.max(initial=0)) + 1, bool)
-    present[ids] = True
-    present[0] = False
-    numbers = np.flatnonzero(present)
-    ranks = np.zeros(len(present), np.int32)
-    ranks[numbers] = np.arange(1, len(numbers) + 1)
-    ranked = ranks[ids]
-    for rank, place in enumerate(find_objects(ranked), start=1):
-        yield int(numbers[rank - 1]), place[1].start, place[0].start, ranked[place] == rank
+    # Numbers become ranks without gaps: find_objects makes an entry for every number up to the
+    # largest.
+    is_present = np.zeros(int(ids.max(initial=0)) + 1, bool)
+    is_present[ids] = True
+    is_present[0] = False
+    numbers = np.flatnonzero(is_present)
+    rank_of_number = np.zeros(len(is_present), np.int32)
+    rank_of_number[numbers] = np.arange(1, len(numbers) + 1)
+    ranks = rank_of_number[ids]
+    for rank, box in enumerate(find_objects(ranks), start=1):
+        rows, columns = box
+        yield int(numbers[rank - 1]), columns.start, rows.start, ranks[box] == rank

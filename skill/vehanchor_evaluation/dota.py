@@ -1,7 +1,7 @@
-"""DOTA data: ``images/``, and text files in ``labelTxt*/`` with lines ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``.
+"""DOTA data: ``images/``, and a text file with labels for each image in ``labelTxt*/``.
 
-In versions 1.0 and 1.5 the files start with ``imagesource:`` and ``gsd:`` lines; version 2.0 has
-these in ``meta/``.
+A line of labels is ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``. In versions 1.0 and 1.5 the files
+start with ``imagesource:`` and ``gsd:`` lines; version 2.0 has these in ``meta/``.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SMALL_VEHICLE = "small-vehicle"
-# axis-aligned boxes: useless as lengths
-_HORIZONTAL = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)
-_SHOWN_PROBLEMS = 3
+# Folders of axis-aligned boxes, whose sides are not the vehicles' lengths.
+_AXIS_ALIGNED = re.compile(r"hbb|task2|reclabel", re.IGNORECASE)
+_HEADER_KEYS = ("imagesource", "acquisition dates")
+_MAX_SHOWN_PROBLEMS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
     for number, line in enumerate(text.splitlines(), start=1):
         stripped = line.strip()
         key, colon, value = stripped.partition(":")
-        if not stripped or (colon and key.lower() in ("imagesource", "acquisition dates")):
+        if not stripped or (colon and key.lower() in _HEADER_KEYS):
             continue
         try:
             if key.lower() == "gsd":
@@ -100,8 +101,11 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
 
 
 def _header_gsd(text: str) -> float | None:
-    value = None if text.strip().lower() in ("", "none", "null") else float(text)
-    return value if value is not None and np.isfinite(value) and value > 0 else None
+    """Parse the value of a ``gsd:`` line; None if it is missing or not a positive number."""
+    if text.strip().lower() in ("", "none", "null"):
+        return None
+    value = float(text)
+    return value if np.isfinite(value) and value > 0 else None
 
 
 def read_labels(path: Path, problems: list[str] | None = None) -> DotaLabels:
@@ -118,15 +122,20 @@ def read_labels(path: Path, problems: list[str] | None = None) -> DotaLabels:
 
 
 def labelled_boxes(path: Path, classes: Sequence[str] = (SMALL_VEHICLE,)) -> NDArray[np.float64]:
-    """Read the labelled vehicles of one image, difficult ones included: ``[n, 5]`` (x, y, length, width, angle).
+    """Read the labelled vehicles of one image, difficult ones included.
 
     Malformed lines are skipped; ``survey_dota`` and other surveys report them.
+
+    Returns:
+        ``[n, 5]`` (x, y, length, width, angle).
 
     Raises:
         OSError: the file cannot be read.
         ValueError: the file is not text.
     """
-    boxes = boxes_from_corners(read_labels(path, []).of_class(*classes))
+    ignored_problems: list[str] = []
+    labels = read_labels(path, ignored_problems)
+    boxes = boxes_from_corners(labels.of_class(*classes))
     return np.asarray(boxes[boxes[:, 2] > 0])
 
 
@@ -145,6 +154,36 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     Raises:
         InvalidParameterError: a folder is missing.
     """
+    label_folder = _label_folder(folder, labels)
+    files = sorted(label_folder.rglob("*.txt"))
+    texts = {path.stem: path for path in files if not _is_axis_aligned(path, label_folder)}
+    images = []
+    issues = []
+    image_by_stem: dict[str, Path] = {}
+    for path in image_files(folder / "images"):
+        stem = path.stem
+        if stem in image_by_stem:
+            message = f"{image_by_stem[stem]} has the same name, and only that one is used"
+            issues.append(FileIssue(path, "duplicate_name", message))
+            continue
+        image_by_stem[stem] = path
+        text = texts.get(stem)
+        if text is None:
+            issues.append(FileIssue(path, "no_label", f"no {stem}.txt in {label_folder}"))
+            continue
+        image = _labelled_image(path, text, folder / "meta", issues)
+        if image is not None:
+            images.append(image)
+    issues += [
+        FileIssue(text, "no_image", "labels without an image")
+        for stem, text in texts.items()
+        if stem not in image_by_stem
+    ]
+    return KnownScaleSet(str(folder), tuple(images), tuple(issues))
+
+
+def _label_folder(folder: Path, labels: Path | None) -> Path:
+    """Check the folder of a split, and find its labels unless they are given."""
     if not (folder / "images").is_dir():
         splits = sorted(path.parent.name for path in folder.glob("*/images") if path.is_dir())
         hint = f"; name one of its splits: {', '.join(splits)}" if splits else ""
@@ -152,60 +191,51 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     label_folder = labels or _latest_labels(folder)
     if not label_folder.is_dir():
         raise InvalidParameterError(f"no label folder at {str(label_folder)!r}")
-    files = sorted(label_folder.rglob("*.txt"))
-    texts = {path.stem: path for path in files if not _is_axis_aligned(path, label_folder)}
-    images = []
-    issues = []
-    seen: dict[str, Path] = {}
-    for path in image_files(folder / "images"):
-        if path.stem in seen:
-            message = f"{seen[path.stem]} has the same name, and only that one is used"
-            issues.append(FileIssue(path, "duplicate_name", message))
-            continue
-        seen[path.stem] = path
-        text = texts.get(path.stem)
-        if text is None:
-            issues.append(FileIssue(path, "no_label", f"no {path.stem}.txt in {label_folder}"))
-            continue
-        problems: list[str] = []
-        try:
-            read = read_labels(text, problems)
-            gsd = read.gsd_m_per_px or _meta_gsd(folder / "meta" / text.name)
-        except (OSError, ValueError) as error:
-            issues.append(FileIssue(text, "unreadable_labels", str(error)))
-            continue
-        if problems:
-            more = (
-                f" and {len(problems) - _SHOWN_PROBLEMS} more"
-                if len(problems) > _SHOWN_PROBLEMS
-                else ""
-            )
-            message = "; ".join(problems[:_SHOWN_PROBLEMS]) + more
-            issues.append(FileIssue(text, "malformed_labels", message, skipped=False))
-        if gsd is None:
-            issues.append(FileIssue(path, "no_gsd", "its labels have no 'gsd:' line with a number"))
-            continue
-        n_vehicles = sum(name == SMALL_VEHICLE for name in read.classes)
-        images.append(KnownScaleImage(path, gsd, labelled_vehicles=n_vehicles, labels=text))
-    issues += [
-        FileIssue(text, "no_image", "labels without an image")
-        for stem, text in texts.items()
-        if stem not in seen
-    ]
-    return KnownScaleSet(str(folder), tuple(images), tuple(issues))
+    return label_folder
+
+
+def _labelled_image(
+    path: Path, text: Path, meta: Path, issues: list[FileIssue]
+) -> KnownScaleImage | None:
+    """Read scale and labels of one image.
+
+    Args:
+        path: the image.
+        text: its labels.
+        meta: folder ``meta/`` of version 2.0.
+        issues: collects the problems.
+
+    Returns:
+        The image; None if its labels are unreadable or lack a scale.
+    """
+    problems: list[str] = []
+    try:
+        labels = read_labels(text, problems)
+        gsd = labels.gsd_m_per_px or _meta_gsd(meta / text.name)
+    except (OSError, ValueError) as error:
+        issues.append(FileIssue(text, "unreadable_labels", str(error)))
+        return None
+    if problems:
+        message = "; ".join(problems[:_MAX_SHOWN_PROBLEMS])
+        if len(problems) > _MAX_SHOWN_PROBLEMS:
+            message += f" and {len(problems) - _MAX_SHOWN_PROBLEMS} more"
+        issues.append(FileIssue(text, "malformed_labels", message, skipped=False))
+    if gsd is None:
+        issues.append(FileIssue(path, "no_gsd", "its labels have no 'gsd:' line with a number"))
+        return None
+    n_vehicles = sum(name == SMALL_VEHICLE for name in labels.classes)
+    return KnownScaleImage(path, gsd, labelled_vehicles=n_vehicles, labels=text)
 
 
 def _latest_labels(folder: Path) -> Path:
-    found = [
+    """Find the label folder of the highest version with oriented boxes."""
+    folders = [
         path
         for path in folder.glob("labelTxt*")
-        if path.is_dir() and not _HORIZONTAL.search(path.name)
+        if path.is_dir() and not _AXIS_ALIGNED.search(path.name)
     ]
-    if found:
-        return max(
-            found,
-            key=lambda path: ([int(part) for part in re.findall(r"\d+", path.name)], path.name),
-        )
+    if folders:
+        return max(folders, key=_version)
     if (folder / "labels").is_dir():
         return folder / "labels"
     raise InvalidParameterError(
@@ -213,8 +243,14 @@ def _latest_labels(folder: Path) -> Path:
     )
 
 
+def _version(path: Path) -> tuple[list[int], str]:
+    """Order ``labelTxt-v1.0`` before ``labelTxt-v1.5`` and ``labelTxt-v2.0``."""
+    return [int(part) for part in re.findall(r"\d+", path.name)], path.name
+
+
 def _is_axis_aligned(path: Path, label_folder: Path) -> bool:
-    return any(_HORIZONTAL.search(part) for part in path.relative_to(label_folder).parts[:-1])
+    folders = path.relative_to(label_folder).parts[:-1]
+    return any(_AXIS_ALIGNED.search(name) for name in folders)
 
 
 def _meta_gsd(path: Path) -> float | None:

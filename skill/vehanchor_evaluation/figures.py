@@ -1,4 +1,4 @@
-"""Figures of a scale benchmark: predicted against true GSD, cumulative error, calibration, and a sheet of images."""
+"""Figures of a scale benchmark: predicted and true GSD, errors, calibration, a sheet of images."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration, SurveyedImage
     from vehanchor_evaluation.gsd import ScaleTrial
 
-# Okabe and Ito
+# Colours of Okabe and Ito, which colour-blind readers can distinguish.
 _BLUE = "#0072B2"
 _ORANGE = "#E69F00"
 _GREEN = "#009E73"
@@ -37,15 +37,20 @@ _RED = "#D55E00"
 _INK = "#222222"
 _GREY = "0.6"
 _DPI = 150
-_BAND = 0.10  # paper: +-10 %
+# The paper's band around the true GSD: +-10 %.
+_BAND = 0.10
+# Larger median errors are drawn as this one.
+# Larger median errors are drawn as this one.
 _MAX_ERROR = 1.0
 _CONFIDENCE_BINS = np.linspace(0.0, 1.0, 6)
+# Side of a picture in the sheet, and the gap between pictures.
+# Side of a picture in the sheet, and the gap between pictures.
 _CELL_PX = 640
 _GAP_PX = 12
 
 
 def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
-    """Plot predicted against true GSD on logarithmic axes, with the +-10 % band and the resolution guard.
+    """Plot predicted against true GSD with the +-10 % band and the resolution guard.
 
     Args:
         trials: trials of the detector; images without an estimate are marked at the lower edge.
@@ -57,51 +62,41 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     figure = require_plots()(figsize=(7.0, 7.2), dpi=_DPI, layout="constrained")
-    axes = _axes(figure.add_subplot())
-    known = [trial for trial in trials if trial.estimated]
+    axes = _without_frame(figure.add_subplot())
+    estimated = [trial for trial in trials if trial.estimated]
     missed = [trial.image.gsd_m_per_px for trial in trials if not trial.estimated]
-    truth = np.array([trial.image.gsd_m_per_px for trial in known])
-    estimate = np.array([trial.analysis.estimate.gsd_m_per_px or np.nan for trial in known])
-    guard = _guard_gsd(known)
-    ends = np.concatenate([truth, estimate, missed, [guard]])
-    low = float(ends.min()) / 1.25
-    high = float(ends.max()) * 1.25
-    line = np.array([low, high])
-    axes.fill_between(
-        line,
-        line * (1 - _BAND),
-        line * (1 + _BAND),
-        color=_GREEN,
-        alpha=0.18,
-        lw=0,
-        label="\u00b110 %",
-    )
-    axes.plot(line, line, color=_GREEN, lw=1.2)
+    truth = np.array([trial.image.gsd_m_per_px for trial in estimated])
+    predicted = np.array([trial.analysis.estimate.gsd_m_per_px or np.nan for trial in estimated])
+    guard = _guard_gsd(estimated)
+
+    # Both axes share their ends, so that a correct estimate lies on the diagonal.
+    values = np.concatenate([truth, predicted, missed, [guard]])
+    low = float(values.min()) / 1.25
+    high = float(values.max()) * 1.25
+    ends = np.array([low, high])
+    below = ends * (1 - _BAND)
+    above = ends * (1 + _BAND)
+    axes.fill_between(ends, below, above, color=_GREEN, alpha=0.18, lw=0, label="\u00b110 %")
+    axes.plot(ends, ends, color=_GREEN, lw=1.2)
     axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=f"resolution guard {guard:.2g} m/px")
-    usable = np.array([trial.analysis.estimate.status == "ok" for trial in known])
-    for sure, colour, name in ((True, _BLUE, "usable"), (False, _ORANGE, "not usable")):
-        some = usable == sure
-        count = int(some.sum())
+
+    is_usable = np.array([trial.analysis.estimate.status == "ok" for trial in estimated])
+    for status, colour, name in ((True, _BLUE, "usable"), (False, _ORANGE, "not usable")):
+        group = is_usable == status
+        label = f"{name} ({int(group.sum())})"
         axes.scatter(
-            truth[some],
-            estimate[some],
+            truth[group],
+            predicted[group],
             s=18,
             color=colour,
             alpha=0.7,
             lw=0,
-            label=f"{name} ({count})",
+            label=label,
         )
     if missed:
         label = f"no estimate ({len(missed)})"
-        axes.scatter(
-            missed,
-            np.full(len(missed), low),
-            marker="|",
-            s=60,
-            color=_INK,
-            clip_on=False,
-            label=label,
-        )
+        at_edge = np.full(len(missed), low)
+        axes.scatter(missed, at_edge, marker="|", s=60, color=_INK, clip_on=False, label=label)
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal")
     _plain_log(axes)
     axes.set_xlabel("true GSD, m/px")
@@ -111,16 +106,23 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
 
 
 def _guard_gsd(trials: Sequence[ScaleTrial]) -> float:
-    """Get the predicted GSD above which the resolution guard applies: 0.3 m/px, or less if the detector needs it."""
-    vehicles = [trial.analysis.vehicles for trial in trials]
+    """Compute the predicted GSD above which the resolution guard applies.
+
+    This is 0.3 m/px, or less if the detector needs longer vehicles.
+    """
+    measurements = [trial.analysis.vehicles for trial in trials]
     limits = [
-        each.reference.length_m / each.guard_length_px for each in vehicles if each is not None
+        vehicles.reference.length_m / vehicles.guard_length_px
+        for vehicles in measurements
+        if vehicles is not None
     ]
     return float(np.median(limits)) if limits else GUARD_GSD_M_PER_PX
 
 
 def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
-    """Plot the share of images below an error for each kind of boxes; images without an estimate count as errors.
+    """Plot the share of images below an error for each kind of boxes.
+
+    Images without an estimate count as errors.
 
     Args:
         curves: trials by name.
@@ -132,18 +134,17 @@ def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     figure = require_plots()(figsize=(7.0, 4.6), dpi=_DPI, layout="constrained")
-    axes = _axes(figure.add_subplot())
-    for (name, trials), colour in zip(curves.items(), (_BLUE, _ORANGE, _GREEN, _RED), strict=False):
+    axes = _without_frame(figure.add_subplot())
+    colours = (_BLUE, _ORANGE, _GREEN, _RED)
+    for (name, trials), colour in zip(curves.items(), colours, strict=False):
         errors = np.sort([abs(trial.signed_error) for trial in trials if trial.estimated])
-        share = np.arange(1, len(errors) + 1) / max(1, len(trials))
-        axes.step(
-            [0, *errors * 100, 100],
-            [0, *share, share[-1] if len(share) else 0],
-            where="post",
-            color=colour,
-            lw=1.8,
-            label=f"{name} ({len(errors)} of {len(trials)})",
-        )
+        shares = np.arange(1, len(errors) + 1) / max(1, len(trials))
+        # The curve stays level from the last error to 100 %.
+        last_share = shares[-1] if len(shares) else 0
+        label = f"{name} ({len(errors)} of {len(trials)})"
+        percents = [0, *errors * 100, 100]
+        heights = [0, *shares, last_share]
+        axes.step(percents, heights, where="post", color=colour, lw=1.8, label=label)
     for error in (10, 20):
         axes.axvline(error, color=_GREY, lw=0.8, ls=":")
     axes.set(xlim=(0, 60), ylim=(0, 1))
@@ -168,24 +169,22 @@ def interval_coverage(
     from scipy.stats import norm
 
     estimates = [trial.analysis.estimate for trial in trials]
-    reach = np.array(
-        [
-            np.log((e.gsd_ci95_high_m_per_px or np.nan) / (e.gsd_m_per_px or np.nan))
-            for e in estimates
-        ]
-    )
-    error = np.abs(np.log1p([trial.signed_error for trial in trials]))
-    needed = error / reach * Z95  # error in standard deviations
-    reached = norm.ppf((1 + np.asarray(nominal)) / 2)
-    return np.asarray((needed[None, :] <= reached[:, None]).mean(axis=1))
+    gsd = np.array([estimate.gsd_m_per_px or np.nan for estimate in estimates])
+    high = np.array([estimate.gsd_ci95_high_m_per_px or np.nan for estimate in estimates])
+    # The 95 % interval reaches Z95 standard deviations of the log GSD; this is the error in them.
+    log_reach = np.log(high / gsd)
+    log_error = np.abs(np.log1p([trial.signed_error for trial in trials]))
+    error_in_sd = log_error / log_reach * Z95
+    level_in_sd = norm.ppf((1 + np.asarray(nominal)) / 2)
+    is_covered = error_in_sd[None, :] <= level_in_sd[:, None]
+    return np.asarray(is_covered.mean(axis=1))
 
 
 def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     """Plot the calibration of interval and confidence.
 
     Left: observed against nominal coverage of the interval. Right: median error and share of errors
-        above 20 %, by bins
-    of confidence.
+    above 20 %, by bins of confidence.
 
     Args:
         trials: trials of the detector; images without an estimate are ignored.
@@ -197,62 +196,54 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     figure = require_plots()(figsize=(10.0, 4.6), dpi=_DPI, layout="constrained")
-    left, right = (_axes(axes) for axes in figure.subplots(1, 2))
-    known = [trial for trial in trials if trial.estimated]
+    left, right = figure.subplots(1, 2)
+    _without_frame(left)
+    _without_frame(right)
+    estimated = [trial for trial in trials if trial.estimated]
     nominal = np.linspace(0.0, 0.99, 100)
     left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="ideal")
-    if known:
-        left.plot(
-            nominal,
-            interval_coverage(known, nominal),
-            color=_BLUE,
-            lw=2,
-            label=count(len(known), "image"),
-        )
+    if estimated:
+        observed = interval_coverage(estimated, nominal)
+        left.plot(nominal, observed, color=_BLUE, lw=2, label=count(len(estimated), "image"))
     left.axvline(0.95, color=_GREY, lw=0.8, ls=":")
     left.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
     left.set_xlabel("nominal coverage of the interval")
     left.set_ylabel("observed coverage")
     left.legend(frameon=False, fontsize=9, loc="upper left")
-    _confidence_bars(right, known)
+    _confidence_bars(right, estimated)
     return figure
 
 
 def _confidence_bars(axes: Axes, trials: Sequence[ScaleTrial]) -> None:
+    """Draw median error and share of errors above 20 % side by side for each bin of confidence."""
     confidence = np.array([trial.analysis.estimate.confidence for trial in trials])
     errors = np.array([trial.error for trial in trials])
-    bins = np.clip(np.digitize(confidence, _CONFIDENCE_BINS) - 1, 0, len(_CONFIDENCE_BINS) - 2)
+    n_bins = len(_CONFIDENCE_BINS) - 1
+    # A confidence of 1 belongs to the last bin.
+    bins = np.clip(np.digitize(confidence, _CONFIDENCE_BINS) - 1, 0, n_bins - 1)
     width = 0.4
-    for index in range(len(_CONFIDENCE_BINS) - 1):
-        some = errors[bins == index]
-        if not len(some):
+    median_label: str | None = "median error, %"
+    high_label: str | None = "share of errors > 20 %"
+    for index in range(n_bins):
+        in_bin = errors[bins == index]
+        if not len(in_bin):
             continue
-        first = index == int(bins.min())
-        high = 100 * float((some > HIGH_ERROR).mean())
-        median = 100 * min(float(np.median(some)), _MAX_ERROR)
-        axes.bar(
-            index - width / 2,
-            median,
-            width,
-            color=_BLUE,
-            label="median error, %" if first else None,
-        )
-        axes.bar(
-            index + width / 2,
-            high,
-            width,
-            color=_ORANGE,
-            label="share of errors > 20 %" if first else None,
-        )
+        high = 100 * float((in_bin > HIGH_ERROR).mean())
+        median = 100 * min(float(np.median(in_bin)), _MAX_ERROR)
+        axes.bar(index - width / 2, median, width, color=_BLUE, label=median_label)
+        axes.bar(index + width / 2, high, width, color=_ORANGE, label=high_label)
+        # Only the first bars enter the legend.
+        median_label = None
+        high_label = None
         axes.annotate(
-            f"n = {len(some)}",
+            f"n = {len(in_bin)}",
             (index, max(high, median)),
-            (0, 3),
+            xytext=(0, 3),
             textcoords="offset points",
             ha="center",
             fontsize=8,
         )
-    names = [f"{a:.1f} to {b:.1f}" for a, b in pairwise(_CONFIDENCE_BINS)]
+    names = [f"{low:.1f} to {high:.1f}" for low, high in pairwise(_CONFIDENCE_BINS)]
     axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.set_xlabel("confidence")
@@ -262,7 +253,7 @@ def _confidence_bars(axes: Axes, trials: Sequence[ScaleTrial]) -> None:
 
 
 def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibration) -> Figure:
-    """Plot a calibration: the vehicles' lengths in metres, their density, the mode and its interval.
+    """Plot a calibration: the lengths in metres, their density, the mode and its interval.
 
     Args:
         images: vehicles and true scales.
@@ -275,14 +266,16 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
         MissingExtraError: matplotlib is not installed.
     """
     figure = require_plots()(figsize=(8.0, 4.6), dpi=_DPI, layout="constrained")
-    axes = _axes(figure.add_subplot())
+    axes = _without_frame(figure.add_subplot())
     metres, weights, smoothing = weighted_lengths_m(images)
     mode = calibration.reference_length_m
+    # The axis leaves out extreme lengths, but always shows the surroundings of the mode.
     low, high = np.percentile(metres, [0.5, 99.5])
     low = max(0.0, min(low, 0.6 * mode))
     high = max(min(high, 2.5 * mode), 1.4 * mode)
     shown = metres[(metres >= low) & (metres <= high)]
-    edges = np.linspace(low, high, int(np.clip(np.sqrt(len(shown)) * 2, 12, 80)) + 1)
+    n_bins = int(np.clip(np.sqrt(len(shown)) * 2, 12, 80))
+    edges = np.linspace(low, high, n_bins + 1)
     axes.hist(
         shown,
         bins=list(edges),
@@ -291,32 +284,30 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
         linewidth=0.5,
         label=count(len(metres), "vehicle"),
     )
-    at = np.linspace(low, high, 800)
-    density = (
-        kde_density(at, metres, weights, smoothing=smoothing) * len(metres) * (edges[1] - edges[0])
-    )
-    axes.plot(at, density, color=_BLUE, lw=2, label="density (KDE)")
-    ends = calibration.reference_length_ci95_low_m, calibration.reference_length_ci95_high_m
-    axes.axvspan(
-        *ends,
-        color="0.75",
-        alpha=0.5,
-        lw=0,
-        zorder=0,
-        label=f"95 % interval {ends[0]:.3f} to {ends[1]:.3f} m",
-    )
+    # The density is scaled to vehicles per bin, so that it fits the histogram.
+    lengths = np.linspace(low, high, 800)
+    density = kde_density(lengths, metres, weights, smoothing=smoothing)
+    density = density * len(metres) * (edges[1] - edges[0])
+    axes.plot(lengths, density, color=_BLUE, lw=2, label="density (KDE)")
+    ci95_low = calibration.reference_length_ci95_low_m
+    ci95_high = calibration.reference_length_ci95_high_m
+    interval = f"95 % interval {ci95_low:.3f} to {ci95_high:.3f} m"
+    axes.axvspan(ci95_low, ci95_high, color="0.75", alpha=0.5, lw=0, zorder=0, label=interval)
     axes.axvline(mode, color=_INK, lw=1.6, label=f"mode {mode:.3f} m")
     axes.set_xlim(low, high)
     axes.set_xlabel("vehicle length, metres")
     axes.set_ylabel("vehicles")
-    beyond = len(metres) - len(shown)
-    note = f", {beyond} beyond the axis" if beyond else ""
-    axes.set_title(f"{count(calibration.n_images, 'image')}{note}", loc="left", fontsize=11)
+    title = count(calibration.n_images, "image")
+    n_beyond = len(metres) - len(shown)
+    if n_beyond:
+        title += f", {n_beyond} beyond the axis"
+    axes.set_title(title, loc="left", fontsize=11)
     axes.legend(frameon=False, fontsize=9)
     return figure
 
 
-def _axes(axes: Axes) -> Axes:
+def _without_frame(axes: Axes) -> Axes:
+    """Hide the upper and the right edge of the frame."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     return axes
@@ -333,7 +324,6 @@ def _plain_log(axes: Axes) -> None:
 
 
 # --- The sheet of images
-# ---------------------------------------------------------------------------------------------
 
 
 class SheetCell(NamedTuple):
@@ -352,15 +342,16 @@ def sheet_trials(
     trials: Sequence[ScaleTrial], per_row: int = 3
 ) -> dict[str, tuple[ScaleTrial, ...]]:
     """Select the best, the middle and the worst estimates without repetition."""
-    ordered = sorted((trial for trial in trials if trial.estimated), key=lambda trial: trial.error)
-    count = min(per_row, len(ordered) // 3)
-    start = (len(ordered) - count) // 2
-    if not count:
+    estimated = [trial for trial in trials if trial.estimated]
+    ordered = sorted(estimated, key=lambda trial: trial.error)
+    n_row = min(per_row, len(ordered) // 3)
+    if not n_row:
         return {"best": tuple(ordered)}
+    start = (len(ordered) - n_row) // 2
     return {
-        "best": tuple(ordered[:count]),
-        "median": tuple(ordered[start : start + count]),
-        "worst": tuple(ordered[-count:]),
+        "best": tuple(ordered[:n_row]),
+        "median": tuple(ordered[start : start + n_row]),
+        "worst": tuple(ordered[-n_row:]),
     }
 
 
@@ -375,15 +366,16 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
         picture = fit_for_eyes(read_reduced(raster))
     whole = Window(0, 0, width_px=estimate.image_width_px, height_px=estimate.image_height_px)
     draw_vehicles(picture, trial.analysis, Placement.of(picture, whole))
-    return SheetCell(
-        picture,
-        (
-            f"error {100 * trial.signed_error:+.1f} %",
-            f"{estimate.gsd_m_per_px:.3g} m/px, true {trial.image.gsd_m_per_px:.3g}",
-            f"{count(estimate.n_vehicles or 0, 'vehicle')}, confidence {estimate.confidence:.2f}",
-            trial.image.path.name[-48:].encode("ascii", "replace").decode(),
-        ),
+    vehicles = count(estimate.n_vehicles or 0, "vehicle")
+    # OpenCV draws ASCII only.
+    name = trial.image.path.name[-48:].encode("ascii", "replace").decode()
+    lines = (
+        f"error {100 * trial.signed_error:+.1f} %",
+        f"{estimate.gsd_m_per_px:.3g} m/px, true {trial.image.gsd_m_per_px:.3g}",
+        f"{vehicles}, confidence {estimate.confidence:.2f}",
+        name,
     )
+    return SheetCell(picture, lines)
 
 
 def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
@@ -395,32 +387,31 @@ def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
     Returns:
         ``[h, w, 3]`` RGB.
     """
-    columns = max((len(row) for row in rows), default=0)
-    width = columns * (_CELL_PX + _GAP_PX) + _GAP_PX
-    strips = [np.full((_GAP_PX, max(width, 1), 3), 255, np.uint8)]
+    n_columns = max((len(row) for row in rows), default=0)
+    width = n_columns * (_CELL_PX + _GAP_PX) + _GAP_PX
+    strips = [np.full((_GAP_PX, width, 3), 255, np.uint8)]
     for row in rows:
-        cells = [_cell(cell) for cell in row]
+        cells = [_draw_cell(cell) for cell in row]
         height = max((len(cell) for cell in cells), default=0)
-        strip = np.full((height + _GAP_PX, max(width, 1), 3), 255, np.uint8)
-        for index, cell in enumerate(cells):
-            left = _GAP_PX + index * (_CELL_PX + _GAP_PX)
+        strip = np.full((height + _GAP_PX, width, 3), 255, np.uint8)
+        for column, cell in enumerate(cells):
+            left = _GAP_PX + column * (_CELL_PX + _GAP_PX)
             strip[: len(cell), left : left + _CELL_PX] = cell
         strips.append(strip)
     return np.concatenate(strips)
 
 
-def _cell(cell: SheetCell) -> NDArray[np.uint8]:
+def _draw_cell(cell: SheetCell) -> NDArray[np.uint8]:
     """Draw a picture fitted into a square, with its text below."""
     height, width = cell.picture.shape[:2]
     factor = _CELL_PX / max(height, width)
-    size = max(1, round(width * factor)), max(1, round(height * factor))
+    new_width = max(1, round(width * factor))
+    new_height = max(1, round(height * factor))
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+    resized = cv2.resize(cell.picture, (new_width, new_height), interpolation=method)
     square = np.full((_CELL_PX, _CELL_PX, 3), 235, np.uint8)
-    top = (_CELL_PX - size[1]) // 2
-    left = (_CELL_PX - size[0]) // 2
-    square[top : top + size[1], left : left + size[0]] = cv2.resize(
-        cell.picture, size, interpolation=method
-    )
-    return np.concatenate(
-        [square, caption_panel(_CELL_PX, [[(None, line)] for line in cell.lines])]
-    )
+    top = (_CELL_PX - new_height) // 2
+    left = (_CELL_PX - new_width) // 2
+    square[top : top + new_height, left : left + new_width] = resized
+    caption = caption_panel(_CELL_PX, [[(None, line)] for line in cell.lines])
+    return np.concatenate([square, caption])

@@ -1,4 +1,4 @@
-"""Fleet calibration: the reference length of a region from labelled or detected vehicles in images of known scale."""
+"""Fleet calibration: the reference length of a region from vehicles in images of known scale."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def found_vehicles(
     card: DetectorCard,
     options: ScaleOptions,
 ) -> FleetSurvey:
-    """Collect the vehicles that a model has found, without the outliers that an estimate drops.
+    """Collect the vehicles that a model detects, without the outliers that an estimate drops.
 
     Args:
         data: images of known scale.
@@ -67,22 +67,18 @@ def found_vehicles(
     survey = FleetSurvey([], list(data.issues))
     weighted = (options.lengths.aggregation or card.aggregation) == "weighted_kde"
     for image in data.images:
-        found = searched[image.path]
-        if isinstance(found, FileIssue):
-            survey.issues.append(found)
+        result = searched[image.path]
+        if isinstance(result, FileIssue):
+            survey.issues.append(result)
             continue
         with naming(image.path):
-            analysis = found.analysis(card, options)
+            analysis = result.analysis(card, options)
         boxes = analysis.detections.boxes[analysis.kept]
-        scores = analysis.detections.scores[analysis.kept]
-        survey.images.append(
-            SurveyedImage(
-                boxes,
-                image.gsd_m_per_px,
-                scores=scores if weighted else None,
-                gsd_log_sd=image.gsd_log_sd,
-            )
+        scores = analysis.detections.scores[analysis.kept] if weighted else None
+        surveyed = SurveyedImage(
+            boxes, image.gsd_m_per_px, scores=scores, gsd_log_sd=image.gsd_log_sd
         )
+        survey.images.append(surveyed)
     return survey
 
 
@@ -97,17 +93,21 @@ def calibrate_labelled(survey: FleetSurvey, card: DetectorCard | None = None) ->
     Raises:
         CalibrationRefusedError: there are too few vehicles, or the imagery is too coarse.
     """
+    if card is None:
+        return calibrate(survey.images, source="labels", region_sd_m=REFERENCE_LENGTH_SD_M)
     return calibrate(
         survey.images,
         source="labels",
-        region_sd_m=REFERENCE_LENGTH_SD_M if card is None else card.reference_length_sd_m,
-        detector=None if card is None else card.name,
-        detector_sha256=None if card is None else card.sha256,
+        region_sd_m=card.reference_length_sd_m,
+        detector=card.name,
+        detector_sha256=card.sha256,
     )
 
 
 def calibrate_found(survey: FleetSurvey, card: DetectorCard) -> Calibration:
-    """Measure the mode of detected lengths, for this detector only, because it includes the detector's bias.
+    """Measure the mode of detected lengths.
+
+    The result includes the detector's bias, so it is for this detector only.
 
     Raises:
         CalibrationRefusedError: there are too few vehicles, or the imagery is too coarse.

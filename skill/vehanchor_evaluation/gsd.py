@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,7 +29,10 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
 
-HIGH_ERROR = 0.20  # paper: an error above 20 % gives its 51 of 306 "high-error images"
+    OptionsOf: TypeAlias = Callable[[KnownScaleImage], ScaleOptions]
+
+# The paper calls an image with an error above 20 % a high-error image (51 of 306).
+HIGH_ERROR = 0.20
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,9 @@ class ScaleTrial:
     def signed_error(self) -> float:
         """Signed relative error ``(GSD - truth) / truth``; NaN without an estimate."""
         gsd = self.analysis.estimate.gsd_m_per_px
-        return math.nan if gsd is None else gsd / self.image.gsd_m_per_px - 1.0
+        if gsd is None:
+            return math.nan
+        return gsd / self.image.gsd_m_per_px - 1.0
 
     @property
     def error(self) -> float:
@@ -65,22 +70,20 @@ class ScaleTrial:
     @property
     def covered(self) -> bool | None:
         """Whether the true scale lies in the 95 % interval; None without an estimate."""
-        estimate = self.analysis.estimate
-        if estimate.gsd_ci95_low_m_per_px is None or estimate.gsd_ci95_high_m_per_px is None:
+        low = self.analysis.estimate.gsd_ci95_low_m_per_px
+        high = self.analysis.estimate.gsd_ci95_high_m_per_px
+        if low is None or high is None:
             return None
-        return (
-            estimate.gsd_ci95_low_m_per_px
-            <= self.image.gsd_m_per_px
-            <= estimate.gsd_ci95_high_m_per_px
-        )
+        return low <= self.image.gsd_m_per_px <= high
 
 
 def run_trials(
     images: Iterable[KnownScaleImage], detector: Detector, options: ScaleOptions | None = None
 ) -> Iterator[ScaleTrial]:
     """Estimate the scale of each image in turn."""
+    options = options or ScaleOptions()
     for image in images:
-        yield ScaleTrial(image, analyse_image(image.path, detector, options or ScaleOptions()))
+        yield ScaleTrial(image, analyse_image(image.path, detector, options))
 
 
 class ErrorSummary(NamedTuple):
@@ -115,22 +118,23 @@ def summarise_errors(signed_errors: ArrayLike) -> ErrorSummary:
     signed = np.asarray(signed_errors, dtype=np.float64)
     if not len(signed):
         return ErrorSummary(0, *(math.nan,) * 6)
-    known = np.isfinite(signed)
-    errors = np.where(known, np.abs(signed), 1.0)
+    is_estimated = np.isfinite(signed)
+    errors = np.where(is_estimated, np.abs(signed), 1.0)
+    bias = math.nan
+    if is_estimated.any():
+        bias = float(np.median(signed[is_estimated]))
     return ErrorSummary(
         len(signed),
-        float(known.mean()),
+        float(is_estimated.mean()),
         median=float(np.median(errors)),
         mean=float(errors.mean()),
         within_10=float((errors < 0.10).mean()),
         within_20=float((errors < 0.20).mean()),
-        bias=float(np.median(signed[known])) if known.any() else math.nan,
+        bias=bias,
     )
 
 
 # --- The benchmark
-#
-# ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,46 +156,44 @@ class ScaleBenchmark:
     trials: tuple[ScaleTrial, ...]
     baseline: tuple[ScaleTrial, ...]
     issues: tuple[FileIssue, ...]
-    options_of: Callable[[KnownScaleImage], ScaleOptions]
-    label_options_of: Callable[[KnownScaleImage], ScaleOptions]
+    options_of: OptionsOf
+    label_options_of: OptionsOf
 
 
-def check_options(
-    detector: Detector, data: KnownScaleSet, options_of: Callable[[KnownScaleImage], ScaleOptions]
-) -> None:
-    """Check, before the search, that a detector has the region of every image and owns the calibration.
+def check_options(detector: Detector, data: KnownScaleSet, options_of: OptionsOf) -> None:
+    """Check, before the search, that a detector has every region and owns the calibration.
 
     Raises:
         InvalidParameterError: the detector lacks a region.
         CalibrationMismatchError: the calibration was made for another detector.
     """
-    for options in {id(options): options for options in map(options_of, data.images)}.values():
+    # Thousands of images share a few options.
+    distinct = {id(options): options for options in map(options_of, data.images)}
+    for options in distinct.values():
         checked_detector(detector, options)
 
 
-def with_regions(
-    options: ScaleOptions, regions: Mapping[str, str]
-) -> Callable[[KnownScaleImage], ScaleOptions]:
+def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> OptionsOf:
     """Choose the options of an image by its set.
 
     Args:
         options: options for all images.
         regions: region by set; it replaces the reference length.
     """
-    chosen = {
+    options_by_set = {
         name: replace(options, reference=Reference(region=region))
         for name, region in regions.items()
     }
-    return lambda image: chosen.get(image.set, options)
+    return lambda image: options_by_set.get(image.set, options)
 
 
 def benchmark_scale(
     data: KnownScaleSet,
     searched: Mapping[Path, SearchedImage | FileIssue],
     detector: DetectorCard,
-    options_of: Callable[[KnownScaleImage], ScaleOptions],
+    options_of: OptionsOf,
     *,
-    label_options_of: Callable[[KnownScaleImage], ScaleOptions] | None = None,
+    label_options_of: OptionsOf | None = None,
     label_classes: Sequence[str] = (SMALL_VEHICLE,),
 ) -> ScaleBenchmark:
     """Estimate scales from detected and from labelled vehicles.
@@ -215,12 +217,14 @@ def benchmark_scale(
     trials = []
     baseline = []
     for image in data.images:
-        found = searched[image.path]
-        if isinstance(found, FileIssue):
-            issues.append(found)
+        result = searched[image.path]
+        if isinstance(result, FileIssue):
+            issues.append(result)
             continue
         with naming(image.path):
-            trials.append(ScaleTrial(image, found.analysis(detector, options_of(image)), found))
+            analysis = result.analysis(detector, options_of(image))
+        trials.append(ScaleTrial(image, analysis, searched=result))
+
         if image.labels is None:
             continue
         try:
@@ -228,12 +232,12 @@ def benchmark_scale(
         except (OSError, ValueError) as error:
             issues.append(FileIssue(image.labels, "unreadable_labels", str(error), skipped=False))
             continue
-        facts = ImageFacts(found.image.width_px, found.image.height_px)
+        # Labels are analysed like detections with a score of 1.
+        facts = ImageFacts(result.image.width_px, result.image.height_px)
         labelled = SearchedImage(Detections(boxes, np.ones(len(boxes))), facts)
         with naming(image.labels):
-            baseline.append(
-                ScaleTrial(image, labelled.analysis(detector, label_options_of(image)), labelled)
-            )
+            analysis = labelled.analysis(detector, label_options_of(image))
+        baseline.append(ScaleTrial(image, analysis, searched=labelled))
     return ScaleBenchmark(
         data,
         detector,
@@ -272,29 +276,36 @@ class ErrorRow(_Row):
     def of(cls, name: str, trials: Iterable[ScaleTrial]) -> ErrorRow:
         """Summarise trials."""
         tried = list(trials)
-        known = [trial for trial in tried if trial.estimated]
-        usable = [trial for trial in known if trial.analysis.estimate.status == "ok"]
-        summary = summarise(known)
-        numbers = {
-            "median": summary.median,
-            "mean": summary.mean,
-            "within_10": summary.within_10,
-            "within_20": summary.within_20,
-            "bias": summary.bias,
-            "interval_coverage": float(np.mean([bool(trial.covered) for trial in known]))
-            if known
-            else math.nan,
-        }
+        estimated = [trial for trial in tried if trial.estimated]
+        usable = [trial for trial in estimated if trial.analysis.estimate.status == "ok"]
+        summary = summarise(estimated)
+        interval_coverage = math.nan
+        if estimated:
+            interval_coverage = float(np.mean([bool(trial.covered) for trial in estimated]))
+        coverage = None
+        usable_share = None
+        if tried:
+            coverage = len(estimated) / len(tried)
+            usable_share = len(usable) / len(tried)
         return cls(
             name=name,
-            images=len(known),
+            images=len(estimated),
             of_images=len(tried),
-            coverage=len(known) / len(tried) if tried else None,
+            coverage=coverage,
+            median=_none_if_nan(summary.median),
+            mean=_none_if_nan(summary.mean),
+            within_10=_none_if_nan(summary.within_10),
+            within_20=_none_if_nan(summary.within_20),
+            bias=_none_if_nan(summary.bias),
+            interval_coverage=_none_if_nan(interval_coverage),
             usable=len(usable),
-            usable_share=len(usable) / len(tried) if tried else None,
+            usable_share=usable_share,
             usable_wrong=sum(trial.error > HIGH_ERROR for trial in usable),
-            **{key: None if math.isnan(value) else value for key, value in numbers.items()},
         )
+
+
+def _none_if_nan(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 class ScaleReport(_Row):
@@ -336,26 +347,29 @@ class ScaleReport(_Row):
 
 def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
     """Summarise a benchmark."""
-    known = [trial for trial in benchmark.trials if trial.estimated]
-    confidence = np.array([trial.analysis.estimate.confidence for trial in known])
-    errors = np.array([trial.error for trial in known])
-    high = [trial for trial in known if trial.error > HIGH_ERROR]
-    low = [trial for trial in known if trial.error <= HIGH_ERROR]
-    labelled = [
+    estimated = [trial for trial in benchmark.trials if trial.estimated]
+    confidence = np.array([trial.analysis.estimate.confidence for trial in estimated])
+    errors = np.array([trial.error for trial in estimated])
+    high = [trial for trial in estimated if trial.error > HIGH_ERROR]
+    low = [trial for trial in estimated if trial.error <= HIGH_ERROR]
+    labelled_lengths_m = [
         trial.analysis.detections.boxes[:, 2] * trial.image.gsd_m_per_px
         for trial in benchmark.baseline
         if trial.estimated
     ]
+    label_reference_length_m = None
+    if labelled_lengths_m:
+        label_reference_length_m = kde_mode(np.concatenate(labelled_lengths_m))
     return ScaleReport(
         data=benchmark.data.source,
         detector=benchmark.detector.name,
         detector_sha256=benchmark.detector.sha256,
         reference_length_m=_reference_lengths(benchmark.trials),
-        label_reference_length_m=kde_mode(np.concatenate(labelled)) if labelled else None,
+        label_reference_length_m=label_reference_length_m,
         rows=tuple(_rows(benchmark)),
         skipped=_reasons(benchmark.issues, skipped=True),
         noted=_reasons(benchmark.issues, skipped=False),
-        no_vehicle_found=len(benchmark.trials) - len(known),
+        no_vehicle_found=len(benchmark.trials) - len(estimated),
         no_vehicle_labelled=sum(not trial.estimated for trial in benchmark.baseline),
         confidence_error_pearson=_pearson(confidence, errors),
         confidence_error_spearman=_pearson(_ranks(confidence), _ranks(errors)),
@@ -369,35 +383,41 @@ def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
 
 
 def _rows(benchmark: ScaleBenchmark) -> Iterator[ErrorRow]:
+    """Summarise all images, those with both kinds of estimate, and each set."""
     trials = benchmark.trials
     baseline = benchmark.baseline
     yield ErrorRow.of("detector", trials)
     if baseline:
-        both = {t.image.path for t in trials if t.estimated} & {
-            t.image.path for t in baseline if t.estimated
-        }
+        both = _estimated_images(trials) & _estimated_images(baseline)
         yield ErrorRow.of("labels", baseline)
-        yield ErrorRow.of("detector, intersection", [t for t in trials if t.image.path in both])
-        yield ErrorRow.of("labels, intersection", [t for t in baseline if t.image.path in both])
+        yield ErrorRow.of("detector, intersection", _of_images(trials, both))
+        yield ErrorRow.of("labels, intersection", _of_images(baseline, both))
     sets = sorted({trial.image.set for trial in trials})
-    if len(sets) > 1:
-        for name in sets:
-            yield ErrorRow.of(
-                f"detector, {name or 'no set'}", [t for t in trials if t.image.set == name]
-            )
-            some = [t for t in baseline if t.image.set == name]
-            if some:
-                yield ErrorRow.of(f"labels, {name or 'no set'}", some)
+    if len(sets) < 2:
+        return
+    for name in sets:
+        in_set = [trial for trial in trials if trial.image.set == name]
+        yield ErrorRow.of(f"detector, {name or 'no set'}", in_set)
+        labelled_in_set = [trial for trial in baseline if trial.image.set == name]
+        if labelled_in_set:
+            yield ErrorRow.of(f"labels, {name or 'no set'}", labelled_in_set)
+
+
+def _estimated_images(trials: Iterable[ScaleTrial]) -> set[Path]:
+    return {trial.image.path for trial in trials if trial.estimated}
+
+
+def _of_images(trials: Iterable[ScaleTrial], images: set[Path]) -> list[ScaleTrial]:
+    return [trial for trial in trials if trial.image.path in images]
 
 
 def _reasons(issues: Iterable[FileIssue], *, skipped: bool) -> dict[str, int]:
-    return dict(
-        sorted(Counter(issue.reason for issue in issues if issue.skipped == skipped).items())
-    )
+    counts = Counter(issue.reason for issue in issues if issue.skipped == skipped)
+    return dict(sorted(counts.items()))
 
 
 def _reference_lengths(trials: Iterable[ScaleTrial]) -> tuple[float, ...]:
-    lengths = (trial.analysis.estimate.details.reference_length_m for trial in trials)
+    lengths = [trial.analysis.estimate.details.reference_length_m for trial in trials]
     return tuple(sorted({length for length in lengths if length is not None}))
 
 
@@ -416,7 +436,7 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def _pearson(first: np.ndarray, second: np.ndarray) -> float | None:
-    """Compute Pearson's correlation; None if it is undefined: fewer than three values, or no spread."""
+    """Compute Pearson's correlation; None with fewer than three values or without spread."""
     if len(first) < 3 or np.ptp(first) == 0 or np.ptp(second) == 0:
         return None
     return float(np.corrcoef(first, second)[0, 1])

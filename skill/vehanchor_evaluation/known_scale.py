@@ -71,7 +71,7 @@ class KnownScaleSet:
     images: tuple[KnownScaleImage, ...]
     issues: tuple[FileIssue, ...] = ()
 
-    def chosen(
+    def select(
         self, *, set_name: str | None = None, split: str | None = None, limit: int | None = None
     ) -> KnownScaleSet:
         """Select images by set, split and number; None selects all."""
@@ -89,14 +89,10 @@ class KnownScaleSet:
         issues = list(self.issues)
         for image in self.images:
             if image.path in first:
-                issues.append(
-                    FileIssue(
-                        image.path,
-                        "duplicate_name",
-                        "listed more than once; only the first is used",
-                    )
-                )
-            first.setdefault(image.path, image)
+                message = "listed more than once; only the first is used"
+                issues.append(FileIssue(image.path, "duplicate_name", message))
+            else:
+                first[image.path] = image
         return replace(self, images=tuple(first.values()), issues=tuple(issues))
 
 
@@ -122,16 +118,13 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
 
 
 def labels_beside(image: Path) -> Path | None:
-    """Find the labels of an image in ``labels/`` or ``labelTxt*/`` next to its folder, or in its folder."""
-    name = f"{image.stem}.txt"
-    around = image.parent.parent
-    for folder in (
-        around / "labels",
-        *sorted(around.glob("labelTxt*"), reverse=True),
-        image.parent,
-    ):
-        if (folder / name).is_file():
-            return folder / name
+    """Find the labels of an image in ``labels/`` or ``labelTxt*/`` beside its folder, or in it."""
+    parent = image.parent.parent
+    versions = sorted(parent.glob("labelTxt*"), reverse=True)
+    for folder in (parent / "labels", *versions, image.parent):
+        labels = folder / f"{image.stem}.txt"
+        if labels.is_file():
+            return labels
     return None
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
+    from vehanchor.records import GsdEstimate
     from vehanchor.rulers.known_length_table import KnownLengthTable
 
 
@@ -51,51 +52,59 @@ def survey_photographs(
     Raises:
         InvalidParameterError: a path does not exist, or the options exclude all these rulers.
     """
-    rulers = tuple(
-        each.kind
-        for each in allowed_rulers(options.rulers)
-        if each.sets_scale and each.pooling_gain is not None
-    )
-    if not rulers:
-        raise InvalidParameterError(
-            "photographs need a ruler other than vehicles: drop --rulers and --metadata"
-        )
-    without_vehicles = replace(
-        options,
-        rulers=replace(options.rulers, rulers=rulers),
-        reading=replace(options.reading, limits=DATASET_READING.limits),
-    )
+    options = _without_vehicles(options)
     images = []
     issues = []
     files = files_of(paths)
     lines = known_lengths(files) if known_lengths else {}
     for file in files:
         try:
-            with open_raster(file, without_vehicles.reading) as raster:
-                record = analyse_raster(
-                    detector, raster, with_lines_of(without_vehicles, lines, file)
-                ).estimate
+            options_of_file = with_lines_of(options, lines, file)
+            with open_raster(file, options.reading) as raster:
+                record = analyse_raster(detector, raster, options_of_file).estimate
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue
-        gsd = record.gsd_m_per_px
-        low = record.gsd_ci95_low_m_per_px
-        high = record.gsd_ci95_high_m_per_px
-        if gsd is None or low is None or high is None:
-            why = (
-                " ".join(notice.message for notice in record.warnings)
-                or "no ruler other than vehicles gives a scale"
-            )
-            issues.append(FileIssue(file, "no_other_ruler", why))
-            continue
-        if record.tilt is not None:
-            why = (
-                f"the camera is tilted by {record.tilt.tilt_deg:.0f} degrees: vehicles have "
-                "different scales"
-            )
-            issues.append(FileIssue(file, "camera_tilted", why))
-            continue
-        log_sd = math.log(high / low) / (2 * Z95)
-        images.append(KnownScaleImage(file, gsd, labels=labels_beside(file), gsd_log_sd=log_sd))
+        image = _known_scale(file, record)
+        if isinstance(image, FileIssue):
+            issues.append(image)
+        else:
+            images.append(image)
     source = str(paths[0]) if len(paths) == 1 else f"{len(paths)} photographs"
     return KnownScaleSet(source, tuple(images), tuple(issues))
+
+
+def _without_vehicles(options: ScaleOptions) -> ScaleOptions:
+    """Allow only rulers that can measure a fleet: neither vehicles nor the scene-scale prior."""
+    rulers = tuple(
+        ruler.kind
+        for ruler in allowed_rulers(options.rulers)
+        if ruler.sets_scale and ruler.pooling_gain is not None
+    )
+    if not rulers:
+        raise InvalidParameterError(
+            "photographs need a ruler other than vehicles: drop --rulers and --metadata"
+        )
+    return replace(
+        options,
+        rulers=replace(options.rulers, rulers=rulers),
+        reading=replace(options.reading, limits=DATASET_READING.limits),
+    )
+
+
+def _known_scale(file: Path, record: GsdEstimate) -> KnownScaleImage | FileIssue:
+    """Take over the scale of a photograph, or state why it cannot be used."""
+    gsd = record.gsd_m_per_px
+    low = record.gsd_ci95_low_m_per_px
+    high = record.gsd_ci95_high_m_per_px
+    if gsd is None or low is None or high is None:
+        message = " ".join(notice.message for notice in record.warnings)
+        message = message or "no ruler other than vehicles gives a scale"
+        return FileIssue(file, "no_other_ruler", message)
+    if record.tilt is not None:
+        tilt = f"{record.tilt.tilt_deg:.0f} degrees"
+        message = f"the camera is tilted by {tilt}: vehicles have different scales"
+        return FileIssue(file, "camera_tilted", message)
+    # The interval is lognormal, and 95 % reach Z95 standard deviations to both sides.
+    log_sd = math.log(high / low) / (2 * Z95)
+    return KnownScaleImage(file, gsd, labels=labels_beside(file), gsd_log_sd=log_sd)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
 
-_QUEUED_PER_WORKER = 2  # keeps all workers busy; a million futures would fill the memory
+# Keeps all workers busy; a million futures would fill the memory.
+_QUEUED_PER_WORKER = 2
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -33,15 +34,15 @@ def finished(
     waiting = iter(items)
     pool = ThreadPoolExecutor(workers)
 
-    def begun(n: int) -> dict[Future[Result], Item]:
+    def submit_next(n: int) -> dict[Future[Result], Item]:
         return {pool.submit(work, item): item for item in islice(waiting, n)}
 
     try:
-        running = begun(workers * _QUEUED_PER_WORKER)
+        running = submit_next(workers * _QUEUED_PER_WORKER)
         while running:
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             ready = [(running.pop(future), future) for future in done]
-            running |= begun(len(ready))
+            running |= submit_next(len(ready))
             yield from ready
     finally:
         pool.shutdown(cancel_futures=True)

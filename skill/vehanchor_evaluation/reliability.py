@@ -1,7 +1,7 @@
-"""Reliability on images of known scale: stated chances against outcomes, usable share, errors by cars and resolution.
+"""Reliability on images of known scale: stated chances against outcomes, and errors by group.
 
 An error above 20 % is wrong. Shares have one-sided 95 % upper bounds (Clopper and Pearson): with 0
-wrong of n, 3 / n.
+wrong of n, about 3 / n.
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
     from vehanchor_evaluation.gsd import ScaleTrial
 
-_CHANCES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
-_CARS = (0, 1, 5, 20)
-_RESOLUTIONS_M_PER_PX = (0.0, 0.03, 0.06, 0.12, 0.2, 0.3)
-WANTED_SHARE = 0.01
-LEAST_ESTIMATES = 100  # with which a share of 1 % is one image
-_PROBABILITY = 0.95
+_CHANCE_EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
+_VEHICLE_EDGES = (0, 1, 5, 20)
+_RESOLUTION_EDGES_M_PER_PX = (0.0, 0.03, 0.06, 0.12, 0.2, 0.3)
+# Largest share of wrong estimates that the threshold of the confidence allows.
+MAX_WRONG_SHARE = 0.01
+# With 100 estimates, a share of 1 % is one image.
+MIN_ESTIMATES = 100
+_BOUND_PROBABILITY = 0.95
 
 
 def upper_bound(wrong: int, of: int) -> float | None:
@@ -42,7 +44,9 @@ def upper_bound(wrong: int, of: int) -> float | None:
 
     if not of:
         return None
-    return 1.0 if wrong == of else float(beta.ppf(_PROBABILITY, wrong + 1, of - wrong))
+    if wrong == of:
+        return 1.0
+    return float(beta.ppf(_BOUND_PROBABILITY, wrong + 1, of - wrong))
 
 
 class _Row(BaseModel):
@@ -118,14 +122,17 @@ def confidence_threshold(confidences: Sequence[float], wrong: Sequence[bool]) ->
         wrong: ``[n]`` whether the error is above 20 %.
 
     Returns:
-        No confidence if fewer than 100 estimates would remain: their share cannot be told from 1 %.
+        No confidence if fewer than 100 estimates would remain: too few to show a share of 1 %.
     """
-    said = np.asarray(confidences, dtype=np.float64)
-    missed = np.asarray(wrong, dtype=bool)
-    for limit in np.unique(said):
-        kept = said >= limit
-        if kept.sum() >= LEAST_ESTIMATES and missed[kept].mean() <= WANTED_SHARE:
-            return Threshold(float(limit), int(kept.sum()), int(missed[kept].sum()))
+    confidence = np.asarray(confidences, dtype=np.float64)
+    is_wrong = np.asarray(wrong, dtype=bool)
+    for limit in np.unique(confidence):
+        from_limit_on = confidence >= limit
+        n_estimates = int(from_limit_on.sum())
+        if n_estimates < MIN_ESTIMATES:
+            continue
+        if is_wrong[from_limit_on].mean() <= MAX_WRONG_SHARE:
+            return Threshold(float(limit), n_estimates, int(is_wrong[from_limit_on].sum()))
     return Threshold(None)
 
 
@@ -138,85 +145,94 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
         trials: estimates of images of known scale.
     """
     tried = list(trials)
-    known = [trial for trial in tried if trial.estimated]
-    found = confidence_threshold(
-        [trial.analysis.estimate.confidence for trial in known],
-        [trial.error > HIGH_ERROR for trial in known],
+    estimated = [trial for trial in tried if trial.estimated]
+    threshold = confidence_threshold(
+        [_confidence(trial) for trial in estimated],
+        [trial.error > HIGH_ERROR for trial in estimated],
     )
     return ReliabilityReport(
         data=data,
         detector=detector,
-        chances=tuple(_chance_rows(known)),
+        chances=tuple(_chance_rows(estimated)),
         whole=group_row("all", tried),
-        by_vehicles=tuple(
-            group_row(
-                name,
-                [
-                    trial
-                    for trial in tried
-                    if low <= (trial.analysis.estimate.n_vehicles or 0) < high
-                ],
-            )
-            for name, low, high in _ranges(_CARS, "{:g} to {:g}", least=1)
-        ),
-        by_resolution=tuple(
-            group_row(name, [trial for trial in tried if low <= trial.image.gsd_m_per_px < high])
-            for name, low, high in _ranges(_RESOLUTIONS_M_PER_PX, "{:g} to {:g}")
-        ),
-        threshold=found.confidence,
-        threshold_images=found.images,
-        threshold_wrong=found.wrong,
-        threshold_bound=upper_bound(found.wrong, found.images),
+        by_vehicles=tuple(_rows_by_vehicles(tried)),
+        by_resolution=tuple(_rows_by_resolution(tried)),
+        threshold=threshold.confidence,
+        threshold_images=threshold.images,
+        threshold_wrong=threshold.wrong,
+        threshold_bound=upper_bound(threshold.wrong, threshold.images),
     )
 
 
-def _ranges(edges: Sequence[float], words: str, least: int = 0) -> list[tuple[str, float, float]]:
-    """Name half-open ranges between edges; with ``least``, of whole numbers, whose names include both ends."""
-    named = []
-    for low, high in itertools.pairwise((*edges, math.inf)):
+def _rows_by_vehicles(trials: Sequence[ScaleTrial]) -> list[GroupRow]:
+    rows = []
+    for low, high in itertools.pairwise((*_VEHICLE_EDGES, math.inf)):
+        # Numbers of vehicles are whole, so the name of a range includes both ends.
         if math.isinf(high):
             name = f"{low:g} and more"
-        elif high - low == least:
+        elif high - low == 1:
             name = f"{low:g}"
         else:
-            name = words.format(low, high - least)
-        named.append((name, low, high))
-    return named
+            name = f"{low:g} to {high - 1:g}"
+        group = [trial for trial in trials if low <= _n_vehicles(trial) < high]
+        rows.append(group_row(name, group))
+    return rows
 
 
-def _chance_rows(known: Sequence[ScaleTrial]) -> list[ChanceRow]:
-    told = [(trial.analysis.estimate.confidence, trial.error < HIGH_ERROR) for trial in known]
+def _n_vehicles(trial: ScaleTrial) -> int:
+    return trial.analysis.estimate.n_vehicles or 0
+
+
+def _rows_by_resolution(trials: Sequence[ScaleTrial]) -> list[GroupRow]:
     rows = []
-    for low, high in itertools.pairwise(_CHANCES):
-        some = [
-            (chance, right)
-            for chance, right in told
-            if low <= chance and (chance < high or high == 1.0)
+    for low, high in itertools.pairwise((*_RESOLUTION_EDGES_M_PER_PX, math.inf)):
+        name = f"{low:g} and more" if math.isinf(high) else f"{low:g} to {high:g}"
+        group = [trial for trial in trials if low <= trial.image.gsd_m_per_px < high]
+        rows.append(group_row(name, group))
+    return rows
+
+
+def _confidence(trial: ScaleTrial) -> float:
+    return trial.analysis.estimate.confidence
+
+
+def _chance_rows(estimated: Sequence[ScaleTrial]) -> list[ChanceRow]:
+    rows = []
+    for low, high in itertools.pairwise(_CHANCE_EDGES):
+        # The last range includes its upper end, a chance of 1.
+        group = [
+            trial
+            for trial in estimated
+            if low <= _confidence(trial) < high or _confidence(trial) == high == 1.0
         ]
-        stated, happened = (_mean([pair[k] for pair in some]) for k in (0, 1))
-        rows.append(
-            ChanceRow(low=low, high=high, images=len(some), stated=stated, happened=happened)
+        row = ChanceRow(
+            low=low,
+            high=high,
+            images=len(group),
+            stated=_mean([_confidence(trial) for trial in group]),
+            happened=_mean([trial.error < HIGH_ERROR for trial in group]),
         )
+        rows.append(row)
     return rows
 
 
 def group_row(name: str, trials: Sequence[ScaleTrial]) -> GroupRow:
     """Summarise the trials of one group."""
-    known = [trial for trial in trials if trial.estimated]
-    usable = [trial for trial in known if trial.analysis.estimate.status == "ok"]
-    others = [trial for trial in known if trial.analysis.estimate.status != "ok"]
+    estimated = [trial for trial in trials if trial.estimated]
+    usable = [trial for trial in estimated if trial.analysis.estimate.status == "ok"]
+    others = [trial for trial in estimated if trial.analysis.estimate.status != "ok"]
     wrong = sum(trial.error > HIGH_ERROR for trial in usable)
     return GroupRow(
         name=name,
         images=len(trials),
-        estimates=len(known),
+        estimates=len(estimated),
         usable=len(usable),
         usable_share=len(usable) / len(trials) if trials else None,
         wrong=wrong,
         wrong_bound=upper_bound(wrong, len(usable)),
         median_usable=_median([trial.error for trial in usable]),
-        median=_median([trial.error for trial in known]),
-        within_20=_mean([trial.error < HIGH_ERROR for trial in known]),
+        median=_median([trial.error for trial in estimated]),
+        within_20=_mean([trial.error < HIGH_ERROR for trial in estimated]),
         interval_usable=_mean([bool(trial.covered) for trial in usable]),
         interval_others=_mean([bool(trial.covered) for trial in others]),
     )

@@ -10,7 +10,7 @@ from vehanchor.errors import OutputError
 from vehanchor.records.escaping import in_cell
 from vehanchor.records.text import count
 from vehanchor.storage.atomic import whole_file
-from vehanchor_evaluation.reliability import LEAST_ESTIMATES
+from vehanchor_evaluation.reliability import MIN_ESTIMATES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -28,12 +28,16 @@ _LEGEND = """An error above 20 % is wrong; (<) is the 95 % upper bound of the wr
 error: median of usable images; of all estimates. interval: share of 95 %
 intervals that hold the true scale, of usable images; of other estimates.
 """
-_LISTED_LENGTHS = 5  # more reference lengths are reported as a range
+# More reference lengths are reported as a range.
+_MAX_LISTED_LENGTHS = 5
 
 
 def percent(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
     """Format a share as a percentage; a dash for None."""
-    return "-" if value is None else f"{value:{'+' if signed else ''}.{digits}%}".replace("%", " %")
+    if value is None:
+        return "-"
+    sign = "+" if signed else ""
+    return f"{value:{sign}.{digits}%}".replace("%", " %")
 
 
 def markdown_table(
@@ -41,9 +45,16 @@ def markdown_table(
 ) -> str:
     """Format a table in Markdown; ``aligned`` pads the cells for terminals."""
     table = [list(headings), *map(list, rows)]
-    widths = [max(map(len, column)) if aligned else 0 for column in zip(*table, strict=True)]
-    lines = ["| " + " | ".join(map(str.ljust, cells, widths)) + " |" for cells in table]
-    lines.insert(1, "|" + "".join("-" * max(3, width + 2 * aligned) + "|" for width in widths))
+    widths = [0] * len(headings)
+    rules = ["---"] * len(headings)
+    if aligned:
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        rules = ["-" * max(3, width + 2) for width in widths]
+    lines = []
+    for cells in table:
+        padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
+        lines.append("| " + " | ".join(padded) + " |")
+    lines.insert(1, "|" + "|".join(rules) + "|")
     return "\n".join(lines) + "\n"
 
 
@@ -85,10 +96,9 @@ def write_table(
     Raises:
         OutputError: the file cannot be written.
     """
+    fields = list(rows[0]) if rows else columns
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(
-        text, fieldnames=list(rows[0]) if rows else columns, lineterminator="\n"
-    )
+    writer = csv.DictWriter(text, fieldnames=fields, lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: in_cell(value) for name, value in row.items()} for row in rows)
     return _write(path, text.getvalue())
@@ -112,37 +122,36 @@ def write_issues(path: Path, issues: Iterable[FileIssue]) -> Path:
     """
     rows = [
         {
-            "file": str(i.file),
-            "reason": i.reason,
-            "skipped": str(i.skipped).lower(),
-            "message": i.message,
+            "file": str(issue.file),
+            "reason": issue.reason,
+            "skipped": str(issue.skipped).lower(),
+            "message": issue.message,
         }
-        for i in issues
+        for issue in issues
     ]
     return write_table(path, rows, ("file", "reason", "skipped", "message"))
 
 
 def write_trials(path: Path, benchmark: ScaleBenchmark) -> Path:
-    """Write one line per image as CSV: truth, estimate, error, confidence, and the same from its labels.
+    """Write one line per image as CSV: truth, estimate, error, confidence, and those from labels.
 
     Raises:
         OutputError: the file cannot be written.
     """
     labelled = {trial.image.path: trial for trial in benchmark.baseline}
-    return write_table(
-        path, [_trial_row(trial, labelled.get(trial.image.path)) for trial in benchmark.trials]
-    )
+    rows = [_trial_row(trial, labelled.get(trial.image.path)) for trial in benchmark.trials]
+    return write_table(path, rows)
 
 
 def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, object]:
     estimate = trial.analysis.estimate
-    by_labels = labelled.analysis.estimate if labelled else None
+    signed_error = trial.signed_error if trial.estimated else None
     return {
         "file": str(trial.image.path),
         "set": trial.image.set,
         "true_gsd_m_per_px": trial.image.gsd_m_per_px,
         "gsd_m_per_px": estimate.gsd_m_per_px,
-        "signed_error": trial.signed_error if trial.estimated else None,
+        "signed_error": signed_error,
         "confidence": round(estimate.confidence, 4),
         "gsd_ci95_low_m_per_px": estimate.gsd_ci95_low_m_per_px,
         "gsd_ci95_high_m_per_px": estimate.gsd_ci95_high_m_per_px,
@@ -151,15 +160,27 @@ def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, obje
         "mode_length_px": estimate.mode_length_px,
         "resolution_guard": str(bool(estimate.details.resolution_guard)).lower(),
         "reference_length_m": estimate.details.reference_length_m,
-        "labelled_vehicles": by_labels.details.n_detections if by_labels else None,
-        "labels_gsd_m_per_px": by_labels.gsd_m_per_px if by_labels else None,
-        "labels_signed_error": labelled.signed_error if labelled and labelled.estimated else None,
+        **_label_cells(labelled),
+    }
+
+
+def _label_cells(labelled: ScaleTrial | None) -> dict[str, object]:
+    """List the cells of the estimate from labels, empty without labels."""
+    if labelled is None:
+        return {
+            "labelled_vehicles": None,
+            "labels_gsd_m_per_px": None,
+            "labels_signed_error": None,
+        }
+    estimate = labelled.analysis.estimate
+    return {
+        "labelled_vehicles": estimate.details.n_detections,
+        "labels_gsd_m_per_px": estimate.gsd_m_per_px,
+        "labels_signed_error": labelled.signed_error if labelled.estimated else None,
     }
 
 
 # --- Texts
-#
-# -----------------------------------------------------------------------------------------------------------
 
 
 def scale_markdown(report: ScaleReport) -> str:
@@ -180,45 +201,50 @@ def scale_markdown(report: ScaleReport) -> str:
         for row in report.rows
     ]
     headings = (
-        *(
-            "boxes",
-            "images",
-            "median",
-            "mean",
-            "< 10 %",
-            "< 20 %",
-            "bias",
-            "estimate on",
-            "95 % interval holds",
-        ),
+        "boxes",
+        "images",
+        "median",
+        "mean",
+        "< 10 %",
+        "< 20 %",
+        "bias",
+        "estimate on",
+        "95 % interval holds",
         "may be used",
     )
-    in_use = report.reference_length_m
-    lengths = ", ".join(f"{length:.4g}" for length in in_use) or "-"
-    if len(in_use) > _LISTED_LENGTHS:
-        lengths = f"{in_use[0]:.4g} to {in_use[-1]:.4g}"
-    facts = [
-        f"Reference length in use: {lengths} m"
-        + (
-            ""
-            if report.label_reference_length_m is None
-            else f"; KDE mode of these labels: {report.label_reference_length_m:.4g} m"
-        ),
+    table = markdown_table(headings, rows)
+    basis = "Errors cover images with an estimate; an error above 20 % is wrong."
+    facts = "".join(f"- {fact}\n" for fact in _scale_facts(report))
+    return f"{_title(report)}. {basis}\n\n{table}\n{facts}"
+
+
+def _title(report: ScaleReport | AblationReport) -> str:
+    sha = report.detector_sha256[:_SHORT_SHA]
+    return f"Detector `{report.detector}` ({sha}) on `{report.data}`"
+
+
+def _scale_facts(report: ScaleReport) -> list[str]:
+    """Describe the basis of Table I, one sentence each."""
+    lengths_m = report.reference_length_m
+    lengths = ", ".join(f"{length:.4g}" for length in lengths_m) or "-"
+    if len(lengths_m) > _MAX_LISTED_LENGTHS:
+        lengths = f"{lengths_m[0]:.4g} to {lengths_m[-1]:.4g}"
+    reference_length = f"Reference length in use: {lengths} m"
+    if report.label_reference_length_m is not None:
+        mode = f"{report.label_reference_length_m:.4g} m"
+        reference_length += f"; KDE mode of these labels: {mode}"
+    return [
+        reference_length,
         f"No estimate, as no vehicle was found: {count(report.no_vehicle_found, 'image')}; "
         f"images with labels but no labelled vehicle: {report.no_vehicle_labelled}",
         f"Skipped: {_counts(report.skipped)}; used in part: {_counts(report.noted)}",
-        f"Confidence against error: Pearson {_number(report.confidence_error_pearson)}, "
-        f"Spearman {_number(report.confidence_error_spearman)}",
+        f"Confidence against error: Pearson {_correlation(report.confidence_error_pearson)}, "
+        f"Spearman {_correlation(report.confidence_error_spearman)}",
         f"Errors above 20 %: {report.high_errors}; the resolution guard flags "
         f"{report.high_errors_guarded} of them, "
         f"the status flags {report.high_errors_low_confidence}. Other errors: {report.low_errors}, "
         f"flagged {report.low_errors_guarded} and {report.low_errors_low_confidence}",
     ]
-    title = (
-        f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
-    )
-    over = "Errors cover images with an estimate; an error above 20 % is wrong."
-    return f"{title}. {over}\n\n{markdown_table(headings, rows)}\n{_bullets(facts)}"
 
 
 def ablation_markdown(report: AblationReport) -> str:
@@ -248,53 +274,62 @@ def ablation_markdown(report: AblationReport) -> str:
         "paper: median",
         "paper: < 20 %",
     )
-    title = (
-        f"Detector `{report.detector}` ({report.detector_sha256[:_SHORT_SHA]}) on `{report.data}`"
-    )
-    return f"{title}. Errors cover images with an estimate.\n\n{markdown_table(headings, rows)}"
+    table = markdown_table(headings, rows)
+    return f"{_title(report)}. Errors cover images with an estimate.\n\n{table}"
 
 
 def reliability_markdown(report: ReliabilityReport) -> str:
     """Format the reliability in tables of at most 80 columns."""
-    chances = [
+    rows = [
         (
             f"{row.low:.2f} to {row.high:.2f}",
             str(row.images),
-            "-" if row.stated is None else f"{row.stated:.3f}",
-            "-" if row.happened is None else f"{row.happened:.3f}",
+            _chance(row.stated),
+            _chance(row.happened),
         )
         for row in report.chances
     ]
-    told = markdown_table(("stated chance", "images", "mean", "outcome"), chances, aligned=True)
+    chances = markdown_table(("stated chance", "images", "mean", "outcome"), rows, aligned=True)
     by_vehicles = group_table("vehicles", (*report.by_vehicles, report.whole))
+    by_resolution = group_table("true m/px", report.by_resolution)
     return (
-        f"Detector `{report.detector}` on `{report.data}`.\n\n{_LEGEND}\n{told}\n{by_vehicles}\n"
-        f"{group_table('true m/px', report.by_resolution)}\n{_threshold(report)}\n"
+        f"Detector `{report.detector}` on `{report.data}`.\n\n"
+        f"{_LEGEND}\n{chances}\n{by_vehicles}\n{by_resolution}\n{_threshold(report)}\n"
     )
+
+
+def _chance(chance: float | None) -> str:
+    return "-" if chance is None else f"{chance:.3f}"
 
 
 def group_table(heading: str, rows: Iterable[GroupRow]) -> str:
     """Format groups as a table in Markdown, aligned for terminals; see ``_LEGEND``."""
     headings = (heading, "images", "ok", "wrong (<)", "error", "interval")
-    cells = [
-        (
-            row.name,
-            str(row.images),
-            percent(row.usable_share, 0),
-            "-" if row.wrong_bound is None else f"{row.wrong} ({percent(row.wrong_bound)})",
-            f"{percent(row.median_usable)}; {percent(row.median)}",
-            f"{percent(row.interval_usable, 0)}; {percent(row.interval_others, 0)}",
+    cells = []
+    for row in rows:
+        wrong = "-"
+        if row.wrong_bound is not None:
+            wrong = f"{row.wrong} ({percent(row.wrong_bound)})"
+        interval_usable = percent(row.interval_usable, digits=0)
+        interval_others = percent(row.interval_others, digits=0)
+        cells.append(
+            (
+                row.name,
+                str(row.images),
+                percent(row.usable_share, digits=0),
+                wrong,
+                f"{percent(row.median_usable)}; {percent(row.median)}",
+                f"{interval_usable}; {interval_others}",
+            )
         )
-        for row in rows
-    ]
     return markdown_table(headings, cells, aligned=True)
 
 
 def _threshold(report: ReliabilityReport) -> str:
-    """Say which limit of the confidence gives 1 % wrong, or that there are too few images."""
+    """State which limit of the confidence gives 1 % wrong, or that there are too few images."""
     if report.threshold is None:
         return (
-            f"No limit of the confidence leaves 1 % wrong and {LEAST_ESTIMATES} estimates of "
+            f"No limit of the confidence leaves 1 % wrong and {MIN_ESTIMATES} estimates of "
             f"{report.whole.estimates}.\nWith 0 wrong, 300 estimates show a share below 1 %."
         )
     return (
@@ -304,13 +339,9 @@ def _threshold(report: ReliabilityReport) -> str:
     )
 
 
-def _number(value: float | None) -> str:
+def _correlation(value: float | None) -> str:
     return "not defined" if value is None else f"{value:+.3f}"
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {reason}" for reason, count in counts.items()) or "none"
-
-
-def _bullets(lines: Iterable[str]) -> str:
-    return "".join(f"- {line}\n" for line in lines)
+    return ", ".join(f"{number} {reason}" for reason, number in counts.items()) or "none"

@@ -42,8 +42,10 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
-ABLATION_ALPHAS = (1.0, OUTLIER_ALPHA, None)  # paper, Table III
-MAX_WORKERS = 4  # default; each holds an image in memory
+# Factors of the outlier filter in the paper's Table III.
+ABLATION_ALPHAS = (1.0, OUTLIER_ALPHA, None)
+# Default limit; each worker holds an image in memory.
+MAX_WORKERS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +55,9 @@ class SearchedImage:
     Attributes:
         detections: the vehicles.
         image: size, own scale and notices of the file.
-        detail_share: share of the pixels' resolution at which there is detail around the vehicles that
-            the outlier filter keeps, by its factor; vehicles that nobody has looked for, as labels,
-            need none.
+        detail_share: share of the pixels' resolution at which the image has detail around the
+            vehicles that the outlier filter keeps, by the filter's factor. Empty for labelled
+            vehicles, which need none.
         prior: the scene-scale prior; None without one.
     """
 
@@ -72,23 +74,28 @@ class SearchedImage:
             KnownLengthError: a line of known length leaves the image.
         """
         options = options.in_pixels(self.image.width_px, self.image.height_px)
-        share = self.detail_share.get(options.lengths.alpha) if self.detail_share else 1.0
+        share = self._detail_share_of(options.lengths.alpha)
+        view = View(
+            self.image,
+            self.detections,
+            card=card,
+            options=options,
+            measure_detail_share=lambda *_: share,
+            prior=self.prior,
+            tilt=metadata_tilt(self.image, options),
+        )
+        return analyse_view(view)
+
+    def _detail_share_of(self, alpha: float | None) -> float:
+        """Look up the share for a factor of the outlier filter; 1 for labelled vehicles."""
+        if not self.detail_share:
+            return 1.0
+        share = self.detail_share.get(alpha)
         if share is None:
             raise InvalidParameterError(
-                f"searched without alpha {options.lengths.alpha}: search with these options"
+                f"searched without alpha {alpha}: search with these options"
             )
-        tilt = metadata_tilt(self.image, options)
-        return analyse_view(
-            View(
-                self.image,
-                self.detections,
-                card=card,
-                options=options,
-                measure_detail_share=lambda *_: share,
-                prior=self.prior,
-                tilt=tilt,
-            )
-        )
+        return share
 
 
 DetectionLog: TypeAlias = Journal[SearchedImage]
@@ -99,7 +106,8 @@ def default_workers() -> int:
     return min(MAX_WORKERS, os.cpu_count() or 1)
 
 
-_FORM = 5  # of what is kept of an image: a log of another form is refused
+# Version of the stored results: the log of another version is refused.
+_FORM = 5
 
 
 def open_detection_log(
@@ -120,31 +128,33 @@ def open_detection_log(
         InvalidParameterError: the file is not a log of this search.
         OutputError: the file cannot be read or written.
     """
+    search_options = _full_search_options(options.search) if needs_search(options.rulers) else None
     settings = {
         "vehanchor": version("vehanchor"),
         "form": _FORM,
         "networks_sha256": networks_sha256(detector.card),
         "classes": classes,
-        "search": _of_full_search(options.search) if needs_search(options.rulers) else None,
+        "search": search_options,
         "bands": options.reading.bands,
     }
-    return Journal(path, settings, dump=_dumped, load=_loaded)
+    return Journal(path, settings, dump=_dump, load=_load)
 
 
-def _of_full_search(chosen: Search) -> dict[str, Any]:
+def _full_search_options(search: Search) -> dict[str, Any]:
     """Select the options that affect a full search."""
-    early = ("effort", "max_tiles", "max_seconds")
-    return {name: value for name, value in asdict(chosen).items() if name not in early}
+    of_early_stop = ("effort", "max_tiles", "max_seconds")
+    return {name: value for name, value in asdict(search).items() if name not in of_early_stop}
 
 
-def _dumped(searched: SearchedImage) -> Any:
-    return Codec(STORED_CLASSES, FORMER_NAMES).dump(
-        (searched.detections, searched.image, list(searched.detail_share.items()), searched.prior)
-    )
+def _dump(searched: SearchedImage) -> Any:
+    codec = Codec(STORED_CLASSES, FORMER_NAMES)
+    detail_share = list(searched.detail_share.items())
+    return codec.dump((searched.detections, searched.image, detail_share, searched.prior))
 
 
-def _loaded(stored: Any) -> SearchedImage:
-    detections, image, detail_share, prior = Codec(STORED_CLASSES, FORMER_NAMES).load(stored)
+def _load(stored: Any) -> SearchedImage:
+    codec = Codec(STORED_CLASSES, FORMER_NAMES)
+    detections, image, detail_share, prior = codec.load(stored)
     return SearchedImage(detections, image, detail_share=dict(detail_share), prior=prior)
 
 
@@ -171,34 +181,37 @@ def search_images(
     Yields:
         Each file in order, with its results or with the reason why it could not be searched.
     """
-    options = replace(
-        options, search=replace(options.search, effort="full", max_tiles=None, max_seconds=None)
-    )
+    full_search = replace(options.search, effort="full", max_tiles=None, max_seconds=None)
+    options = replace(options, search=full_search)
     files = list(images)
-    log = open_detection_log(None, detector, options) if log is None else log
-    tell = progress or (lambda _done, _total: None)
+    if log is None:
+        log = open_detection_log(None, detector, options)
+    report_progress = progress or (lambda _done, _total: None)
     keys = {file: Source.of(file) for file in files}
     alphas = tuple(dict.fromkeys((*ABLATION_ALPHAS, options.lengths.alpha)))
     missing = [file for file in files if not _has_alphas(log.get(keys[file]), alphas)]
     issues: dict[Path, FileIssue] = {}
-    tell(len(files) - len(missing), len(files))
+    n_done = len(files) - len(missing)
+    report_progress(n_done, len(files))
     work = partial(_search, detector=detector, options=options, alphas=alphas)
     with closing(finished(workers, work, missing)) as results:
-        for done, (file, future) in enumerate(results, start=len(files) - len(missing) + 1):
-            found = future.result()
-            if isinstance(found, FileIssue):
-                issues[file] = found
+        for file, future in results:
+            result = future.result()
+            if isinstance(result, FileIssue):
+                issues[file] = result
             elif Source.of(file) != keys[file]:
+                # The results would be stored under the key of other pixels.
                 issues[file] = FileIssue(
                     file, "image_changed", "the file was changed or removed during the search"
                 )
             else:
-                log.add(keys[file], found)
-            tell(done, len(files))
+                log.add(keys[file], result)
+            n_done += 1
+            report_progress(n_done, len(files))
     for file in files:
-        known = issues.get(file) or log.get(keys[file])
-        assert known is not None  # found now or earlier
-        yield file, known
+        outcome = issues.get(file) or log.get(keys[file])
+        assert outcome is not None  # every file was searched now or in an earlier run
+        yield file, outcome
 
 
 def search_known_scale(
@@ -228,25 +241,25 @@ def search_known_scale(
         OutputError: the cache cannot be read or written.
     """
     options = replace(options, reading=replace(options.reading, limits=DATASET_READING.limits))
-    return dict(
-        search_images(
-            (image.path for image in data.images),
-            detector,
-            options,
-            log=open_detection_log(cache, detector, options=options, classes=classes),
-            workers=workers or default_workers(),
-            progress=progress,
-        )
+    results = search_images(
+        [image.path for image in data.images],
+        detector,
+        options,
+        log=open_detection_log(cache, detector, options=options, classes=classes),
+        workers=workers or default_workers(),
+        progress=progress,
     )
+    return dict(results)
 
 
-def _has_alphas(known: SearchedImage | None, alphas: Sequence[float | None]) -> bool:
-    return known is not None and all(alpha in known.detail_share for alpha in alphas)
+def _has_alphas(logged: SearchedImage | None, alphas: Sequence[float | None]) -> bool:
+    return logged is not None and all(alpha in logged.detail_share for alpha in alphas)
 
 
 def _search(
     file: Path, detector: Detector, options: ScaleOptions, alphas: Sequence[float | None]
 ) -> SearchedImage | FileIssue:
+    """Search one image, or state why it could not be searched."""
     try:
         with open_raster(os.fspath(file), options.reading) as raster:
             view = search_raster(raster, detector, options)
@@ -259,7 +272,10 @@ def _search(
 
 
 def _detail_share(raster: Raster, view: View, alpha: float | None) -> float:
-    """The share of the resolution with detail around the vehicles that a factor of the outlier filter keeps."""
-    expected = None if view.prior is None or view.tilt is not None else view.prior.density
+    """Measure the share of the resolution with detail around the vehicles kept with this alpha."""
+    # The prior of a scene's scale holds for one scale, and a tilted photograph has many.
+    expected = None
+    if view.prior is not None and view.tilt is None:
+        expected = view.prior.density
     fleet = select(view.detections, Lengths(alpha=alpha), expected)
     return measure_detail_share(raster, fleet.centres, fleet.main_reduction or 1.0)

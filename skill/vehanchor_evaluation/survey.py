@@ -1,4 +1,4 @@
-"""Images of known scale from one of three sources: a split of DOTA, a table, georeferenced files."""
+"""Images of known scale from one source: a split of DOTA, a table, or georeferenced files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ def survey_known_scale(
         InvalidParameterError: there is not exactly one source, the source is invalid, or the set
             and split have no image.
     """
-    if sum((dota is not None, table is not None, bool(geotiff))) != 1:
+    is_given = [dota is not None, table is not None, bool(geotiff)]
+    if is_given.count(True) != 1:
         raise InvalidParameterError(
             "give the images with one of --dota DIR, --table FILE and --geotiff FILES"
         )
@@ -54,12 +55,11 @@ def survey_known_scale(
         data = survey_table(table)
     else:
         data = survey_geotiffs(geotiff)
-    chosen = data.chosen(set_name=set_name, split=split, limit=limit)
-    if data.images and not chosen.images:
-        sets = ", ".join(
-            sorted({f"{image.set or '-'} ({image.split or '-'})" for image in data.images})
-        )
+    selection = data.select(set_name=set_name, split=split, limit=limit)
+    if data.images and not selection.images:
+        sets = {f"{image.set or '-'} ({image.split or '-'})" for image in data.images}
+        available = ", ".join(sorted(sets))
         raise InvalidParameterError(
-            f"no image of set {set_name!r} and split {split!r}; the table has {sets}"
+            f"no image of set {set_name!r} and split {split!r}; the table has {available}"
         )
-    return chosen
+    return selection

@@ -31,23 +31,24 @@ def survey_table(path: Path) -> KnownScaleSet:
     images = []
     issues = []
     n_rows = 0
+    n_malformed = 0
     try:
         for number, row in _rows(path):
             n_rows += 1
             try:
                 image = _image(path, number, row)
             except InvalidParameterError as error:
+                n_malformed += 1
                 issues.append(FileIssue(path, "malformed_row", str(error)))
                 continue
             if not image.path.is_file():
-                issues.append(
-                    FileIssue(image.path, "no_image", f"line {number} of the table: no such file")
-                )
+                message = f"line {number} of the table: no such file"
+                issues.append(FileIssue(image.path, "no_image", message))
                 continue
             images.append(image._replace(labels=labels_beside(image.path)))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidParameterError(f"cannot read table {str(path)!r}: {error}") from None
-    if n_rows and len([issue for issue in issues if issue.reason == "malformed_row"]) == n_rows:
+    if n_rows and n_malformed == n_rows:
         raise InvalidParameterError(
             f"no line of the table can be used; the first problem: {issues[0].message}"
         )
@@ -62,11 +63,12 @@ def _rows(path: Path) -> Iterator[tuple[int, Mapping[str, str | None]]]:
 
 
 def _image(path: Path, number: int, row: Mapping[str, str | None]) -> KnownScaleImage:
+    """Parse a row of the table, which stands on the line of this number."""
     try:
         gsd = float(row["gsd_m_per_px"] or "")
         file = row["file"] or ""
         vehicles = row.get("labelled_small_vehicles")
-        count = int(vehicles) if vehicles else None
+        n_vehicles = int(vehicles) if vehicles else None
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidParameterError(
             f"{path}, line {number}: expected file,gsd_m_per_px ({error})"
@@ -82,5 +84,5 @@ def _image(path: Path, number: int, row: Mapping[str, str | None]) -> KnownScale
         gsd,
         set=row.get("set") or "",
         split=row.get("split") or "",
-        labelled_vehicles=count,
+        labelled_vehicles=n_vehicles,
     )

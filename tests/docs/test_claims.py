@@ -20,6 +20,7 @@ import pytest
 from tests.conftest import ROOT
 from tests.docs.documents import DOCUMENTS
 from tests.packaging.container import read_dockerfile
+from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.engine import Engine
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Search
 from vehanchor.records import AreaMeasurement, GsdEstimate
@@ -35,6 +36,31 @@ def test_the_record_table_names_fields_that_exist() -> None:
     fields = {name for cell in cells for name in re.findall(r"`(\w+)`", cell)}
     assert len(fields) >= 10
     assert fields <= set(GsdEstimate.model_fields)
+
+
+def _documented_errors() -> dict[tuple[str, str], float]:
+    """Read the defaults of a detector's errors from the table in ``detectors.md``."""
+    text = (ROOT / "docs/how-to/detectors.md").read_text(encoding="utf-8")
+    section = text.partition("## State the errors of your detector\n")[2]
+    defaults = {}
+    group = ""
+    for first, names, values in re.findall(
+        r"^\| (`\w+`)? ?\| (`.*?`) \| ([-\d., ]+) \|", section, flags=re.MULTILINE
+    ):
+        group = first.strip("`") or group
+        numbers = map(float, values.split(", "))
+        for name, number in zip(re.findall(r"`(\w+)`", names), numbers, strict=True):
+            defaults[group, name] = number
+    return defaults
+
+
+def test_the_table_of_a_detectors_errors_has_all_defaults() -> None:
+    expected = {
+        (group, name): number
+        for group, numbers in DetectorErrors().model_dump().items()
+        for name, number in numbers.items()
+    }
+    assert _documented_errors() == expected
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)

@@ -12,7 +12,14 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from tests.analyses import make_analysis
-from tests.known_scale_data import REFERENCE_M, cars, dota_lines, paint, write_geotiff
+from tests.known_scale_data import (
+    REFERENCE_M,
+    cars,
+    dota_lines,
+    paint,
+    write_dota_split,
+    write_geotiff,
+)
 from tests.models import write_detector
 from vehanchor import analyse_scale
 from vehanchor.cli import app as cli
@@ -33,251 +40,350 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(handle))
 
 
-def test_errors_are_over_the_images_with_an_estimate_as_the_paper_counts(
-    dota: Path, detector: Path
-) -> None:
-    out = dota.parent / "out"
-    result = _run(
-        "evaluate",
-        "gsd",
-        "--dota",
-        dota,
-        "--detector",
-        detector,
-        "--out",
-        out,
-        "--rulers",
-        "vehicles",
-    )
+def _images(out: Path) -> dict[str, dict[str, str]]:
+    """Read the line of each image by its name."""
+    return {Path(row["file"]).name: row for row in _rows(out / "images.csv")}
+
+
+@pytest.fixture(scope="module")
+def dota_run(tmp_path_factory: pytest.TempPathFactory, detector: Path) -> tuple[Result, Path]:
+    """Run ``evaluate gsd`` once on ``write_dota_split``: the result and the folder of its files.
+
+    The detector finds cars off by 0 %, -10 %, no car, and -23.1 %. The labels are off by -9.1 %,
+    -10 % and 0 %; the last image has none. The fleet's own errors move these by up to 0.3 %.
+    """
+    folder = tmp_path_factory.mktemp("dota")
+    out = folder / "out"
+    data = ["--dota", write_dota_split(folder / "val"), "--out", out]
+    method = ["--detector", detector, "--rulers", "vehicles"]
+    result = _run("evaluate", "gsd", *data, *method)
     assert result.exit_code == 0, result.stderr
-    report = json.loads((out / "gsd.json").read_text())
-    rows = {row["name"]: row for row in report["rows"]}
-    # the errors of the fleet move each by up to 0.3 %
-    # found: 0 %, -10 %, nothing, -23.1 %; labelled: -9.1 %, -10 %, 0 %, none
+    return result, out
+
+
+@pytest.fixture
+def report(dota_run: tuple[Result, Path]) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((dota_run[1] / "gsd.json").read_text())
+    return content
+
+
+@pytest.fixture
+def rows(report: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in report["rows"]}
+
+
+def test_the_table_has_rows_for_detector_labels_and_both(rows: dict[str, Any]) -> None:
     assert list(rows) == ["detector", "labels", "detector, intersection", "labels, intersection"]
-    found = rows["detector"]
-    labelled = rows["labels"]
-    assert (found["images"], found["of_images"], found["coverage"]) == (3, 4, 0.75)
-    assert (found["median"], found["mean"]) == pytest.approx(
-        (0.1, (0.1 + 1 - 20 / 26) / 3), abs=3e-3
-    )
-    assert found["within_20"] == pytest.approx(2 / 3)
-    assert (labelled["images"], labelled["of_images"]) == (3, 4)
-    assert labelled["median"] == pytest.approx(1 - 20 / 22, abs=3e-3)
-    assert labelled["mean"] == pytest.approx((1 - 20 / 22 + 0.1) / 3, abs=3e-3)
-    assert rows["detector, intersection"]["images"] == rows["labels, intersection"]["images"] == 2
+
+
+def test_errors_of_the_detector_cover_images_with_an_estimate(rows: dict[str, Any]) -> None:
+    row = rows["detector"]
+    mean = (0.1 + 1 - 20 / 26) / 3
+    assert (row["images"], row["of_images"], row["coverage"]) == (3, 4, 0.75)
+    assert (row["median"], row["mean"]) == pytest.approx((0.1, mean), abs=3e-3)
+    assert row["within_20"] == pytest.approx(2 / 3)
+
+
+def test_errors_of_the_labels_cover_images_with_an_estimate(rows: dict[str, Any]) -> None:
+    row = rows["labels"]
+    assert (row["images"], row["of_images"]) == (3, 4)
+    assert row["median"] == pytest.approx(1 - 20 / 22, abs=3e-3)
+    assert row["mean"] == pytest.approx((1 - 20 / 22 + 0.1) / 3, abs=3e-3)
+
+
+def test_the_intersection_is_of_images_with_both_estimates(rows: dict[str, Any]) -> None:
+    assert rows["detector, intersection"]["images"] == 2
+    assert rows["labels, intersection"]["images"] == 2
     assert rows["detector, intersection"]["mean"] == pytest.approx(0.05, abs=3e-3)
+
+
+def test_unusable_files_are_counted_by_reason(report: dict[str, Any]) -> None:
     assert report["skipped"] == {
-        "duplicate_name": 1, "image_undecodable": 1, "no_gsd": 2, "no_image": 1, "no_label": 1, "unreadable_labels": 1
-    }  # fmt: skip
+        "duplicate_name": 1,
+        "image_undecodable": 1,
+        "no_gsd": 2,
+        "no_image": 1,
+        "no_label": 1,
+        "unreadable_labels": 1,
+    }
     assert report["noted"] == {"malformed_labels": 1}
+
+
+def test_images_without_vehicles_are_counted(report: dict[str, Any]) -> None:
     assert (report["no_vehicle_found"], report["no_vehicle_labelled"]) == (1, 1)
+
+
+def test_the_report_states_the_reference_length(report: dict[str, Any]) -> None:
     assert report["reference_length_m"] == [REFERENCE_M]
 
+
+def test_table_and_text_repeat_the_record(
+    dota_run: tuple[Result, Path], rows: dict[str, Any]
+) -> None:
+    result, out = dota_run
     assert [row["name"] for row in _rows(out / "gsd.csv")] == list(rows)
     assert (out / "gsd.md").read_text() in result.stdout
-    images = {Path(row["file"]).name: row for row in _rows(out / "images.csv")}
+
+
+def test_each_image_has_a_line(dota_run: tuple[Result, Path]) -> None:
+    images = _images(dota_run[1])
     assert float(images["P0001.png"]["signed_error"]) == pytest.approx(-0.1, abs=3e-3)
     assert images["P0002.png"]["gsd_m_per_px"] == ""
     assert images["P0003.png"]["labels_gsd_m_per_px"] == ""
-    assert len(_rows(out / "issues.csv")) == sum(report["skipped"].values()) + 1
+
+
+def test_each_issue_is_written_and_printed(
+    dota_run: tuple[Result, Path], report: dict[str, Any]
+) -> None:
+    result, out = dota_run
+    n_noted = 1
+    assert len(_rows(out / "issues.csv")) == sum(report["skipped"].values()) + n_noted
     assert "warning[no_label]" in result.stderr
 
 
-def test_high_errors_are_counted_with_guard_and_confidence(tmp_path: Path, detector: Path) -> None:
+@pytest.fixture(scope="module")
+def high_error_run(
+    tmp_path_factory: pytest.TempPathFactory, detector: Path
+) -> tuple[Result, dict[str, Any], list[dict[str, str]]]:
+    """Run on a good and a bad scale, each with long and with short cars: result, report, images.
+
+    Short cars are below the resolution guard.
+    """
+    folder = tmp_path_factory.mktemp("high")
     lines = ["file,gsd_m_per_px"]
     for name, length, truth in (("a", 30, 1.0), ("b", 30, 1.5), ("c", 12, 1.0), ("d", 12, 2.0)):
-        paint(tmp_path / f"{name}.png", cars(length))
+        paint(folder / f"{name}.png", cars(length))
         lines.append(f"{name}.png,{truth * REFERENCE_M / length}")
-    (tmp_path / "table.csv").write_text("\n".join(lines))
-    result = _run(
-        *(
-            "evaluate",
-            "gsd",
-            "--table",
-            tmp_path / "table.csv",
-            "--detector",
-            detector,
-            "--out",
-            tmp_path / "out",
-        ),
-        *("--rulers", "vehicles"),
-    )
+    (folder / "table.csv").write_text("\n".join(lines))
+    data = ["--table", folder / "table.csv", "--out", folder / "out"]
+    method = ["--detector", detector, "--rulers", "vehicles"]
+    result = _run("evaluate", "gsd", *data, *method)
     assert result.exit_code == 0, result.stderr
-    report = json.loads((tmp_path / "out" / "gsd.json").read_text())
-    assert (
-        report["high_errors"],
-        report["high_errors_guarded"],
-        report["high_errors_low_confidence"],
-    ) == (2, 1, 1)
+    report = json.loads((folder / "out" / "gsd.json").read_text())
+    return result, report, _rows(folder / "out" / "images.csv")
+
+
+HighErrorRun = tuple[Result, dict[str, Any], list[dict[str, str]]]
+
+
+@pytest.mark.parametrize("errors", ["high_errors", "low_errors"])
+def test_errors_are_counted_with_guard_and_status(
+    high_error_run: HighErrorRun, errors: str
+) -> None:
+    _, report, _ = high_error_run
+    assert report[errors] == 2
+    assert report[f"{errors}_guarded"] == 1
+    assert report[f"{errors}_low_confidence"] == 1
+
+
+def test_a_wrong_scale_can_be_usable(high_error_run: HighErrorRun) -> None:
+    result, report, _ = high_error_run
     row = report["rows"][0]
-    # a, and b that is off by a third
+    # Usable are a, and b, which is off by a third.
     assert (row["usable"], row["usable_share"], row["usable_wrong"]) == (2, 0.5, 1)
     assert "50.0 %, 1 wrong" in result.stdout
-    assert (
-        report["low_errors"],
-        report["low_errors_guarded"],
-        report["low_errors_low_confidence"],
-    ) == (2, 1, 1)
-    images = _rows(tmp_path / "out" / "images.csv")
+
+
+def test_confidence_and_error_are_correlated(high_error_run: HighErrorRun) -> None:
+    _, report, images = high_error_run
     confidence = [float(row["confidence"]) for row in images]
     error = [abs(float(row["signed_error"])) for row in images]
-    assert report["confidence_error_pearson"] == pytest.approx(
-        np.corrcoef(confidence, error)[0, 1], abs=1e-3
-    )
-    assert report["rows"][0]["name"] == "detector"
-    assert len(report["rows"]) == 1  # no labels, no baseline
+    expected = np.corrcoef(confidence, error)[0, 1]
+    assert report["confidence_error_pearson"] == pytest.approx(expected, abs=1e-3)
 
 
-def test_the_ablation_repeats_the_second_half_with_one_choice_changed(
-    tmp_path: Path, detector: Path
-) -> None:
+def test_images_without_labels_give_the_detector_row_only(high_error_run: HighErrorRun) -> None:
+    _, report, _ = high_error_run
+    assert [row["name"] for row in report["rows"]] == ["detector"]
+
+
+# --- The ablation
+
+
+TRUTH = REFERENCE_M / 20
+Table = dict[tuple[str, str, str], dict[str, str]]
+
+
+@pytest.fixture(scope="module")
+def ablation_data(tmp_path_factory: pytest.TempPathFactory, detector: Path) -> Path:
+    """Run ``evaluate ablation`` on 12, 3 and no cars; a.png has labels."""
+    folder = tmp_path_factory.mktemp("ablation")
     boxes = cars(20)
     boxes[:, 2] = [20, 20, 20, 20, 20, 21, 21, 22, 24, 26, 28, 60]
-    paint(tmp_path / "images" / "a.png", boxes)
-    paint(tmp_path / "images" / "b.png", cars(20, 3))
-    paint(tmp_path / "images" / "c.png", cars(20, 0))
-    (tmp_path / "labels").mkdir()
-    (tmp_path / "labels" / "a.txt").write_text(dota_lines(boxes))
-    truth = REFERENCE_M / 20
-    (tmp_path / "t.csv").write_text(
-        f"file,gsd_m_per_px\nimages/a.png,{truth}\nimages/b.png,{truth * 3}\nimages/c.png,{truth}\n"
+    paint(folder / "images" / "a.png", boxes)
+    paint(folder / "images" / "b.png", cars(20, 3))
+    paint(folder / "images" / "c.png", cars(20, 0))
+    (folder / "labels").mkdir()
+    (folder / "labels" / "a.txt").write_text(dota_lines(boxes))
+    (folder / "t.csv").write_text(
+        f"file,gsd_m_per_px\nimages/a.png,{TRUTH}\nimages/b.png,{TRUTH * 3}\nimages/c.png,{TRUTH}\n"
     )
-    result = _run(
-        "evaluate",
-        "ablation",
-        "--table",
-        tmp_path / "t.csv",
-        "--detector",
-        detector,
-        "--out",
-        tmp_path,
-    )
+    data = ["--table", folder / "t.csv", "--detector", detector]
+    result = _run("evaluate", "ablation", *data, "--out", folder)
     assert result.exit_code == 0, result.stderr
-    rows = _rows(tmp_path / "ablation.csv")
-    table = {(row["choice"], row["setting"], row["boxes"]): row for row in rows}
-
-    def median(choice: str, setting: str, boxes: str = "labels") -> float:
-        return float(table[choice, setting, boxes]["median"])
-
-    def expected(**options: Any) -> float:
-        chosen = ScaleOptions.of({"rulers": ("vehicles",), **options})
-        vehicles = analyse_scale(tmp_path / "images" / "a.png", chosen, detector=detector).vehicles
-        assert vehicles is not None
-        assert vehicles.gsd_m_per_px is not None
-        return abs(vehicles.gsd_m_per_px / truth - 1)
-
-    for aggregation in ("kde", "weighted_kde", "median", "mean"):
-        assert median("aggregation", aggregation) == pytest.approx(
-            expected(aggregation=aggregation), abs=1e-3
-        )
-    assert median("aggregation", "mean") > median("aggregation", "median") > 0
-    for setting, alpha in (("1", 1.0), ("1.5", 1.5), ("none", None)):
-        assert median("alpha", setting) == pytest.approx(expected(alpha=alpha), abs=1e-3)
-    for setting, length in (("4.5 / 5.045", 4.5), ("1", REFERENCE_M), ("5.5 / 5.045", 5.5)):
-        assert median("reference length", setting) == pytest.approx(
-            expected(reference_length_m=length), abs=1e-3
-        )
-    assert table["reference length", "4.5 / 5.045", "labels"]["paper_median"] == "0.1059"
-    assert table["vehicles", "N < 5", "detector"]["images"] == "1"
-    assert median("vehicles", "N < 5", "detector") == pytest.approx(2 / 3, abs=1e-3)
-    assert table["vehicles", "5 <= N < 20", "detector"]["images"] == "1"
-    assert table["vehicles", "N >= 20", "detector"]["median"] == ""
-    assert table["true scale", "< 0.3 m/px", "detector"]["images"] == "1"
-    assert table["true scale", "> 0.7 m/px", "detector"]["images"] == "1"
-    assert table["aggregation", "kde", "detector"]["of_images"] == "3"
+    return folder
 
 
-def test_sets_have_rows_and_regions_of_their_own(tmp_path: Path, detector: Path) -> None:
+@pytest.fixture
+def ablation(ablation_data: Path) -> Table:
+    rows = _rows(ablation_data / "ablation.csv")
+    return {(row["choice"], row["setting"], row["boxes"]): row for row in rows}
+
+
+@pytest.mark.parametrize(
+    ("choice", "setting", "options"),
+    [
+        ("aggregation", "kde", {"aggregation": "kde"}),
+        ("aggregation", "weighted_kde", {"aggregation": "weighted_kde"}),
+        ("aggregation", "median", {"aggregation": "median"}),
+        ("aggregation", "mean", {"aggregation": "mean"}),
+        ("alpha", "1", {"alpha": 1.0}),
+        ("alpha", "1.5", {"alpha": 1.5}),
+        ("alpha", "none", {"alpha": None}),
+        ("reference length", "4.5 / 5.045", {"reference_length_m": 4.5}),
+        ("reference length", "1", {"reference_length_m": REFERENCE_M}),
+        ("reference length", "5.5 / 5.045", {"reference_length_m": 5.5}),
+    ],
+)
+def test_the_ablation_repeats_the_estimate_with_one_option_changed(
+    ablation_data: Path,
+    ablation: Table,
+    detector: Path,
+    choice: str,
+    setting: str,
+    options: dict[str, Any],
+) -> None:
+    changed = ScaleOptions.of({"rulers": ("vehicles",), **options})
+    image = ablation_data / "images" / "a.png"
+    vehicles = analyse_scale(image, changed, detector=detector).vehicles
+    assert vehicles is not None
+    assert vehicles.gsd_m_per_px is not None
+    error = abs(vehicles.gsd_m_per_px / TRUTH - 1)
+    assert _median(ablation, choice, setting) == pytest.approx(error, abs=1e-3)
+
+
+def test_outliers_move_the_mean_more_than_the_median(ablation: Table) -> None:
+    assert _median(ablation, "aggregation", "mean") > _median(ablation, "aggregation", "median") > 0
+
+
+def test_the_ablation_quotes_the_paper(ablation: Table) -> None:
+    assert ablation["reference length", "4.5 / 5.045", "labels"]["paper_median"] == "0.1059"
+
+
+def test_the_ablation_splits_by_number_of_vehicles(ablation: Table) -> None:
+    assert ablation["vehicles", "N < 5", "detector"]["images"] == "1"
+    error = _median(ablation, "vehicles", "N < 5", "detector")
+    assert error == pytest.approx(2 / 3, abs=1e-3)
+    assert ablation["vehicles", "5 <= N < 20", "detector"]["images"] == "1"
+    assert ablation["vehicles", "N >= 20", "detector"]["median"] == ""
+
+
+def test_the_ablation_splits_by_true_scale(ablation: Table) -> None:
+    assert ablation["true scale", "< 0.3 m/px", "detector"]["images"] == "1"
+    assert ablation["true scale", "> 0.7 m/px", "detector"]["images"] == "1"
+
+
+def test_the_ablation_counts_images_without_vehicles(ablation: Table) -> None:
+    assert ablation["aggregation", "kde", "detector"]["of_images"] == "3"
+
+
+def _median(table: Table, choice: str, setting: str, boxes: str = "labels") -> float:
+    return float(table[choice, setting, boxes]["median"])
+
+
+# --- Options
+
+
+@pytest.fixture
+def two_sets(tmp_path: Path, detector: Path) -> list[object]:
+    """Arguments of ``evaluate gsd`` on a table with an image each of the sets ``eu`` and ``us``."""
     for name in ("a", "b"):
         paint(tmp_path / f"{name}.png", cars(20))
-    truth = REFERENCE_M / 20
-    (tmp_path / "t.csv").write_text(f"file,gsd_m_per_px,set\na.png,{truth},eu\nb.png,{truth},us\n")
-    arguments = [
-        "evaluate",
-        "gsd",
-        "--table",
-        tmp_path / "t.csv",
-        "--detector",
-        detector,
-        "--out",
-        tmp_path,
-    ]
-    result = _run(*arguments, "--set-region", "eu=europe")
+    (tmp_path / "t.csv").write_text(f"file,gsd_m_per_px,set\na.png,{TRUTH},eu\nb.png,{TRUTH},us\n")
+    data = ["--table", tmp_path / "t.csv", "--detector", detector]
+    return ["evaluate", "gsd", *data, "--out", tmp_path]
+
+
+def test_sets_have_their_own_rows_and_regions(tmp_path: Path, two_sets: list[object]) -> None:
+    result = _run(*two_sets, "--set-region", "eu=europe")
     assert result.exit_code == 0, result.stderr
     rows = {row["name"]: row for row in _rows(tmp_path / "gsd.csv")}
     assert float(rows["detector, eu"]["bias"]) == pytest.approx(4.5 / 5.045 - 1, abs=1e-3)
     assert float(rows["detector, us"]["bias"]) == pytest.approx(0, abs=1e-3)
-    assert _run(*arguments, "--set", "us").exit_code == 0
+
+
+def test_one_set_is_selected(tmp_path: Path, two_sets: list[object]) -> None:
+    assert _run(*two_sets, "--set", "us").exit_code == 0
     assert [row["of_images"] for row in _rows(tmp_path / "gsd.csv")] == ["1"]
-    for extra, message in (
-        (["--set-region", "eu"], "use SET=REGION"),
-        (["--set-region", "eu=atlantis"], "this model knows europe, north_america"),
-    ):
-        refused = _run(*arguments, *extra)
-        assert refused.exit_code == 2
-        assert message in refused.stderr
 
 
-def test_lines_of_known_length_are_heard_where_they_lie(tmp_path: Path, detector: Path) -> None:
+@pytest.mark.parametrize(
+    ("region", "message"),
+    [
+        ("eu", "use SET=REGION"),
+        ("eu=atlantis", "this model knows europe, north_america"),
+    ],
+)
+def test_a_wrong_region_of_a_set_is_refused(
+    two_sets: list[object], region: str, message: str
+) -> None:
+    refused = _run(*two_sets, "--set-region", region)
+    assert refused.exit_code == 2
+    assert message in refused.stderr
+
+
+@pytest.fixture
+def with_lines(tmp_path: Path, detector: Path) -> list[object]:
+    """Arguments of ``evaluate gsd`` on two images at 0.9 of the cars' scale, with lines."""
+    truth = 0.9 * TRUTH
     for name in ("a", "b"):
         paint(tmp_path / f"{name}.png", cars(20))
-    truth = 0.9 * REFERENCE_M / 20
     (tmp_path / "t.csv").write_text(f"file,gsd_m_per_px\na.png,{truth}\nb.png,{truth}\n")
     (tmp_path / "lines.csv").write_text(
         f"file,x1,y1,x2,y2,metres,basis\na.png,20,220,420,220,{400 * truth},measured\n"
     )
-    arguments = [
-        "evaluate",
-        "gsd",
-        "--table",
-        tmp_path / "t.csv",
-        "--detector",
-        detector,
-        "--out",
-        tmp_path,
-    ]
-    result = _run(*arguments, "--known-lengths", tmp_path / "lines.csv")
+    data = ["--table", tmp_path / "t.csv", "--detector", detector]
+    lines = ["--known-lengths", tmp_path / "lines.csv"]
+    return ["evaluate", "gsd", *data, *lines, "--out", tmp_path]
+
+
+def test_lines_of_known_length_apply_to_their_image(
+    tmp_path: Path, with_lines: list[object]
+) -> None:
+    result = _run(*with_lines)
     assert result.exit_code == 0, result.stderr
-    images = {
-        Path(row["file"]).name: float(row["signed_error"]) for row in _rows(tmp_path / "images.csv")
-    }
-    assert images["a.png"] == pytest.approx(0, abs=0.01)
-    assert images["b.png"] == pytest.approx(1 / 0.9 - 1, abs=1e-3)
+    images = _images(tmp_path)
+    assert float(images["a.png"]["signed_error"]) == pytest.approx(0, abs=0.01)
+    assert float(images["b.png"]["signed_error"]) == pytest.approx(1 / 0.9 - 1, abs=1e-3)
+
+
+def test_a_line_outside_its_image_is_refused(tmp_path: Path, with_lines: list[object]) -> None:
     (tmp_path / "lines.csv").write_text("file,x1,y1,x2,y2,metres\na.png,20,220,420,2200,40\n")
-    outside = _run(*arguments, "--known-lengths", tmp_path / "lines.csv")
+    outside = _run(*with_lines)
     assert outside.exit_code == 2
     assert "a.png" in outside.stderr
     assert "leaves the picture" in outside.stderr
 
 
-def test_labels_may_have_a_reference_length_of_their_own(dota: Path, detector: Path) -> None:
+def test_labels_can_have_their_own_reference_length(dota: Path, detector: Path) -> None:
     out = dota.parent / "out"
     arguments = ["evaluate", "gsd", "--dota", dota, "--detector", detector, "--out", out]
     assert _run(*arguments, "--label-reference-length", 5.5495).exit_code == 0
     rows = {row["name"]: row for row in _rows(out / "gsd.csv")}
-    # 22 px at 10 % more: 0 %; -1 %; +10 %
+    # With a reference length 10 % larger, the labelled cars are off by 0 %, -1 % and +10 %.
     assert float(rows["labels"]["median"]) == pytest.approx(0.01, abs=4e-3)
     assert float(rows["detector"]["median"]) == pytest.approx(0.1, abs=3e-3)
 
 
-def test_geotiffs_are_named_as_a_shell_spreads_them(tmp_path: Path, detector: Path) -> None:
+def test_geotiff_accepts_several_files(tmp_path: Path, detector: Path) -> None:
     files = [
         write_geotiff(tmp_path / f"{k}.tif", "EPSG:25832", pixel=REFERENCE_M / 20, x=5e5, y=5.5e6)
         for k in range(2)
     ]
-    result = _run(
-        "evaluate",
-        "gsd",
-        "--geotiff",
-        *files,
-        "--detector",
-        detector,
-        "--out",
-        tmp_path / "out",
-        "--workers",
-        1,
-    )
+    out = tmp_path / "out"
+    data = ["--geotiff", *files, "--detector", detector]
+    output = ["--out", out, "--workers", 1]
+    result = _run("evaluate", "gsd", *data, *output)
     assert result.exit_code == 0, result.stderr
     (row,) = _rows(tmp_path / "out" / "gsd.csv")
     assert row["images"] == "2"
@@ -288,15 +394,14 @@ def test_data_without_a_known_scale_is_refused_with_its_reasons(
     tmp_path: Path, detector: Path
 ) -> None:
     paint(tmp_path / "plain.png", cars(20))
-    result = _run(
-        "evaluate", "gsd", "--geotiff", tmp_path, "--detector", detector, "--out", tmp_path / "out"
-    )
+    data = ["--geotiff", tmp_path, "--detector", detector]
+    result = _run("evaluate", "gsd", *data, "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "warning[no_georeference]" in result.stderr
     assert "error[invalid_parameter]: no image of known scale" in result.stderr
 
 
-def test_an_output_that_cannot_be_written_is_told(tmp_path: Path, detector: Path) -> None:
+def test_an_unwritable_output_is_reported(tmp_path: Path, detector: Path) -> None:
     (tmp_path / "file").write_text("")
     paint(tmp_path / "a.png", cars(20))
     (tmp_path / "t.csv").write_text("file,gsd_m_per_px\na.png,0.2\n")
@@ -330,7 +435,7 @@ def test_a_malformed_line_is_named(tmp_path: Path, line: str) -> None:
         read_labels(path)
 
 
-def test_trials_count_a_missing_estimate_as_a_whole_error(tmp_path: Path) -> None:
+def test_a_missing_estimate_counts_as_an_error_of_100_percent(tmp_path: Path) -> None:
     paint(tmp_path / "cars.png", cars(30, 18))
     paint(tmp_path / "none.png", cars(30, 0))
     truth = 5.045 / 30
@@ -347,6 +452,9 @@ def test_trials_count_a_missing_estimate_as_a_whole_error(tmp_path: Path) -> Non
     assert summary == pytest.approx(
         (2, 0.5, 1 - 0.5 / 1.3, 1 - 0.5 / 1.3, 0.0, 0.0, 1 / 1.3 - 1), abs=3e-3
     )
+
+
+def test_no_trials_have_no_median() -> None:
     assert summarise([]).images == 0
     assert np.isnan(summarise([]).median)
 
@@ -378,7 +486,8 @@ def test_the_coverage_of_the_interval_is_counted_at_every_level() -> None:
     assert observed[2] == np.mean([bool(trial.covered) for trial in trials]) == 0.75
     assert (np.diff(observed) >= 0).all()
     assert observed[0] <= 0.25
-    assert observed[3] == 0.75  # three times the scale is out of reach
+    # A scale off by a factor of three lies outside every interval.
+    assert observed[3] == 0.75
 
 
 def test_the_command_draws_all_figures(tmp_path: Path) -> None:
@@ -387,10 +496,8 @@ def test_the_command_draws_all_figures(tmp_path: Path) -> None:
         paint(tmp_path / f"{index}.png", cars(25))
         lines.append(f"{index}.png,{0.2 + 0.02 * index}")
     (tmp_path / "t.csv").write_text("\n".join(lines))
-    arguments = ["--table", tmp_path / "t.csv", "--detector", write_detector(tmp_path / "m.onnx")]
-    result = CliRunner().invoke(
-        cli.app, ["evaluate", "figures", *map(str, arguments), "--out", str(tmp_path / "out")]
-    )
+    data = ["--table", tmp_path / "t.csv", "--detector", write_detector(tmp_path / "m.onnx")]
+    result = _run("evaluate", "figures", *data, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.stderr
     for name in ("predicted", "cumulative", "calibration", "sheet"):
         picture = cv2.imread(str(tmp_path / "out" / f"{name}.png"))

@@ -6,15 +6,15 @@ from contextlib import closing
 from vehanchor_evaluation.pool import finished
 
 
-def test_items_are_taken_up_as_the_pool_gets_through_them_and_left_when_it_is_closed() -> None:
-    begun: list[int] = []
+def test_a_closed_pool_drops_items_that_have_not_started() -> None:
+    started: list[int] = []
     lock = threading.Lock()
 
     def work(n: int) -> int:
         with lock:
-            begun.append(n)
+            started.append(n)
         return n
 
     with closing(finished(2, work, range(10**9))) as results:
         next(results)
-    assert len(begun) < 50
+    assert len(started) < 50

@@ -166,6 +166,19 @@ def test_a_journal_of_other_options_is_refused(
         estimate_flight(flight, same_scale=True, detector=detector, journal=journal, alpha=2.0)
 
 
+def test_a_journal_of_other_errors_of_the_detector_is_refused(
+    flight: list[str], detector: Detector, tmp_path: Path
+) -> None:
+    journal = tmp_path / "flight.journal"
+    with pytest.raises(KeyboardInterrupt):
+        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=_stop)
+    errors = tmp_path / "errors.toml"
+    errors.write_text("[boxes]\nlog_sd = 0.2\n")
+    other = Detector(detector.path, errors=errors)
+    with pytest.raises(InvalidParameterError, match="unfinished run"):
+        estimate_flight(flight, same_scale=True, detector=other, journal=journal)
+
+
 @pytest.fixture
 def lines(flight: list[str]) -> Path:
     """Write a table with a line in the photograph without cars."""

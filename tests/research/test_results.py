@@ -1,4 +1,4 @@
-"""Results are data: the page, the README and the documents take their numbers from the data files."""
+"""Results are data: the page, the README and the documents take numbers from the data files."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_every_data_file_is_a_topic_of_the_page() -> None:
 @pytest.mark.parametrize(
     ("topic", "key"), ENTRIES, ids=[f"{topic}.{key}" for topic, key in ENTRIES]
 )
-def test_an_entry_tells_when_where_and_how_it_was_measured(topic: str, key: str) -> None:
+def test_an_entry_states_date_machine_and_command(topic: str, key: str) -> None:
     entry = load(topic)[key]
     assert entry["title"]
     assert entry["machine"]
@@ -69,7 +69,7 @@ def test_an_entry_tells_when_where_and_how_it_was_measured(topic: str, key: str)
         assert find_spec(module), module
 
 
-def test_columns_of_numbers_become_numbers_and_others_stay_text() -> None:
+def test_columns_of_numbers_become_numbers() -> None:
     (table,) = tables_of(PRINTED)
     assert table == Table(
         ["images", "n", "median", "said"],
@@ -97,7 +97,7 @@ def test_what_is_printed_is_what_is_written(
     assert "onnxruntime" in written["val"]["machine"]
 
 
-def test_a_new_run_keeps_title_and_aim_and_nothing_else_of_the_last(tmp_path: Path) -> None:
+def test_a_new_run_keeps_only_title_and_aim(tmp_path: Path) -> None:
     last = {
         "val": {"title": "Scale", "aim": "4 %", "note": "old", "date": "2026-01-01"},
         "other": {"title": "x"},
@@ -111,14 +111,14 @@ def test_a_new_run_keeps_title_and_aim_and_nothing_else_of_the_last(tmp_path: Pa
     assert "note" not in written["val"]
 
 
-def test_nothing_is_written_without_the_option_and_variants_get_keys_of_their_own(
+def test_only_the_option_writes_and_variants_have_own_keys(
     tmp_path: Path,
 ) -> None:
     parser = add_record_option(argparse.ArgumentParser())
-    for given in ([], ["--record", "int8"]):
-        with recording("scale", ["val"], parser.parse_args(given).record, folder=tmp_path):
+    for printed in ([], ["--record", "int8"]):
+        with recording("scale", ["val"], parser.parse_args(printed).record, folder=tmp_path):
             print(PRINTED)
-        assert [path.name for path in tmp_path.iterdir()] == (["scale.json"] if given else [])
+        assert [path.name for path in tmp_path.iterdir()] == (["scale.json"] if printed else [])
     assert list(load("scale", tmp_path)) == ["val_int8"]
 
 

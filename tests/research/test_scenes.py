@@ -136,7 +136,7 @@ def test_a_drawn_vehicle_is_exactly_as_long_as_its_record(
 def _coverage(
     body: str, length: float, width: float, gsd: float, turn: float
 ) -> NDArray[np.float64]:
-    """How far each pixel is covered by a vehicle at (4, 4) m: drawn on bright and on black ground, and compared."""
+    """Measure the cover of pixels by a vehicle at (4, 4) m, drawn on bright and black ground."""
     over = 2
     pixels = math.ceil(8 / gsd)
     placed = PlacedVehicle(
@@ -163,7 +163,7 @@ def _coverage(
 
 
 def _edges(profile: NDArray[np.float64]) -> tuple[float, float]:
-    """Where a covered stretch starts and ends: what the outermost pixels are covered by counts as their share."""
+    """Find the ends of a covered stretch; the outermost pixels count by their cover."""
     covered = np.flatnonzero(profile > 0.97)
     first = int(covered[0])
     last = int(covered[-1]) + 1
@@ -172,48 +172,65 @@ def _edges(profile: NDArray[np.float64]) -> tuple[float, float]:
 
 def test_masks_agree_with_the_objects() -> None:
     scene = render_scene(0.25, width_px=512, height_px=512, seed=4, layout="urban")
-    seen = dict.fromkeys(CATEGORIES, 0)
+    cover = dict.fromkeys(CATEGORIES, 0)
     for item in scene.objects:
-        seen[item.category] += 1
-        assert item.instance == seen[item.category]
+        cover[item.category] += 1
+        assert item.instance == cover[item.category]
         pixels = int((scene.masks[item.category] == item.instance).sum())
         assert item.area_m2 == pytest.approx(pixels * 0.25**2)
         assert item.area_m2 <= item.full_area_m2 * 1.1 + 2
     for category, mask in scene.masks.items():
-        assert mask.max() == seen[category]
-    assert seen["building"] > 10
+        assert mask.max() == cover[category]
+    assert cover["building"] > 10
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_a_written_scene_reads_back(parking: Scene, tmp_path: Path, suffix: str) -> None:
-    files = parking.write(tmp_path / f"view{suffix}")
-    assert sorted(file.name for file in files) == sorted(
-        [
-            f"view{suffix}",
-            "view.json",
-            "view.txt",
-            *(f"view_{category}.png" for category in CATEGORIES),
-        ]
-    )
-    assert all(file.is_file() for file in files)
-    image = cv2.imread(str(files[0]), cv2.IMREAD_COLOR)
+@pytest.fixture(params=[".png", ".jpg"])
+def written(parking: Scene, tmp_path: Path, request: pytest.FixtureRequest) -> list[Path]:
+    """Write a scene as PNG and as JPEG."""
+    return parking.write(tmp_path / f"view{request.param}")
+
+
+@pytest.fixture
+def facts(written: list[Path], tmp_path: Path) -> dict[str, Any]:
+    assert written
+    content: dict[str, Any] = json.loads((tmp_path / "view.json").read_text())
+    return content
+
+
+def test_a_scene_writes_its_files(written: list[Path]) -> None:
+    image = written[0].name
+    masks = [f"view_{category}.png" for category in CATEGORIES]
+    assert image in ("view.png", "view.jpg")
+    assert sorted(file.name for file in written) == sorted([image, "view.json", "view.txt", *masks])
+    assert all(file.is_file() for file in written)
+
+
+def test_a_written_image_reads_back(parking: Scene, written: list[Path]) -> None:
+    image = cv2.imread(str(written[0]), cv2.IMREAD_COLOR)
     assert image is not None
-    if suffix == ".png":
+    if written[0].suffix == ".png":
         np.testing.assert_array_equal(image[:, :, ::-1], parking.image)
-    facts: dict[str, Any] = json.loads((tmp_path / "view.json").read_text())
-    assert (facts["gsd_m_per_px"], facts["width_px"], facts["height_px"], facts["seed"]) == (
-        0.15,
-        512,
-        384,
-        3,
-    )
+
+
+def test_a_written_scene_states_its_parameters(facts: dict[str, Any]) -> None:
+    assert facts["gsd_m_per_px"] == 0.15
+    assert (facts["width_px"], facts["height_px"], facts["seed"]) == (512, 384, 3)
     assert facts["parameters"]["layout"] == "parking"
+
+
+def test_written_masks_read_back(parking: Scene, facts: dict[str, Any], tmp_path: Path) -> None:
     for category in CATEGORIES:
         mask = cv2.imread(str(tmp_path / f"view_{category}.png"), cv2.IMREAD_UNCHANGED)
         assert mask is not None
         np.testing.assert_array_equal(mask, parking.masks[category])
-        for item in (item for item in facts["objects"] if item["category"] == category):
-            assert item["area_m2"] == pytest.approx(int((mask == item["instance"]).sum()) * 0.15**2)
+        objects = [item for item in facts["objects"] if item["category"] == category]
+        for item in objects:
+            n_pixels = int((mask == item["instance"]).sum())
+            assert item["area_m2"] == pytest.approx(n_pixels * 0.15**2)
+
+
+@pytest.mark.usefixtures("written")
+def test_written_labels_read_back(parking: Scene, tmp_path: Path) -> None:
     header, *lines = (tmp_path / "view.txt").read_text().splitlines()
     assert header == "gsd:0.15"
     assert len(lines) == len(parking.vehicles)

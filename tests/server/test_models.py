@@ -9,9 +9,12 @@ from typing import Any
 
 import pytest
 
+from tests.models import write_chip_network, write_other_model
 from tests.sam_models import SamFiles
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
+from vehanchor.models.zoo import BUNDLED_MODELS, BundledModel, bundled_file
+from vehanchor_server import models as server_models
 from vehanchor_server.errors import CallError
 from vehanchor_server.models import SLOW_IMPORTS, Models
 from vehanchor_server.settings import Settings
@@ -107,6 +110,45 @@ def test_a_segmenter_that_cannot_be_loaded_is_not_ready(
     models.load_all()
     assert models.failure == "model_contract"
     assert not models.ready
+
+
+def test_an_added_bundled_model_may_be_read_by_workers(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_other_model(tmp_path / "added.onnx")
+    added = BundledModel(name="added", file=str(path), role="ruler")
+    monkeypatch.setattr(server_models, "BUNDLED_MODELS", (*BUNDLED_MODELS, added))
+    assert path in Models(settings).files()
+
+
+def test_all_bundled_models_of_an_estimate_may_be_read_by_workers() -> None:
+    files = Models(Settings()).files()
+    assert {model.path for model in BUNDLED_MODELS} <= set(files)
+
+
+def test_the_chip_network_of_an_own_detector_may_be_read_by_workers(
+    detector_path: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own.onnx"
+    own.write_bytes(detector_path.read_bytes())
+    chips = write_chip_network(own)
+    files = set(Models(Settings(detector=str(own))).files())
+    assert {own, chips} <= files
+    assert bundled_file("chips") not in files
+
+
+def test_the_errors_of_the_bundled_detector_may_be_read_by_workers() -> None:
+    assert bundled_file("vehicles").with_suffix(".errors.toml") in Models(Settings()).files()
+
+
+def test_the_errors_of_an_own_detector_may_be_read_by_workers(
+    detector_path: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own.onnx"
+    own.write_bytes(detector_path.read_bytes())
+    errors = tmp_path / "own.errors.toml"
+    errors.write_text("[boxes]\nlog_sd = 0.2\n")
+    assert errors in Models(Settings(detector=str(own))).files()
 
 
 def test_workers_do_without_the_sdk() -> None:

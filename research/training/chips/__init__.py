@@ -1,1 +1,1 @@
-"""Training of the chip network: what a candidate is, where its ends and sides lie, and how long and wide it looks."""
+"""Training of the chip network: kind of a candidate, its ends and sides, its length and width."""

@@ -1,4 +1,6 @@
-"""Measure labelled cars of known scale: ``python -m research.training.chips.bodies CHIPS.onnx READ.npz STORE ...``.
+"""Measure labelled cars of known scale for the chip network.
+
+``python -m research.training.chips.bodies CHIPS.onnx READ.npz STORE ...``.
 
 A box gives no body. The edges of a first chip network, times the scale, give thousands of bodies
 from which a second one learns metres by looks. Writes ``bodies.npz`` into each store, and
@@ -21,12 +23,13 @@ from vehanchor.detection.chips import ChipAnswers, ChipNetwork
 from vehanchor.models.runtime import Runtime
 from vehanchor.storage.atomic import whole_file
 
-_OWN_SD = 0.06  # of a log length: a body that is known worse counts less
+# Spread of a log length at which a body has half of its weight.
+_OWN_SD = 0.06
 _RENDERED = ("scene", "pasted")
 
 
 def measured(answers: ChipAnswers, candidate_m: NDArray[np.float64]) -> Bodies:
-    """Bodies of candidates whose lengths in metres are known."""
+    """Measure the bodies of candidates whose lengths in metres are known."""
     logs = np.log(answers.sizes * candidate_m[:, None])
     return Bodies(
         logs.astype(np.float32), (1 / (1 + (answers.log_size_sd / _OWN_SD) ** 2)).astype(np.float32)
@@ -48,8 +51,8 @@ def main() -> None:
     options = parser.parse_args()
     network = ChipNetwork(options.network, runtime=Runtime(threads=1))
     read = load(options.readings)
-    said = network.answers(np.stack([cut(chip, READ_LENGTH_PX) for chip in read.chips]))
-    bodies = measured(said, read.length_px * read.gsd)
+    answers = network.answers(np.stack([cut(chip, READ_LENGTH_PX) for chip in read.chips]))
+    bodies = measured(answers, read.length_px * read.gsd)
     save(bodies, options.readings.with_suffix(".bodies.npz"))
     for place in np.unique(read.place):
         for k, kind in enumerate(CARS):
@@ -62,20 +65,20 @@ def main() -> None:
                 )
     for folder in options.stores:
         chips, rows = read_store(folder)
-        known = np.isfinite(rows.log_length_m) & np.isfinite(rows.box[:, 2]) & (rows.car == 1)
-        chosen = np.flatnonzero(known & ~np.isin(rows.sets, _RENDERED))
-        logs = np.full((len(known), 2), np.nan, np.float32)
-        weight = np.zeros((len(known), 2), np.float32)
-        for start in range(0, len(chosen), 512):
-            some = chosen[start : start + 512]
-            said = network.answers(
-                np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in some]), views=2
+        is_known = np.isfinite(rows.log_length_m) & np.isfinite(rows.box[:, 2]) & (rows.car == 1)
+        indices = np.flatnonzero(is_known & ~np.isin(rows.sets, _RENDERED))
+        logs = np.full((len(is_known), 2), np.nan, np.float32)
+        weight = np.zeros((len(is_known), 2), np.float32)
+        for start in range(0, len(indices), 512):
+            batch = indices[start : start + 512]
+            answers = network.answers(
+                np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in batch]), views=2
             )
-            candidate_m = np.exp((rows.log_length_m[some] - rows.box[some, 2]).astype(np.float64))
-            logs[some], weight[some] = measured(said, candidate_m)
+            candidate_m = np.exp((rows.log_length_m[batch] - rows.box[batch, 2]).astype(np.float64))
+            logs[batch], weight[batch] = measured(answers, candidate_m)
         save(Bodies(logs, weight), folder / "bodies.npz")
-        for name in np.unique(rows.sets[chosen]):
-            here = chosen[rows.sets[chosen] == name]
+        for name in np.unique(rows.sets[indices]):
+            here = indices[rows.sets[indices] == name]
             boxes = np.exp(np.median(rows.log_length_m[here]))
             sizes = np.exp(np.median(logs[here], axis=0))
             bodies_text = f"bodies {sizes[0]:.2f} by {sizes[1]:.2f} m"

@@ -1,10 +1,10 @@
-"""Car or not beside detector and verifier: ``python -m research.training.chips.cars CHIPS.onnx R``.
+"""Measure how the chip network separates cars from others, beside detector and verifier.
 
-``R`` has the stores ``held_out`` (``mine.py``) and ``people`` (``people.py``). Logits are
-joined by logistic regression, fitted on one half of the held-out files for the other, and on all
-for ``people``. ``--write`` writes the weights of the search and the chip network into the file,
-fitted on both stores in equal parts; what these do for a set of ``people`` is measured with weights
-that the set did not choose.
+``python -m research.training.chips.cars CHIPS.onnx R``. ``R`` has the stores ``held_out``
+(``mine.py``) and ``people`` (``people.py``). Logistic regression joins the logits. It is fitted on
+one half of the held-out files for the other half, and on all of them for ``people``. ``--write``
+writes the weights of the search and the chip network into the file, fitted on both stores in equal
+parts. Their effect on a set of ``people`` is measured with weights fitted without that set.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from research.training.logistic import area, logistic, weight_of_sets
 from vehanchor.detection.chips import ChipNetwork
 from vehanchor.models.runtime import Runtime
 
-_LEAST_SCORE = 0.15  # of the detector
+# Least score of the detector.
+_MIN_SCORE = 0.15
 _SHIPPED = ("search", "chips")
 _JOINED = {
     "detector": ("detector",),
@@ -39,7 +40,7 @@ _JOINED = {
 
 
 class Judged(NamedTuple):
-    """Candidates, whether they are cars, and what each network says."""
+    """Candidates, whether they are cars, and the logits of each network."""
 
     rows: Rows
     car: NDArray[np.bool_]
@@ -47,11 +48,8 @@ class Judged(NamedTuple):
 
     def take(self, which: NDArray[np.bool_]) -> Judged:
         """Select candidates by a mask."""
-        return Judged(
-            self.rows.take(which),
-            self.car[which],
-            {k: each[which] for k, each in self.logits.items()},
-        )
+        logits = {name: of_network[which] for name, of_network in self.logits.items()}
+        return Judged(self.rows.take(which), self.car[which], logits)
 
 
 def _logit(scores: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -60,11 +58,11 @@ def _logit(scores: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def judged(folder: Path, network: ChipNetwork) -> Judged:
-    """Ask the networks about the candidates of a store that the search found."""
+    """Run the networks on the candidates of a store that the search found."""
     chips, rows = read_store(folder)
-    chosen = np.flatnonzero(rows.score >= _LEAST_SCORE)
-    rows = rows.take(chosen)
-    cuts = np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in chosen])
+    indices = np.flatnonzero(rows.score >= _MIN_SCORE)
+    rows = rows.take(indices)
+    cuts = np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in indices])
     return Judged(
         rows,
         rows.car == 1,
@@ -78,58 +76,66 @@ def judged(folder: Path, network: ChipNetwork) -> Judged:
 
 
 def _design(cases: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Build the columns of the regression: logits, and ones for the bias."""
     return np.column_stack([*(cases.logits[name] for name in names), np.ones(len(cases.car))])
 
 
 def fitted(names: tuple[str, ...], *parts: Judged) -> NDArray[np.float64]:
-    """Weights of the logits and a bias; parts count alike, and in a part each set by the root of its number."""
+    """Fit the weights of the logits and a bias.
+
+    Parts have equal weights. In a part, a set has a weight by the root of its number.
+    """
     designs = np.concatenate([_design(part, names) for part in parts])
     weights = np.concatenate([weight_of_sets(part.rows.sets) for part in parts])
     return logistic(designs, np.concatenate([part.car for part in parts]), weights)
 
 
-def joined(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Log odds of a car for ``asked``, from weights fitted on ``known``, or on its other half."""
-    design = _design(asked, names)
-    if known is not asked:
-        return np.asarray(design @ fitted(names, known))
-    half = np.array([zlib.crc32(file.encode()) % 2 for file in known.rows.files])
-    sides = [design @ fitted(names, known.take(half != side)) for side in (0, 1)]
-    return np.where(half == 0, *sides)
+def joined(train: Judged, test: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Compute the log odds of a car for ``test``, from weights fitted on ``train``.
+
+    If both are the same, each half of the files has the weights of the other half.
+    """
+    design = _design(test, names)
+    if train is not test:
+        return np.asarray(design @ fitted(names, train))
+    half = np.array([zlib.crc32(file.encode()) % 2 for file in train.rows.files])
+    odds_of_first = design @ fitted(names, train.take(half != 0))
+    odds_of_second = design @ fitted(names, train.take(half != 1))
+    return np.where(half == 0, odds_of_first, odds_of_second)
 
 
-def left_out(known: Judged, asked: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Log odds of a car for ``asked``, each set by weights that ``known`` and the other sets chose."""
-    odds = np.zeros(len(asked.car))
-    for name in np.unique(asked.rows.sets):
-        here = asked.rows.sets == name
-        odds[here] = _design(asked.take(here), names) @ fitted(names, known, asked.take(~here))
+def left_out(train: Judged, test: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Compute the log odds of a car for ``test``, each set with weights fitted without it."""
+    odds = np.zeros(len(test.car))
+    for name in np.unique(test.rows.sets):
+        here = test.rows.sets == name
+        odds[here] = _design(test.take(here), names) @ fitted(names, train, test.take(~here))
     return odds
 
 
 def line(odds: NDArray[np.float64], car: NDArray[np.bool_]) -> str:
-    """Area under the ROC curve, average precision, and precision at two recalls."""
+    """Format area under the ROC curve, average precision, and precision at two recalls."""
     order = np.argsort(-odds, kind="stable")
     precision = np.cumsum(car[order]) / np.arange(1, len(car) + 1)
+    # Precision at each recall: the best at this or a higher one.
     envelope = np.maximum.accumulate(precision[::-1])[::-1][car[order]]
-    at = [envelope[int(recall * len(envelope))] for recall in (0.9, 0.95)]
-    both = f"AUC {area(odds[car], odds[~car]):.4f}, AP {envelope.mean():.4f}"
-    return f"{both}, precision at recall 0.90 and 0.95: {at[0]:.3f}, {at[1]:.3f}"
+    at_90, at_95 = [envelope[int(recall * len(envelope))] for recall in (0.9, 0.95)]
+    areas = f"AUC {area(odds[car], odds[~car]):.4f}, AP {envelope.mean():.4f}"
+    return f"{areas}, precision at recall 0.90 and 0.95: {at_90:.3f}, {at_95:.3f}"
 
 
-def report(known: Judged, asked: Judged) -> Iterator[str]:
+def report(train: Judged, test: Judged) -> Iterator[str]:
     """Compare the networks on all candidates and by set."""
-    sets = [str(name) for name in np.unique(asked.rows.sets)]
-    for what, names in _JOINED.items():
-        odds = joined(known, asked, names)
-        yield f"{what}: {line(odds, asked.car)}"
-        parts = [(name, asked.rows.sets == name) for name in sets]
-        each = [
-            f"{n} {area(odds[m & asked.car], odds[m & ~asked.car]):.4f}"
-            for n, m in parts
-            if (m & asked.car).sum() > 5
-        ]
-        yield f"    AUC by set: {', '.join(each)}"
+    for title, names in _JOINED.items():
+        odds = joined(train, test, names)
+        yield f"{title}: {line(odds, test.car)}"
+        by_set = []
+        for name in np.unique(test.rows.sets):
+            here = test.rows.sets == name
+            cars = here & test.car
+            if cars.sum() > 5:
+                by_set.append(f"{name} {area(odds[cars], odds[here & ~test.car]):.4f}")
+        yield f"    AUC by set: {', '.join(by_set)}"
 
 
 def main() -> None:
@@ -140,18 +146,16 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     network = ChipNetwork(options.network, runtime=Runtime(threads=1))
-    known = judged(options.folder / "held_out", network)
-    print(f"held out: {known.car.sum()} cars, {(~known.car).sum()} others")
-    print("\n".join(report(known, known)), flush=True)
+    held_out = judged(options.folder / "held_out", network)
+    print(f"held out: {held_out.car.sum()} cars, {(~held_out.car).sum()} others")
+    print("\n".join(report(held_out, held_out)), flush=True)
     people = judged(options.folder / "people", network)
     print(f"people: {people.car.sum()} cars, {(~people.car).sum()} others")
-    print("\n".join(report(known, people)), flush=True)
-    print(
-        f"{' and '.join(_SHIPPED)}, each set left out: "
-        f"{line(left_out(known, people, _SHIPPED), people.car)}"
-    )
+    print("\n".join(report(held_out, people)), flush=True)
+    odds = left_out(held_out, people, _SHIPPED)
+    print(f"{' and '.join(_SHIPPED)}, each set left out: {line(odds, people.car)}")
     if options.write:
-        search, chips, bias = fitted(_SHIPPED, known, people)
+        search, chips, bias = fitted(_SHIPPED, held_out, people)
         write_weights(options.network, (float(search), float(chips), float(bias)))
 
 

@@ -24,8 +24,10 @@ from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_ROWS
 from vehanchor.models.zoo import DEFAULT_DETECTOR
 from vehanchor.storage.atomic import whole_file
 
-_LARGE = 256  # numbers of an array that is stored in half precision
-_LEAST_SCORE = 0.15  # of the search
+# Larger arrays are stored in half precision.
+_LARGE = 256
+# Least score of the search.
+_MIN_SCORE = 0.15
 # Regions: medians over train images of known scale of the bodies' median length, of vehicles with a
 # score above 0.6 and
 # 3 to 6.5 m, five or more in an image: Cannes, Sao Paulo, US cities, Estonia, Banepa. The reference
@@ -35,10 +37,11 @@ _BODIES = {
     "reference_length_m": 4.21,
     "reference_length_sd_m": 0.36,
     "region_lengths_m": {
-        "europe": 3.95, "south_america": 4.21, "north_america": 4.69, "northern_europe": 4.52, "south_asia": 3.68,
+        "europe": 3.95, "south_america": 4.21, "north_america": 4.69, "northern_europe": 4.52,
+        "south_asia": 3.68,
     },
 }  # fmt: skip
-# of the stated spreads: those of training include its blur and shade; by the readings kept back
+# Factor on the stated spreads, measured on held-back readings: training includes blur and shade.
 _EDGE_SD = 0.7
 
 
@@ -50,7 +53,7 @@ class Exported(nn.Module):
         self.network = network
 
     def forward(self, chips: Tensor) -> tuple[Tensor, ...]:
-        """All answers."""
+        """Compute all answers."""
         said: Answers = self.network(chips)
         return tuple(said._replace(edge_log_sd=said.edge_log_sd + math.log(_EDGE_SD)))
 
@@ -72,7 +75,7 @@ def export(network: ChipNet, out: Path) -> None:
 
 
 def write_weights(path: Path, weights: tuple[float, float, float]) -> None:
-    """Write the metadata of a file with the weights of the search's logit and the network's, and their bias."""
+    """Write the metadata of a file: weights of the logits of search and network, and their bias."""
     metadata = {
         "description": "VehAnchor network that says of a candidate what it is, where its edges "
         "lie, and how long it is",
@@ -80,7 +83,7 @@ def write_weights(path: Path, weights: tuple[float, float, float]) -> None:
         "license": LICENCE,
         "vehanchor.detector": DEFAULT_DETECTOR,
         "vehanchor.weights": ",".join(f"{value:.4f}" for value in weights),
-        "vehanchor.least_score": f"{_LEAST_SCORE:g}",
+        "vehanchor.least_score": f"{_MIN_SCORE:g}",
         "vehanchor.bodies": json.dumps(_BODIES),
     }
     write_metadata(path, metadata)

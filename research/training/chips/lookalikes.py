@@ -1,7 +1,7 @@
-"""Objects that detectors confuse with cars: sheds, crates, graves, benches, skylights, boats, shadows, markings.
+"""Objects that detectors confuse with cars, such as sheds, benches, skylights, boats and shadows.
 
-Each function draws on a canvas in place and returns the length and width of the thing in metres;
-the thing lies in the canvas's middle, its axis along the columns.
+Each function draws an object on a canvas in place, and returns its length and width in metres. The
+object lies in the canvas's middle, with its axis along the columns.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from research.scenes.sprites import Sun, crown_sprite
 
 Canvas = NDArray[np.float32]
 Draw = Callable[[np.random.Generator, Canvas, float, Sun], tuple[float, float]]
-_SHIFT = 4  # fractional bits of OpenCV's coordinates
+# Fractional bits of OpenCV's coordinates.
+_SHIFT = 4
 
 
 def _corners(
-    canvas: Canvas, px_per_m: float, length: float, width: float, x: float = 0.0, y: float = 0.0
+    canvas: Canvas, px_per_m: float, length: float, width: float, *, x: float = 0.0, y: float = 0.0
 ) -> NDArray[np.float64]:
+    """Compute the corners of a rectangle, pixels; sizes and offset from the middle in metres."""
     half = np.array([length, width]) / 2
     middle = np.array(canvas.shape[1::-1]) / 2 + np.array([x, y]) * px_per_m
     return middle + np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half * px_per_m
@@ -29,88 +31,78 @@ def _corners(
 
 def fill(canvas: Canvas, points: NDArray[np.float64], colour: NDArray[np.floating]) -> None:
     """Fill a polygon of pixels with a colour."""
-    fixed = np.round((points - 0.5) * (1 << _SHIFT)).astype(np.int32)
-    cv2.fillPoly(canvas, [fixed], [float(c) for c in colour], cv2.LINE_AA, _SHIFT)
+    rgb = [float(channel) for channel in colour]
+    cv2.fillPoly(canvas, [_fixed_point(points)], rgb, cv2.LINE_AA, _SHIFT)
+
+
+def _fixed_point(points: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Convert pixels to OpenCV's fixed-point coordinates, where integers are pixel centres."""
+    return np.asarray(np.round((points - 0.5) * (1 << _SHIFT)), np.int32)
 
 
 def shade(
     canvas: Canvas, points: NDArray[np.float64], height_px: float, sun: Sun, strength: float
 ) -> None:
-    """Darken what the convex outline ``points`` of that height shadows."""
+    """Darken the shadow of an object of this height with the convex outline ``points``."""
     both = np.vstack([points, points + sun.shadow(height_px)]).astype(np.float32)
     hull = cv2.convexHull(both).reshape(-1, 2).astype(np.float64)
     cover = np.zeros(canvas.shape[:2], np.float32)
-    cv2.fillPoly(
-        cover, [np.round((hull - 0.5) * (1 << _SHIFT)).astype(np.int32)], 1.0, cv2.LINE_AA, _SHIFT
-    )
+    cv2.fillPoly(cover, [_fixed_point(hull)], 1.0, cv2.LINE_AA, _SHIFT)
     cover = np.asarray(cv2.GaussianBlur(cover, (0, 0), 0.8), np.float32)
     tint = np.array([0.40, 0.44, 0.52], np.float32)
     canvas *= 1 - strength * cover[:, :, None] * (1 - tint)
 
 
 def colour_of(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Mostly grey, sometimes any colour."""
+    """Draw a colour: mostly grey, sometimes any."""
     grey = rng.uniform(20, 245)
-    return np.clip(grey + rng.normal(0, 8 if rng.random() < 0.7 else 45, 3), 5, 250)
+    spread = 8 if rng.random() < 0.7 else 45
+    return np.clip(grey + rng.normal(0, spread, 3), 5, 250)
 
 
 def draw_box(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """A shed, crate or container: plain, ridged, ribbed or framed."""
+    """Draw a shed, crate or container: plain, ridged, ribbed or framed."""
     length = float(rng.uniform(1.2, 7.0))
     width = length * float(rng.uniform(0.3, 0.95))
     points = _corners(canvas, px_per_m, length, width)
     colour = colour_of(rng)
-    shade(
-        canvas,
-        points,
-        height_px=px_per_m * float(rng.uniform(0.4, 2.8)),
-        sun=sun,
-        strength=float(rng.uniform(0.5, 1.0)),
-    )
+    height_px = px_per_m * float(rng.uniform(0.4, 2.8))
+    strength = float(rng.uniform(0.5, 1.0))
+    shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
     fill(canvas, points, colour)
     kind = rng.integers(5)
-    if kind == 0:  # a ridge: one side in the light
-        fill(
-            canvas,
-            _corners(canvas, px_per_m, length, width / 2, 0, width / 4),
-            colour * rng.uniform(0.55, 0.9),
-        )
+    if kind == 0:
+        # A ridge: one side lies in the light.
+        side = _corners(canvas, px_per_m, length, width / 2, y=width / 4)
+        fill(canvas, side, colour * rng.uniform(0.55, 0.9))
     elif kind == 1:
         count = int(rng.integers(4, 16))
         for k in range(count):
-            part = _corners(
-                canvas, px_per_m, length / count / 2, width, (k + 0.5) * length / count - length / 2
-            )
-            fill(canvas, part, colour * rng.uniform(0.7, 0.95))
+            x = (k + 0.5) * length / count - length / 2
+            rib = _corners(canvas, px_per_m, length / count / 2, width, x=x)
+            fill(canvas, rib, colour * rng.uniform(0.7, 0.95))
     elif kind == 2:
         fill(canvas, _corners(canvas, px_per_m, 0.85 * length, 0.75 * width), colour_of(rng))
     elif kind == 3:
         share = float(rng.uniform(0.2, 0.6))
-        fill(
-            canvas,
-            _corners(canvas, px_per_m, share * length, width, (1 - share) * length / 2),
-            colour_of(rng),
-        )
+        end = _corners(canvas, px_per_m, share * length, width, x=(1 - share) * length / 2)
+        fill(canvas, end, colour_of(rng))
     return length, width
 
 
 def draw_air_conditioner(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """A grey box with dark fans."""
+    """Draw a grey box with dark fans."""
     length = float(rng.uniform(1.5, 6.5))
     width = length * float(rng.uniform(0.35, 0.8))
     points = _corners(canvas, px_per_m, length, width)
     colour = np.full(3, rng.uniform(110, 235))
-    shade(
-        canvas,
-        points,
-        height_px=px_per_m * float(rng.uniform(0.6, 2.0)),
-        sun=sun,
-        strength=float(rng.uniform(0.6, 1.0)),
-    )
+    height_px = px_per_m * float(rng.uniform(0.6, 2.0))
+    strength = float(rng.uniform(0.6, 1.0))
+    shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
     fill(canvas, points, colour)
     fans = int(rng.integers(1, 5))
     radius = 0.42 * min(width, length / fans)
@@ -127,7 +119,7 @@ def draw_air_conditioner(
 def draw_row(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """One of a row of equal things: graves, bee hives, solar panels, benches, bays."""
+    """Draw one of a row of equal objects: graves, bee hives, solar panels, benches, bays."""
     length = float(rng.uniform(1.6, 5.5))
     width = float(rng.uniform(0.7, 2.3))
     pitch = width * float(rng.uniform(1.15, 1.8))
@@ -137,80 +129,76 @@ def draw_row(
     for k in range(-6, 7):
         if k and rng.random() < 0.15:
             continue
-        points = _corners(canvas, px_per_m, length, width, 0, k * pitch)
+        points = _corners(canvas, px_per_m, length, width, y=k * pitch)
         shade(canvas, points, height_px=height, sun=sun, strength=0.8)
         fill(canvas, points, colour)
-        fill(canvas, _corners(canvas, px_per_m, 0.8 * length, 0.65 * width, 0, k * pitch), inner)
+        middle = _corners(canvas, px_per_m, 0.8 * length, 0.65 * width, y=k * pitch)
+        fill(canvas, middle, inner)
     return length, width
 
 
 def draw_bench(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """A slatted bench with its back, two that face each other, or a table between two benches."""
+    """Draw a slatted bench, two that face each other, or a table between two benches."""
     length = float(rng.uniform(1.3, 2.6))
     seat = float(rng.uniform(0.3, 0.55))
     kind = rng.integers(3)
     colour = colour_of(rng)
     height = px_per_m * float(rng.uniform(0.4, 0.9))
     table = float(rng.uniform(0.6, 1.0))
-    gap = seat + (0.0 if kind == 0 else float(rng.uniform(0.1, 0.9)) if kind == 1 else table + 0.1)
-    places = [(0.0, seat)] if kind == 0 else [(-gap / 2, seat), (gap / 2, seat)]
+    # Middle and depth of each piece, across the canvas.
+    if kind == 0:
+        pieces = [(0.0, seat)]
+        depth = seat
+    else:
+        between = float(rng.uniform(0.1, 0.9)) if kind == 1 else table + 0.1
+        distance = seat + between
+        pieces = [(-distance / 2, seat), (distance / 2, seat)]
+        depth = distance + seat
     if kind == 2:
-        places.append((0.0, table))
+        pieces.append((0.0, table))
     slats = int(rng.integers(2, 5))
-    for y, width in places:
-        shade(
-            canvas,
-            _corners(canvas, px_per_m, length, width, 0, y),
-            height_px=height,
-            sun=sun,
-            strength=float(rng.uniform(0.6, 1.05)),
-        )
-        fill(
-            canvas, _corners(canvas, px_per_m, length, width, 0, y), colour * rng.uniform(0.3, 0.7)
-        )
+    for y, width in pieces:
+        outline = _corners(canvas, px_per_m, length, width, y=y)
+        strength = float(rng.uniform(0.6, 1.05))
+        shade(canvas, outline, height_px=height, sun=sun, strength=strength)
+        fill(canvas, outline, colour * rng.uniform(0.3, 0.7))
         for k in range(slats):
             middle = y + ((k + 0.5) / slats - 0.5) * width
-            fill(canvas, _corners(canvas, px_per_m, length, 0.7 * width / slats, 0, middle), colour)
+            slat = _corners(canvas, px_per_m, length, 0.7 * width / slats, y=middle)
+            fill(canvas, slat, colour)
     if kind == 0 and rng.random() < 0.6:
-        fill(
-            canvas,
-            _corners(canvas, px_per_m, length, 0.12, 0, -seat / 2),
-            colour * rng.uniform(0.5, 1.0),
-        )
-    return length, gap + seat if kind else seat
+        back = _corners(canvas, px_per_m, length, 0.12, y=-seat / 2)
+        fill(canvas, back, colour * rng.uniform(0.5, 1.0))
+    return length, depth
 
 
 def draw_playground(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """A swing, seesaw or exercise machine of coloured bars, often on a round mat."""
+    """Draw a swing, seesaw or exercise machine of coloured bars, often on a round mat."""
     length = float(rng.uniform(1.2, 3.5))
     width = length * float(rng.uniform(0.3, 0.7))
     middle = np.array(canvas.shape[1::-1]) / 2
     if rng.random() < 0.7:
         ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
         radius = px_per_m * length * float(rng.uniform(0.5, 0.9))
-        fill(
-            canvas, middle + radius * np.column_stack([np.cos(ring), np.sin(ring)]), colour_of(rng)
-        )
+        mat = middle + radius * np.column_stack([np.cos(ring), np.sin(ring)])
+        fill(canvas, mat, colour_of(rng))
     for _ in range(int(rng.integers(3, 8))):
-        across = rng.random() < 0.4
-        size = (
-            (float(rng.uniform(0.15, 0.5)), width)
-            if across
-            else (length, float(rng.uniform(0.1, 0.4)))
-        )
-        x, y = rng.uniform(-0.4, 0.4, 2) * (length, width) * ((1, 0) if across else (0, 1))
-        points = _corners(canvas, px_per_m, *size, float(x), float(y))
-        shade(
-            canvas,
-            points,
-            height_px=px_per_m * float(rng.uniform(0.3, 1.5)),
-            sun=sun,
-            strength=float(rng.uniform(0.5, 1.0)),
-        )
+        # Bars lie along or across, and move only at a right angle to themselves.
+        if rng.random() < 0.4:
+            size = (float(rng.uniform(0.15, 0.5)), width)
+            direction = (1, 0)
+        else:
+            size = (length, float(rng.uniform(0.1, 0.4)))
+            direction = (0, 1)
+        x, y = rng.uniform(-0.4, 0.4, 2) * (length, width) * direction
+        points = _corners(canvas, px_per_m, *size, x=float(x), y=float(y))
+        height_px = px_per_m * float(rng.uniform(0.3, 1.5))
+        strength = float(rng.uniform(0.5, 1.0))
+        shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
         fill(canvas, points, rng.uniform(20, 250, 3))
     return length, width
 
@@ -218,7 +206,7 @@ def draw_playground(
 def draw_skylight(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """Glass in a light frame on a roof of one colour."""
+    """Draw glass in a light frame on a roof of one colour."""
     roof = colour_of(rng)
     canvas[:] = 0.25 * canvas + 0.75 * roof.astype(np.float32)
     length = float(rng.uniform(1.2, 5.0))
@@ -229,42 +217,34 @@ def draw_skylight(
     panes = int(rng.integers(1, 4))
     for k in range(panes):
         x = (k + 0.5) * length / panes - length / 2
-        fill(
-            canvas,
-            _corners(canvas, px_per_m, 0.8 * length / panes, 0.75 * width, x),
-            rng.uniform(25, 110, 3),
-        )
+        pane = _corners(canvas, px_per_m, 0.8 * length / panes, 0.75 * width, x=x)
+        fill(canvas, pane, rng.uniform(25, 110, 3))
     return length, width
 
 
 def draw_shadow(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """A shadow without a car: of a tree, a wall or a pole's head."""
+    """Draw a shadow without a car: of a tree, a wall or a pole's head."""
     length = float(rng.uniform(2.0, 6.5))
     width = length * float(rng.uniform(0.3, 0.7))
     ring = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     radius = 1 + rng.normal(0, 0.12, 20)
-    blob = (
-        np.column_stack([np.cos(ring) * length / 2 * radius, np.sin(ring) * width / 2 * radius])
-        * px_per_m
-    )
+    x = np.cos(ring) * length / 2 * radius
+    y = np.sin(ring) * width / 2 * radius
+    middle = np.array(canvas.shape[1::-1]) / 2
+    outline = np.column_stack([x, y]) * px_per_m
     if rng.random() < 0.4:
-        blob = _corners(canvas, px_per_m, length, width) - np.array(canvas.shape[1::-1]) / 2
-    shade(
-        canvas,
-        blob + np.array(canvas.shape[1::-1]) / 2,
-        height_px=0.0,
-        sun=sun,
-        strength=float(rng.uniform(0.7, 1.15)),
-    )
+        outline = _corners(canvas, px_per_m, length, width) - middle
+    strength = float(rng.uniform(0.7, 1.15))
+    shade(canvas, outline + middle, height_px=0.0, sun=sun, strength=strength)
     return length, width
 
 
 def draw_bush(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """A longish crown and its shadow."""
+    """Draw a longish crown and its shadow."""
     length = float(rng.uniform(2.0, 6.0))
     width = length * float(rng.uniform(0.4, 0.8))
     sprite = crown_sprite(rng, 64, sun)
@@ -288,41 +268,34 @@ def draw_bush(
 def draw_boat(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """A pointed hull with a cockpit, on water or on land."""
+    """Draw a pointed hull with a cockpit, on water or on land."""
     if rng.random() < 0.6:
-        canvas[:] = 0.2 * canvas + 0.8 * np.array([40, 62, 70], np.float32) * np.float32(
-            rng.uniform(0.6, 1.6)
-        )
+        brightness = np.float32(rng.uniform(0.6, 1.6))
+        canvas[:] = 0.2 * canvas + 0.8 * np.array([40, 62, 70], np.float32) * brightness
     length = float(rng.uniform(3.5, 9.0))
     width = length * float(rng.uniform(0.28, 0.42))
     t = np.linspace(0, 1, 16)
-    side = (
-        width
-        / 2
-        * np.minimum(1, 0.75 + t)
-        * np.sqrt(np.clip(1 - np.clip((t - 0.45) / 0.55, 0, 1) ** 2, 0, 1))
-    )
+    # The hull reaches its full width at a quarter of its length, and is elliptic towards the bow.
+    bow = np.sqrt(np.clip(1 - np.clip((t - 0.45) / 0.55, 0, 1) ** 2, 0, 1))
+    side = width / 2 * np.minimum(1, 0.75 + t) * bow
     along = (t - 0.5) * length
-    hull = (
-        np.vstack([np.column_stack([along, side]), np.column_stack([along, -side])[::-1]])
-        * px_per_m
-    )
+    starboard = np.column_stack([along, side])
+    port = np.column_stack([along, -side])[::-1]
+    hull = np.vstack([starboard, port]) * px_per_m
     middle = np.array(canvas.shape[1::-1]) / 2
     shade(canvas, hull + middle, height_px=px_per_m * 0.6, sun=sun, strength=0.8)
     fill(canvas, hull + middle, np.full(3, rng.uniform(150, 245)))
-    fill(canvas, 0.7 * hull * (0.8, 1) + middle - (0.08 * length * px_per_m, 0), colour_of(rng))
-    fill(
-        canvas,
-        _corners(canvas, px_per_m, 0.2 * length, 0.6 * width, 0.08 * length),
-        rng.uniform(20, 90, 3),
-    )
+    deck = 0.7 * hull * (0.8, 1) + middle - (0.08 * length * px_per_m, 0)
+    fill(canvas, deck, colour_of(rng))
+    cockpit = _corners(canvas, px_per_m, 0.2 * length, 0.6 * width, x=0.08 * length)
+    fill(canvas, cockpit, rng.uniform(20, 90, 3))
     return length, width
 
 
 def draw_marking(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
-    """An empty bay, a zebra crossing or a worn patch of the road."""
+    """Draw an empty bay, a zebra crossing or a worn patch of the road."""
     del sun
     length = float(rng.uniform(3.5, 6.0))
     width = float(rng.uniform(1.8, 2.8))
@@ -330,21 +303,19 @@ def draw_marking(
     white = np.full(3, rng.uniform(170, 245))
     if kind == 0:
         for side in (-1, 1):
-            fill(canvas, _corners(canvas, px_per_m, length, 0.12, 0, side * width / 2), white)
-        fill(canvas, _corners(canvas, px_per_m, 0.12, width, length / 2), white)
+            line = _corners(canvas, px_per_m, length, 0.12, y=side * width / 2)
+            fill(canvas, line, white)
+        fill(canvas, _corners(canvas, px_per_m, 0.12, width, x=length / 2), white)
     elif kind == 1:
         for k in range(-4, 5):
-            fill(canvas, _corners(canvas, px_per_m, length, 0.5, 0, k), white)
+            fill(canvas, _corners(canvas, px_per_m, length, 0.5, y=k), white)
     else:
-        fill(
-            canvas,
-            _corners(canvas, px_per_m, length, width),
-            rng.uniform(30, 140) + rng.normal(0, 4, 3),
-        )
+        patch = _corners(canvas, px_per_m, length, width)
+        fill(canvas, patch, rng.uniform(30, 140) + rng.normal(0, 4, 3))
     return length, width
 
 
 LOOKALIKES: tuple[Draw, ...] = (
-    draw_box, draw_box, draw_air_conditioner, draw_row, draw_bench, draw_playground, draw_skylight, draw_shadow,
-    draw_bush, draw_boat, draw_marking,
+    draw_box, draw_box, draw_air_conditioner, draw_row, draw_bench, draw_playground, draw_skylight,
+    draw_shadow, draw_bush, draw_boat, draw_marking,
 )  # fmt: skip

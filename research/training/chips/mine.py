@@ -1,10 +1,10 @@
 """Collect candidates from the train images: ``python -m research.training.chips.mine RUN``.
 
-Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: what
-the bundled detector finds at a low score, every labelled car, labelled boxes moved or scaled until
-they fit no more, and lorries. Cars without a label that ``looked_at.csv`` has are cars, and nothing
-on something doubtful is a false one; of the odd numbers of ``chia/crops``, which ``--native`` adds,
-it has all of them.
+Writes the stores ``RUN/train`` and ``RUN/held_out``. A chip comes from one of four sources: boxes
+that the bundled detector finds at a low score, every labelled car, labelled boxes moved or scaled
+until they no longer fit, and lorries. ``looked_at.csv`` lists cars without a label, which count as
+cars, and doubtful objects, on which no box counts as false. For the odd numbers of ``chia/crops``,
+which ``--native`` adds, it lists all cars.
 """
 
 from __future__ import annotations
@@ -36,41 +36,44 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
 
-_CAR_PX = (28.0, 15.0, 55.0)  # lengths of cars at which an image is searched
+# Largest enlargement of an image, by the length of cars in pixels that it is to have.
 _MAX_ENLARGEMENT = {15.0: 1.5, 28.0: 2.2, 55.0: 1.2}
-_LEAST_SCORE = 0.12  # of the detector alone
-_LEAST_SEARCHED = 0.1  # of the verifier
-_CROP_PX = 640  # side of the part of an image that is searched as the library does
-_MOST_FALSE = 50  # of an image at one size: half the surest, half at random
-_SEEN = "seen"  # set of candidates that an eye has judged: they are few, and each counts more
-# of a candidate that is a car seen without a label
-_SEEN_GAP = 0.15
-_SEEN_LOG_LENGTH = 0.2
-# IoU with a label from which a box fits, and below which it does not
+# Least score of the detector alone, and of detector and verifier.
+_MIN_DETECTOR_SCORE = 0.12
+_MIN_SEARCH_SCORE = 0.1
+# Side of the part of an image that is searched as the library does.
+_CROP_PX = 640
+# False candidates of an image at one size: half the surest ones, half random ones.
+_MAX_FALSE = 50
+# Set of the candidates that were judged by eye: they are few, and each counts more.
+_BY_EYE = "seen"
+# Largest distance in lengths, and largest log ratio of lengths, to a car judged by eye.
+_MAX_GAP = 0.15
+_MAX_LOG_LENGTH = 0.2
+# A box fits from this IoU with a label on, and does not fit below the second one.
 _FITS = 0.5
 _MISSES = 0.25
 GSD_M_PER_PX = {"cannes": 0.20, "ucm": 0.3048, "saopaulo": 0.10, "empty": 0.3048}
-_MOVED_SHARE = 0.35  # of the labelled cars give a box that does not fit
-_LEAST_LENGTH_PX = 8.0
+# Share of the labelled cars that give a box that does not fit.
+_MOVED_SHARE = 0.35
+_MIN_LENGTH_PX = 8.0
 LOOKED_AT = Path(__file__).with_name("looked_at.csv")
 _TYPE_OF_BODY = {
-    "kei": "kei", "kei truck": "kei", "city": "small", "suv": "suv", "minivan": "van", "van": "van", "pickup": "pickup",
-    "single "
-        "cab": "pickup", "crew "
-            "cab": "pickup", "flatbed": "pickup", "truck": "lorry", "bus": "lorry",
-    "semitrailer": "lorry", "caravan": "trailer",
+    "kei": "kei", "kei truck": "kei", "city": "small", "suv": "suv", "minivan": "van", "van": "van",
+    "pickup": "pickup", "single cab": "pickup", "crew cab": "pickup", "flatbed": "pickup",
+    "truck": "lorry", "bus": "lorry", "semitrailer": "lorry", "caravan": "trailer",
 }  # fmt: skip
 _OTHER = KINDS.index("other")
 _LORRY = KINDS.index("lorry")
 
 
 class Seen(NamedTuple):
-    """What was judged by eye on an image.
+    """Objects of an image that were judged by eye.
 
     Attributes:
-        squares: ``[n, 4, 2]`` corners around cars without a label and doubtful things.
+        squares: ``[n, 4, 2]`` corners around cars without a label and doubtful objects.
         cars: ``[m, 3]`` centres and lengths of the cars.
-        others: ``[k, 3]`` of what is no car.
+        others: ``[k, 3]`` centres and lengths of objects that are not cars.
     """
 
     squares: NDArray[np.float64] = np.zeros((0, 4, 2))
@@ -79,7 +82,7 @@ class Seen(NamedTuple):
 
 
 class Named(NamedTuple):
-    """An image to mine, and where it comes from."""
+    """Image to mine, and its origin."""
 
     sample: TrainImage
     file: str
@@ -90,34 +93,39 @@ class Named(NamedTuple):
 
 
 def type_of(body: str, length_m: float) -> int:
-    """Index into ``KINDS`` of a rendered vehicle; hatchbacks, saloons and estates by their length."""
-    known = _TYPE_OF_BODY.get(body.partition(":")[0])
-    if known is None:
-        known = "small" if length_m < 3.95 else "compact" if length_m < 4.45 else "saloon"
-    return KINDS.index(known)
+    """Return the index into ``KINDS`` of a rendered vehicle."""
+    kind = _TYPE_OF_BODY.get(body.partition(":")[0])
+    if kind is not None:
+        return KINDS.index(kind)
+    # Hatchbacks, saloons and estates differ by length.
+    if length_m < 3.95:
+        return KINDS.index("small")
+    if length_m < 4.45:
+        return KINDS.index("compact")
+    return KINDS.index("saloon")
 
 
 def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float32]:
-    """True boxes relative to candidates, ``[n, 5]``; see ``Rows.box``.
+    """Compute true boxes relative to candidates, ``[n, 5]``; see ``Rows.box``.
 
     Args:
         boxes: ``[n, 5]`` candidates.
-        truth: ``[n, 5]`` the true box of each.
+        truth: ``[n, 5]`` true box of each candidate.
     """
     cos = np.cos(boxes[:, 4])
     sin = np.sin(boxes[:, 4])
     dx, dy = (truth[:, :2] - boxes[:, :2]).T / boxes[:, 2]
     turn = (truth[:, 4] - boxes[:, 4] + np.pi / 2) % np.pi - np.pi / 2
-    sizes = np.log(truth[:, 2:4] / boxes[:, 2:3])
-    return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, sizes, turn]).astype(
-        np.float32
-    )
+    log_sizes = np.log(truth[:, 2:4] / boxes[:, 2:3])
+    along = cos * dx + sin * dy
+    across = cos * dy - sin * dx
+    return np.column_stack([along, across, log_sizes, turn]).astype(np.float32)
 
 
 def overlaps(
     boxes: NDArray[np.float64], labels: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Largest IoU of each box with a label, and which label ``[n]``; 0 and 0 where none is near."""
+    """Compute the largest IoU of each box with a label, and that label's index, both ``[n]``."""
     if not len(labels):
         return np.zeros(len(boxes)), np.zeros(len(boxes), np.intp)
     iou = oriented_iou(boxes, labels)
@@ -125,24 +133,26 @@ def overlaps(
 
 
 def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
-    out = np.zeros(len(boxes), bool)
+    """Mark boxes whose centre lies in an ignored polygon, or within 0.3 lengths of it."""
+    ignored = np.zeros(len(boxes), bool)
     for polygon in polygons:
-        around = polygon.astype(np.float32)
-        close = np.flatnonzero(
-            np.linalg.norm(boxes[:, :2] - polygon.mean(axis=0), axis=1) < 3 * boxes[:, 2] + 60
-        )
-        for k in close[~out[close]]:
-            reach = cv2.pointPolygonTest(
-                around, (float(boxes[k, 0]), float(boxes[k, 1])), measureDist=True
-            )
-            out[k] = reach > -0.3 * boxes[k, 2]
-    return out
+        outline = polygon.astype(np.float32)
+        # Exact distances are slow, so only boxes near the polygon get one.
+        distances = np.linalg.norm(boxes[:, :2] - polygon.mean(axis=0), axis=1)
+        near = np.flatnonzero(distances < 3 * boxes[:, 2] + 60)
+        for k in near[~ignored[near]]:
+            centre = (float(boxes[k, 0]), float(boxes[k, 1]))
+            inset = cv2.pointPolygonTest(outline, centre, measureDist=True)
+            ignored[k] = inset > -0.3 * boxes[k, 2]
+    return ignored
 
 
-def _fits_seen(boxes: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray[np.bool_]:
-    gap = np.linalg.norm(boxes[:, None, :2] - seen[None, :, :2], axis=2)
-    alike = np.abs(np.log(boxes[:, None, 2] / seen[None, :, 2])) < _SEEN_LOG_LENGTH
-    return np.asarray(((gap < _SEEN_GAP * seen[None, :, 2]) & alike).any(axis=1))
+def _fits_by_eye(boxes: NDArray[np.float64], objects: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mark boxes that lie on an object judged by eye, ``[k, 3]``, and are about as long."""
+    gap = np.linalg.norm(boxes[:, None, :2] - objects[None, :, :2], axis=2)
+    is_near = gap < _MAX_GAP * objects[None, :, 2]
+    log_ratio = np.abs(np.log(boxes[:, None, 2] / objects[None, :, 2]))
+    return np.asarray((is_near & (log_ratio < _MAX_LOG_LENGTH)).any(axis=1))
 
 
 def rows_of(
@@ -151,12 +161,17 @@ def rows_of(
     scores: NDArray[np.float64],
     combined: NDArray[np.float64],
 ) -> tuple[Rows, NDArray[np.bool_]]:
-    """Compare boxes with labels and with cars seen without one; also return which boxes can train."""
+    """Compare boxes with labels and with objects judged by eye.
+
+    Returns:
+        A row for each box, and ``[n]`` whether it can train.
+    """
     sample = image.sample
     iou, which = overlaps(boxes, sample.boxes)
     car = np.where(iou >= _FITS, 1, 0).astype(np.int8)
-    known = (iou >= _FITS) | (iou < _MISSES)
-    known &= (car == 1) | ~_ignored(boxes, sample.ignore)
+    # A box that fits in part, or lies on something doubtful, teaches nothing.
+    is_clear = (iou >= _FITS) | (iou < _MISSES)
+    is_clear &= (car == 1) | ~_ignored(boxes, sample.ignore)
     box = np.full((len(boxes), 5), np.nan, np.float32)
     length_m = np.full(len(boxes), np.nan, np.float32)
     hit = np.flatnonzero(car == 1)
@@ -169,60 +184,69 @@ def rows_of(
     kind = np.where((car == 0) & (iou < 0.01), _OTHER, UNKNOWN).astype(np.int8)
     if image.label_types is not None:
         kind[hit] = image.label_types[which[hit]]
-    cars, others = (
-        (iou < _FITS) & _fits_seen(boxes, each) for each in (image.seen.cars, image.seen.others)
-    )
+    cars = (iou < _FITS) & _fits_by_eye(boxes, image.seen.cars)
+    others = (iou < _FITS) & _fits_by_eye(boxes, image.seen.others)
     car[cars] = 1
     kind[cars] = UNKNOWN
-    known[cars] = True
+    is_clear[cars] = True
     rows = Rows.unlabelled(boxes[:, 2], sample.set, image.file)
-    rows = rows._replace(car=car, type=kind, box=box, log_length_m=length_m)
-    rows = rows._replace(sets=np.where(cars | others, _SEEN, rows.sets))
-    return rows._replace(
-        score=scores.astype(np.float32), combined=combined.astype(np.float32)
-    ), known
+    rows = rows._replace(
+        car=car,
+        type=kind,
+        box=box,
+        log_length_m=length_m,
+        sets=np.where(cars | others, _BY_EYE, rows.sets),
+        score=scores.astype(np.float32),
+        combined=combined.astype(np.float32),
+    )
+    return rows, is_clear
 
 
-def found(
+def detect(
     sample: TrainImage, detector: Detector, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes in image pixels, the detector's scores, and those of the verifier, searched at one or two sizes."""
-    native = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 18.0
+    """Search an image at one or two sizes.
+
+    Returns:
+        Boxes in image pixels, the detector's scores, and those of the verifier.
+    """
+    car_px = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 18.0
     boxes = [np.zeros((0, 5))]
     scores = [np.zeros(0)]
     combined = [np.zeros(0)]
-    sizes = [28.0, float(rng.choice((15.0, 55.0)))] if max(sample.image.shape) <= 1300 else [28.0]
-    for target in sizes:
-        factor = target / native
-        if factor > _MAX_ENLARGEMENT[target] or min(sample.image.shape[:2]) * factor < 48:
+    target_lengths_px = [28.0]
+    if max(sample.image.shape) <= 1300:
+        target_lengths_px.append(float(rng.choice((15.0, 55.0))))
+    for target_px in target_lengths_px:
+        factor = target_px / car_px
+        if factor > _MAX_ENLARGEMENT[target_px] or min(sample.image.shape[:2]) * factor < 48:
             continue
-        way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-        scaled = np.asarray(
-            cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8
-        )
-        seen = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
-        seen = seen.take(oriented_nms(seen.boxes, seen.scores))
-        if not len(seen):
+        method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+        resized = cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=method)
+        scaled = np.asarray(resized, np.uint8)
+        tile = detector.prepared(scaled)
+        vehicles = detector.detect_tile(tile, _MIN_DETECTOR_SCORE).vehicles
+        vehicles = vehicles.take(oriented_nms(vehicles.boxes, vehicles.scores))
+        if not len(vehicles):
             continue
         assert detector.verifier is not None
-        boxes.append(seen.boxes / (factor, factor, factor, factor, 1))
-        scores.append(seen.scores)
-        combined.append(detector.verifier.scored(scaled, seen).scores)
+        boxes.append(vehicles.boxes / (factor, factor, factor, factor, 1))
+        scores.append(vehicles.scores)
+        combined.append(detector.verifier.scored(scaled, vehicles).scores)
     return np.concatenate(boxes), np.concatenate(scores), np.concatenate(combined)
 
 
 def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_PX) -> TrainImage:
-    """A part of a large image, around a labelled car where there is one; cars that it cuts are ignored."""
+    """Cut a part of a large image, if possible around a labelled car; cars it cuts are ignored."""
     height, width = sample.image.shape[:2]
     if max(height, width) <= side_px:
         return sample
-    most = np.maximum(np.array([width, height]) - side_px, 0)
-    middle = (
-        sample.boxes[rng.integers(len(sample.boxes)), :2]
-        if len(sample.boxes)
-        else rng.uniform(0, 1, 2) * most
-    )
-    left, top = np.clip(middle - rng.uniform(0.2, 0.8, 2) * side_px, 0, most).astype(int)
+    farthest = np.maximum(np.array([width, height]) - side_px, 0)
+    if len(sample.boxes):
+        middle = sample.boxes[rng.integers(len(sample.boxes)), :2]
+    else:
+        middle = rng.uniform(0, 1, 2) * farthest
+    left, top = np.clip(middle - rng.uniform(0.2, 0.8, 2) * side_px, 0, farthest).astype(int)
     image = np.ascontiguousarray(sample.image[top : top + side_px, left : left + side_px])
     boxes = sample.boxes - (left, top, 0, 0, 0)
     corners = box_corners(boxes)
@@ -233,17 +257,18 @@ def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_P
     return sample._replace(image=image, boxes=boxes[whole], ignore=ignore)
 
 
-def searched(
+def search(
     sample: TrainImage, detector: Detector
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes and scores as the library's search finds them, at the image's own and coarser resolutions."""
+    """Search an image as the library does: boxes, scores, and the same scores again."""
     with open_raster(sample.image) as raster:
-        seen = ImageSearch(raster, detector, Search(min_score=_LEAST_SEARCHED)).searched()
-    return seen.boxes, seen.scores, seen.scores
+        options = Search(min_score=_MIN_SEARCH_SCORE)
+        vehicles = ImageSearch(raster, detector, options).searched()
+    return vehicles.boxes, vehicles.scores, vehicles.scores
 
 
 def moved(rng: np.random.Generator, labels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Boxes that fit no more: beside a car, half or twice as long, or across it."""
+    """Move boxes until they no longer fit: beside a car, half or twice as long, or across it."""
     out = labels[rng.random(len(labels)) < _MOVED_SHARE].copy()
     for box in out:
         how = rng.integers(3)
@@ -265,7 +290,7 @@ def add_lorries(image: Named, store: ChipStore) -> None:
         return
     corners = read_labels(image.labels, []).of_class("large-vehicle")
     boxes = boxes_from_corners(corners) if len(corners) else np.zeros((0, 5))
-    boxes = boxes[(boxes[:, 2] > 1.7 * boxes[:, 3]) & (boxes[:, 2] > 1.5 * _LEAST_LENGTH_PX)]
+    boxes = boxes[(boxes[:, 2] > 1.7 * boxes[:, 3]) & (boxes[:, 2] > 1.5 * _MIN_LENGTH_PX)]
     if not len(boxes):
         return
     rows = Rows.unlabelled(boxes[:, 2], f"lorry_{image.set}", image.file)
@@ -278,36 +303,44 @@ def add_lorries(image: Named, store: ChipStore) -> None:
 def mined(
     image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool
 ) -> None:
-    """Add the chips of one image: of a native search what it finds, else also labels, moved labels and lorries."""
-    sample = cropped(rng, image.sample) if native and image.set != "chia" else image.sample
+    """Add the chips of one image.
+
+    A native search gives detections. Another one also gives labels, moved labels and lorries.
+    """
+    sample = image.sample
+    if native and image.set != "chia":
+        sample = cropped(rng, image.sample)
     if sample is not image.sample:
-        image = image._replace(sample=sample, seen=Seen())  # a part has other coordinates
+        # A part has other coordinates than the objects judged by eye.
+        image = image._replace(sample=sample, seen=Seen())
     height, width = sample.image.shape[:2]
     if native:
-        boxes, scores, combined = searched(sample, detector)
-        extra = np.zeros((0, 5))
+        boxes, scores, combined = search(sample, detector)
+        labels = np.zeros((0, 5))
     else:
         add_lorries(image, store)
-        boxes, scores, combined = found(sample, detector, rng)
-        extra = np.concatenate([sample.boxes, moved(rng, sample.boxes)])
-    boxes = np.concatenate([boxes, extra])
-    scores, combined = (np.concatenate([each, np.zeros(len(extra))]) for each in (scores, combined))
+        boxes, scores, combined = detect(sample, detector, rng)
+        labels = np.concatenate([sample.boxes, moved(rng, sample.boxes)])
+    boxes = np.concatenate([boxes, labels])
+    scores = np.concatenate([scores, np.zeros(len(labels))])
+    combined = np.concatenate([combined, np.zeros(len(labels))])
     inside = (boxes[:, :2] > 0).all(axis=1) & (boxes[:, 0] < width) & (boxes[:, 1] < height)
-    inside &= boxes[:, 2] >= _LEAST_LENGTH_PX
+    inside &= boxes[:, 2] >= _MIN_LENGTH_PX
     boxes = boxes[inside]
     scores = scores[inside]
     combined = combined[inside]
     if not len(boxes):
         return
-    rows, known = rows_of(image, boxes, scores, combined)
-    false = np.flatnonzero(known & (rows.car == 0) & (scores > 0))
+    rows, can_train = rows_of(image, boxes, scores, combined)
+    # Of many false candidates, the surest and some random ones are kept.
+    false = np.flatnonzero(can_train & (rows.car == 0) & (scores > 0))
     false = false[np.argsort(-combined[false], kind="stable")]
-    rest = rng.permutation(false[_MOST_FALSE // 2 :])
-    known[rest[_MOST_FALSE // 2 :]] = False
-    store.add(
-        surroundings(sample.image, boxes[known], side_px=STORED_PX, length_px=STORED_LENGTH_PX),
-        rows.take(known),
+    others = rng.permutation(false[_MAX_FALSE // 2 :])
+    can_train[others[_MAX_FALSE // 2 :]] = False
+    chips = surroundings(
+        sample.image, boxes[can_train], side_px=STORED_PX, length_px=STORED_LENGTH_PX
     )
+    store.add(chips, rows.take(can_train))
 
 
 def _seen_by_eye() -> dict[str, Seen]:
@@ -316,19 +349,20 @@ def _seen_by_eye() -> dict[str, Seen]:
     with LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
             rows.setdefault(row["file"], []).append(row)
-    out = {}
-    for file, each in rows.items():
-        at = np.array([[float(row[name]) for name in ("x", "y", "length")] for row in each])
-        cars, others = (
-            np.array([row["kind"] == kind for row in each]) for kind in ("car", "other")
-        )
-        squares = box_corners(np.column_stack([at, at[:, 2], np.zeros(len(at))]))
-        out[file] = Seen(squares[~others], at[cars], at[others])
-    return out
+    seen = {}
+    for file, of_file in rows.items():
+        names = ("x", "y", "length")
+        objects = np.array([[float(row[name]) for name in names] for row in of_file])
+        is_car = np.array([row["kind"] == "car" for row in of_file])
+        is_other = np.array([row["kind"] == "other" for row in of_file])
+        boxes = np.column_stack([objects, objects[:, 2], np.zeros(len(objects))])
+        squares = box_corners(boxes)
+        seen[file] = Seen(squares[~is_other], cars=objects[is_car], others=objects[is_other])
+    return seen
 
 
 def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
-    """The labelled train images and the scenery, or their held-out tenth."""
+    """Load the labelled train images and the scenery, or their held-out tenth."""
     by_file = _seen_by_eye()
 
     def named(sample: TrainImage, path: Path, set_name: str, labels: Path | None) -> Named:
@@ -339,18 +373,18 @@ def train_images(data: Path, *, held_out: bool) -> Iterator[Named]:
     with (data / "vehicles" / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     rows = [row for row in rows if is_dev(row["file"], row["set"]) == held_out]
-    for sample, row in zip(
-        load_train_images(data / "vehicles", held_out=held_out), rows, strict=True
-    ):
+    samples = load_train_images(data / "vehicles", held_out=held_out)
+    for sample, row in zip(samples, rows, strict=True):
         path = Path(row["file"])
-        yield named(sample, path, row["set"], data / "vehicles" / "labels" / f"{path.stem}.txt")
-    chosen = [place for place in places(data) if is_held_out(place) == held_out]
-    for sample, place in zip(load_scenery(data, held_out=held_out), chosen, strict=True):
+        labels = data / "vehicles" / "labels" / f"{path.stem}.txt"
+        yield named(sample, path, row["set"], labels)
+    scenery = [place for place in places(data) if is_held_out(place) == held_out]
+    for sample, place in zip(load_scenery(data, held_out=held_out), scenery, strict=True):
         yield named(sample, place.path, place.set, place.labels)
 
 
 def chia_images(data: Path) -> Iterator[Named]:
-    """Crops of ``chia/`` with odd numbers, at 0.018 to 0.043 m/px, with the cars that were seen."""
+    """Load the crops of ``chia/`` with odd numbers, at 0.018 to 0.043 m/px, and their cars."""
     by_file = _seen_by_eye()
     with (data / "chia" / "crops.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 1]
@@ -372,7 +406,7 @@ def chia_images(data: Path) -> Iterator[Named]:
 
 
 def scene_images(folder: Path) -> Iterator[Named]:
-    """Rendered scenes with the types of their vehicles (``render_scenes chips``)."""
+    """Load rendered scenes with the types of their vehicles (``render_scenes chips``)."""
     for path, sample in zip(sorted(folder.glob("*.jpg")), load_scenes(folder), strict=True):
         labels = read_labels(path.with_suffix(".txt"))
         assert labels.gsd_m_per_px is not None
@@ -398,31 +432,32 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument(
-        "--scenes", type=Path, help="a folder of `render_scenes chips` alone, into RUN/rendered"
+        "--scenes", type=Path, help="mine only a folder of `render_scenes chips`, into RUN/rendered"
     )
     parser.add_argument(
         "--native", action="store_true", help="search as the library does, into RUN/native"
     )
-    parser.add_argument("--sets", default="", help="with --native: these alone, comma between")
+    parser.add_argument("--sets", default="", help="with --native: only these, separated by commas")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     parts: dict[str, Iterator[Named]]
     if options.native:
         scenes = scene_images(options.scenes) if options.scenes else iter(())
-        wanted = [name for name in options.sets.split(",") if name]
+        sets = [name for name in options.sets.split(",") if name]
         every = itertools.chain(
             train_images(options.data, held_out=False), chia_images(options.data), scenes
         )
-        parts = {"native": (image for image in every if not wanted or image.sample.set in wanted)}
+        parts = {"native": (image for image in every if not sets or image.sample.set in sets)}
     elif options.scenes:
         parts = {"rendered": scene_images(options.scenes)}
     else:
         parts = {
-            name: train_images(options.data, held_out=name == "held_out")
-            for name in ("held_out", "train")
+            "held_out": train_images(options.data, held_out=True),
+            "train": train_images(options.data, held_out=False),
         }
     detector = Detector(resolve_model(), runtime=Runtime(threads=1))
-    detector.chips = None  # its candidates are wanted
+    # The chip network would drop candidates that it has to learn from.
+    detector.chips = None
     for name, images in parts.items():
         store = ChipStore()
         rng = np.random.default_rng(0)
@@ -431,9 +466,9 @@ def main() -> None:
             if number % 50 == 0:
                 print(name, number, sum(map(len, store.chips)), flush=True)
         rows = store.save(options.run / name)
-        for each in np.unique(rows.sets):
-            cars = rows.car[rows.sets == each] == 1
-            print(f"{name} {each}: {cars.sum()} cars, {(~cars).sum()} others", flush=True)
+        for set_name in np.unique(rows.sets):
+            cars = rows.car[rows.sets == set_name] == 1
+            print(f"{name} {set_name}: {cars.sum()} cars, {(~cars).sum()} others", flush=True)
 
 
 if __name__ == "__main__":

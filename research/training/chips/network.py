@@ -1,4 +1,4 @@
-"""The chip network: from a candidate with its surroundings to what it is, where its edges lie, and its metres."""
+"""Chip network: from a candidate with its surroundings to its kind, edges and metres."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _KEPT = {
 }  # stage: channels, columns, rows of the middle
 _HIDDEN = 96
 _N_EDGES = 4
-_MIDDLE_LOG_M = (1.47, 0.585)  # of all cars: 4.35 m by 1.80 m
+# Logs of the mean length and width of all cars: 4.35 m by 1.80 m.
+_MIDDLE_LOG_M = (1.47, 0.585)
 _MIDDLE_EDGES = (-0.48, 0.48, -0.195, 0.195)
 
 
@@ -77,7 +78,7 @@ class ChipNet(nn.Module):
         self.where = nn.Linear(_HIDDEN, 2 * _N_EDGES + 1)
 
     def forward(self, chips: Tensor) -> Answers:
-        """Answers for chips ``[b, 3, 64, 96]``."""
+        """Compute the answers for chips ``[b, 3, 64, 96]``."""
         x = self.stem(chips)
         parts = []
         for k, stage in enumerate(self.stages):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,66 +28,91 @@ from research.training.logistic import weight_of_sets
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.chips import KINDS
 
-_CANVAS_PX = 2 * STORED_PX  # drawn twice as fine
+# Chips are drawn twice as fine as they are stored.
+_CANVAS_PX = 2 * STORED_PX
 _CAR_SHARE = 0.55
 _LORRY_SHARE = 0.12
-_COMPANY_SHARE = 0.3  # vehicles with others parked beside them
-_WRONG_SHARE = 0.15  # vehicles whose candidate does not fit
+# Share of vehicles with others parked beside them.
+_COMPANY_SHARE = 0.3
+# Share of cars and of lorries whose candidate does not fit.
+_WRONG_CAR_SHARE = 0.15
+_WRONG_LORRY_SHARE = 0.4
 _PARKED_PITCH_M = (2.3, 2.9)
-# such grounds are few, and small things need them
+# Length of the candidate around a look-alike.
+_LOOKALIKE_M = 4.5
+# Sharp grounds are few, and small objects need them.
 _SHARP_M_PER_PX = 0.06
 _SHARP_WEIGHT = 4.0
+# Corners of a vehicle's outline, as shares of its length and width.
+_OUTLINE = np.array(
+    [
+        (-0.5, -0.36),
+        (-0.44, -0.5),
+        (0.42, -0.5),
+        (0.5, -0.3),
+        (0.5, 0.3),
+        (0.42, 0.5),
+        (-0.44, 0.5),
+        (-0.5, 0.36),
+    ]
+)
 
 
 class Ground(NamedTuple):
-    """A train image with its scale."""
+    """Train image with its scale."""
 
     sample: TrainImage
     gsd_m_per_px: float
 
 
-def free_place(
+def free_position(
     rng: np.random.Generator, ground: Ground, reach_m: float
 ) -> NDArray[np.float64] | None:
-    """A place without a labelled car within ``reach_m``, by preference one near such a car: on a road or a car park."""
+    """Draw a position without a labelled car within ``reach_m``; None after six failures.
+
+    Most positions are near a labelled car: on a road or a car park.
+    """
     sample, gsd = ground
     height, width = sample.image.shape[:2]
     for _ in range(6):
         if len(sample.boxes) and rng.random() < 0.75:
             angle = rng.uniform(0, 2 * np.pi)
-            far = rng.uniform(3, 14) / gsd
-            place = sample.boxes[rng.integers(len(sample.boxes)), :2] + far * np.array(
-                [np.cos(angle), np.sin(angle)]
-            )
+            distance = rng.uniform(3, 14) / gsd
+            car = sample.boxes[rng.integers(len(sample.boxes)), :2]
+            position = car + distance * np.array([np.cos(angle), np.sin(angle)])
         else:
-            place = rng.uniform(0, 1, 2) * (width, height)
-        inside = (place > 3 / gsd).all() and (place < np.array([width, height]) - 3 / gsd).all()
-        if inside and (
-            not len(sample.boxes)
-            or np.linalg.norm(sample.boxes[:, :2] - place, axis=1).min() > reach_m / gsd
-        ):
-            return np.asarray(place)
+            position = rng.uniform(0, 1, 2) * (width, height)
+        margin = 3 / gsd
+        if not ((position > margin) & (position < np.array([width, height]) - margin)).all():
+            continue
+        distances = np.linalg.norm(sample.boxes[:, :2] - position, axis=1)
+        if (distances > reach_m / gsd).all():
+            return np.asarray(position)
     return None
 
 
 def ground_canvas(
-    ground: Ground, place: NDArray[np.float64], turn: float, px_per_m: float
+    ground: Ground, position: NDArray[np.float64], turn: float, px_per_m: float
 ) -> Canvas:
-    """The ground around a place, turned, at the canvas's resolution."""
-    step = 1 / (px_per_m * ground.gsd_m_per_px)  # source pixels to one of the canvas
+    """Cut the ground around a position, turned, at the canvas's resolution."""
+    # Pixels of the source to one of the canvas.
+    step = 1 / (px_per_m * ground.gsd_m_per_px)
     source = ground.sample.image
+    # A source that is finer than the canvas is reduced first, so that it does not alias.
     if step > 1.3:
         reach = 0.75 * _CANVAS_PX * step + 4
-        x0, y0 = (max(0, int(v - reach)) for v in place)
-        part = source[y0 : int(place[1] + reach), x0 : int(place[0] + reach)]
+        x0 = max(0, int(position[0] - reach))
+        y0 = max(0, int(position[1] - reach))
+        part = source[y0 : int(position[1] + reach), x0 : int(position[0] + reach)]
         size = (max(2, round(part.shape[1] / step)), max(2, round(part.shape[0] / step)))
         source = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
-        place = (place - (x0, y0)) / step
+        position = (position - (x0, y0)) / step
         step = 1.0
     cos = step * math.cos(turn)
     sin = step * math.sin(turn)
     matrix = np.array([[cos, -sin, 0.0], [sin, cos, 0.0]])
-    matrix[:, 2] = place - matrix[:, :2] @ (_CANVAS_PX / 2, _CANVAS_PX / 2)
+    matrix[:, 2] = position - matrix[:, :2] @ (_CANVAS_PX / 2, _CANVAS_PX / 2)
+    # Continuous coordinates have pixel centres at +0.5.
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     out = cv2.warpAffine(
@@ -105,24 +129,21 @@ def draw_vehicle(
     sun: Sun,
     strength: float,
 ) -> None:
-    """Draw a vehicle and its shadow; ``box`` is ``(x, y, length, width, angle)`` in pixels of the canvas."""
+    """Draw a vehicle and its shadow.
+
+    Args:
+        canvas: changed in place.
+        model: the vehicle.
+        box: ``(x, y, length, width, angle)`` in pixels of the canvas.
+        px_per_m: resolution of the canvas.
+        sun: the sun.
+        strength: strength of the shadow.
+    """
     x, y, length, width, angle = box
     cos = math.cos(angle)
     sin = math.sin(angle)
     turn = np.array([[cos, -sin], [sin, cos]])
-    outline = np.array(
-        [
-            (-0.5, -0.36),
-            (-0.44, -0.5),
-            (0.42, -0.5),
-            (0.5, -0.3),
-            (0.5, 0.3),
-            (0.42, 0.5),
-            (-0.44, 0.5),
-            (-0.5, 0.36),
-        ]
-    )
-    points = (outline * (length, width)) @ turn.T + (x, y)
+    points = (_OUTLINE * (length, width)) @ turn.T + (x, y)
     height = VEHICLE_SHADOW_HEIGHT_M.get(model.body.partition(":")[0], 1.15)
     shade(canvas, points, height_px=height * px_per_m, sun=sun, strength=strength)
     sprite = vehicle_sprite(
@@ -136,7 +157,10 @@ def draw_vehicle(
     full = np.column_stack([matrix, offset + matrix @ (0.5, 0.5) - 0.5])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     patch = cv2.warpAffine(sprite, full, canvas.shape[1::-1], flags=flags, borderValue=(0, 0, 0, 0))
-    cover, paint, grey, red = (patch[:, :, channel, None] for channel in range(4))
+    cover = patch[:, :, 0, None]
+    paint = patch[:, :, 1, None]
+    grey = patch[:, :, 2, None]
+    red = patch[:, :, 3, None]
     glass = np.array((0.95, 1.0, 1.09), np.float32)
     lamp = np.array((1.0, 0.22, 0.2), np.float32)
     canvas[:] = (
@@ -145,27 +169,28 @@ def draw_vehicle(
 
 
 def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
-    """The stored chip of a canvas: as coarse as its ground was (``coarse``, canvas pixels to one of the source)."""
+    """Make the stored chip of a canvas, as coarse as its ground.
+
+    Args:
+        rng: random numbers.
+        canvas: the canvas.
+        coarse: pixels of the canvas to one of the ground's source.
+    """
+    stored_size = (STORED_PX, STORED_PX)
     pixels: Canvas = np.clip(canvas, 0, 255)
     if coarse > 2.0:
         side = max(16, round(_CANVAS_PX / coarse))
-        pixels = np.asarray(
-            cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA), np.float32
-        )
-        way = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
-        pixels = np.asarray(
-            cv2.resize(pixels, (STORED_PX, STORED_PX), interpolation=way), np.float32
-        )
+        small = cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA)
+        method = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
+        chip = cv2.resize(small, stored_size, interpolation=method)
     else:
         soft = cv2.GaussianBlur(pixels, (0, 0), float(rng.uniform(0.5, 1.4)))
-        pixels = np.asarray(
-            cv2.resize(soft, (STORED_PX, STORED_PX), interpolation=cv2.INTER_AREA), np.float32
-        )
-    return np.asarray(np.clip(pixels + 0.5, 0, 255), np.uint8)
+        chip = cv2.resize(soft, stored_size, interpolation=cv2.INTER_AREA)
+    return np.asarray(np.clip(np.asarray(chip, np.float32) + 0.5, 0, 255), np.uint8)
 
 
 class Pasted(NamedTuple):
-    """One chip and its row."""
+    """Chip and its row."""
 
     chip: NDArray[np.uint8]
     car: int
@@ -176,96 +201,118 @@ class Pasted(NamedTuple):
 
 
 def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | None:
-    """A vehicle or a look-alike on real ground; None where there is no free place."""
+    """Draw a vehicle or a look-alike on real ground; None without a free position."""
     draw = rng.random()
-    vehicle = draw < _CAR_SHARE
-    lorry = _CAR_SHARE <= draw < _CAR_SHARE + _LORRY_SHARE
-    place = free_place(rng, ground, 5.0)
-    if place is None:
+    is_car = draw < _CAR_SHARE
+    is_vehicle = draw < _CAR_SHARE + _LORRY_SHARE
+    position = free_position(rng, ground, 5.0)
+    if position is None:
         return None
     sun = Sun(float(rng.uniform(0, 2 * np.pi)), math.radians(rng.uniform(25, 75)))
     strength = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.5, 1.05))
-    if vehicle or lorry:
-        model = fleet.small() if vehicle else fleet.large()
-        wrong = rng.random() < (_WRONG_SHARE if vehicle else 0.4)
-        candidate, truth = _candidate(rng, model, wrong=wrong)
-        px_per_m = 2 * STORED_LENGTH_PX / candidate[2]
-        canvas = ground_canvas(
-            ground, place, turn=float(rng.uniform(0, 2 * np.pi)), px_per_m=px_per_m
+    if is_vehicle:
+        model = fleet.small() if is_car else fleet.large()
+        return _pasted_vehicle(
+            rng, ground, position, model=model, fleet=fleet, sun=sun, strength=strength
         )
-        if rng.random() < _COMPANY_SHARE:
-            _draw_company(
-                rng, canvas, truth=truth, px_per_m=px_per_m, sun=sun, strength=strength, fleet=fleet
-            )
-        middle = np.array([_CANVAS_PX / 2, _CANVAS_PX / 2])
-        box = np.array(
-            [*(middle + truth[:2] * px_per_m), truth[2] * px_per_m, truth[3] * px_per_m, truth[4]]
+    return _pasted_lookalike(rng, ground, position, sun)
+
+
+def _pasted_vehicle(
+    rng: np.random.Generator,
+    ground: Ground,
+    position: NDArray[np.float64],
+    *,
+    model: VehicleModel,
+    fleet: Fleet,
+    sun: Sun,
+    strength: float,
+) -> Pasted:
+    """Draw a car or a lorry, and a candidate that fits or does not."""
+    is_car = model.kind == "small-vehicle"
+    wrong = rng.random() < (_WRONG_CAR_SHARE if is_car else _WRONG_LORRY_SHARE)
+    candidate, truth = _candidate(rng, model, wrong=wrong)
+    px_per_m = 2 * STORED_LENGTH_PX / candidate[2]
+    turn = float(rng.uniform(0, 2 * np.pi))
+    canvas = ground_canvas(ground, position, turn=turn, px_per_m=px_per_m)
+    if rng.random() < _COMPANY_SHARE:
+        _draw_company(
+            rng, canvas, truth=truth, px_per_m=px_per_m, sun=sun, strength=strength, fleet=fleet
         )
-        draw_vehicle(canvas, model, box=box, px_per_m=px_per_m, sun=sun, strength=strength)
-        fits = vehicle and not wrong
-        kind = type_of(model.body, model.length_m) if not wrong else UNKNOWN
-        answer = relative(candidate[None], truth[None])[0] if fits else None
-        length_m = model.length_m if fits else math.nan
-        car = int(fits)
-    else:
-        px_per_m = 2 * STORED_LENGTH_PX / 4.5
-        canvas = ground_canvas(
-            ground, place, turn=float(rng.uniform(0, 2 * np.pi)), px_per_m=px_per_m
-        )
-        thing = LOOKALIKES[int(rng.integers(len(LOOKALIKES)))]
-        length, _ = thing(rng, canvas, px_per_m, sun)
-        # the candidate is as long as the thing
-        factor = 4.5 / length * float(np.exp(rng.normal(0, 0.12)))
-        move = np.array([[factor, 0.0], [0.0, factor]])
-        move = np.column_stack([move, (1 - factor) * np.array([_CANVAS_PX, _CANVAS_PX]) / 2])
-        canvas = np.asarray(
-            cv2.warpAffine(
-                canvas,
-                move,
-                canvas.shape[1::-1],
-                flags=cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_REFLECT,
-            ),
-            np.float32,
-        )
-        px_per_m *= factor
-        car = 0
-        kind = KINDS.index("other")
-        answer = None
-        length_m = math.nan
+    x, y = _CANVAS_PX / 2 + truth[:2] * px_per_m
+    box = np.array([x, y, truth[2] * px_per_m, truth[3] * px_per_m, truth[4]])
+    draw_vehicle(canvas, model, box=box, px_per_m=px_per_m, sun=sun, strength=strength)
     coarse = px_per_m * ground.gsd_m_per_px
-    chip = photographed(rng, canvas, coarse)
+    fits = is_car and not wrong
     return Pasted(
-        chip,
-        car,
-        type=kind,
-        box=answer,
-        length_m=length_m,
-        length_px=2 * STORED_LENGTH_PX / max(coarse, 2.0) if coarse > 2 else 36.0,
+        photographed(rng, canvas, coarse),
+        car=int(fits),
+        type=UNKNOWN if wrong else type_of(model.body, model.length_m),
+        box=relative(candidate[None], truth[None])[0] if fits else None,
+        length_m=model.length_m if fits else math.nan,
+        length_px=_source_length_px(coarse),
     )
+
+
+def _pasted_lookalike(
+    rng: np.random.Generator, ground: Ground, position: NDArray[np.float64], sun: Sun
+) -> Pasted:
+    """Draw a look-alike, with a candidate about as long."""
+    px_per_m = 2 * STORED_LENGTH_PX / _LOOKALIKE_M
+    turn = float(rng.uniform(0, 2 * np.pi))
+    canvas = ground_canvas(ground, position, turn=turn, px_per_m=px_per_m)
+    draw_lookalike = LOOKALIKES[int(rng.integers(len(LOOKALIKES)))]
+    length, _ = draw_lookalike(rng, canvas, px_per_m, sun)
+    # The picture is scaled so that the candidate is about as long as the look-alike.
+    factor = _LOOKALIKE_M / length * float(np.exp(rng.normal(0, 0.12)))
+    shift = (1 - factor) * _CANVAS_PX / 2
+    matrix = np.array([[factor, 0.0, shift], [0.0, factor, shift]])
+    scaled = cv2.warpAffine(
+        canvas,
+        matrix,
+        canvas.shape[1::-1],
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REFLECT,
+    )
+    coarse = px_per_m * factor * ground.gsd_m_per_px
+    return Pasted(
+        photographed(rng, np.asarray(scaled, np.float32), coarse),
+        car=0,
+        type=KINDS.index("other"),
+        box=None,
+        length_m=math.nan,
+        length_px=_source_length_px(coarse),
+    )
+
+
+def _source_length_px(coarse: float) -> float:
+    """Compute the candidate's length in pixels of the ground's source, at most 36."""
+    return 2 * STORED_LENGTH_PX / coarse if coarse > 2 else 36.0
 
 
 def _candidate(
     rng: np.random.Generator, model: VehicleModel, *, wrong: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A candidate box in metres around the origin, its angle 0, and the true box beside it."""
+    """Draw a candidate and the true box beside it, in metres.
+
+    The candidate lies around the origin with an angle of 0. A wrong one does not fit.
+    """
     turn = rng.normal(0, 0.05)
     shift = rng.normal(0, 0.04 * model.length_m, 2)
     size = float(np.exp(rng.normal(0, 0.06)))
     if wrong:
         how = rng.integers(3)
-        if how == 0 or model.kind == "large-vehicle":  # a part of it, or it and what stands beside
-            size = float(
-                np.exp(rng.uniform(-1.0, -0.5) if rng.random() < 0.7 else rng.uniform(0.5, 0.9))
-            )
-            shift = np.array(
-                [rng.uniform(-0.5, 0.5) * max(0.0, 1 - size) * model.length_m, rng.normal(0, 0.2)]
-            )
+        if how == 0 or model.kind == "large-vehicle":
+            # The candidate is a part of the vehicle, or the vehicle and what stands beside it.
+            is_part = rng.random() < 0.7
+            log_size = rng.uniform(-1.0, -0.5) if is_part else rng.uniform(0.5, 0.9)
+            size = float(np.exp(log_size))
+            free = max(0.0, 1 - size) * model.length_m
+            shift = np.array([rng.uniform(-0.5, 0.5) * free, rng.normal(0, 0.2)])
         elif how == 1:
             angle = rng.uniform(0, 2 * np.pi)
-            shift = (
-                rng.uniform(0.45, 1.0) * model.length_m * np.array([np.cos(angle), np.sin(angle)])
-            )
+            distance = rng.uniform(0.45, 1.0) * model.length_m
+            shift = distance * np.array([np.cos(angle), np.sin(angle)])
         else:
             turn = rng.uniform(0.6, np.pi - 0.6)
     length = model.length_m * size
@@ -283,45 +330,46 @@ def _draw_company(
     strength: float,
     fleet: Fleet,
 ) -> None:
-    """Vehicles parked beside the one, or before and behind it."""
+    """Draw vehicles parked beside the vehicle, or before and behind it."""
+    cos = math.cos(truth[4])
+    sin = math.sin(truth[4])
     beside = rng.random() < 0.7
-    pitch = rng.uniform(*_PARKED_PITCH_M) if beside else truth[2] + rng.uniform(0.6, 2.0)
-    way = (
-        np.array([-math.sin(truth[4]), math.cos(truth[4])])
-        if beside
-        else np.array([math.cos(truth[4]), math.sin(truth[4])])
-    )
+    if beside:
+        pitch = rng.uniform(*_PARKED_PITCH_M)
+        direction = np.array([-sin, cos])
+    else:
+        pitch = truth[2] + rng.uniform(0.6, 2.0)
+        direction = np.array([cos, sin])
     for k in (-3, -2, -1, 1, 2, 3):
         if rng.random() < 0.4:
             continue
         model = fleet.small()
-        spare = (model.width_m + truth[3]) / 2 if beside else (model.length_m + truth[2]) / 2
-        if abs(k) == 1 and pitch < spare + 0.2:
+        both = model.width_m + truth[3] if beside else model.length_m + truth[2]
+        if abs(k) == 1 and pitch < both / 2 + 0.2:
             continue
-        middle = truth[:2] + k * pitch * way + rng.normal(0, 0.12, 2)
-        angle = truth[4] + rng.normal(0, 0.03) + (np.pi if rng.random() < 0.5 else 0)
-        at = _CANVAS_PX / 2 + middle * px_per_m
-        if (np.abs(at - _CANVAS_PX / 2) > _CANVAS_PX).any():
+        middle = truth[:2] + k * pitch * direction + rng.normal(0, 0.12, 2)
+        turn = rng.normal(0, 0.03)
+        angle = truth[4] + turn + (np.pi if rng.random() < 0.5 else 0)
+        x, y = _CANVAS_PX / 2 + middle * px_per_m
+        if max(abs(x - _CANVAS_PX / 2), abs(y - _CANVAS_PX / 2)) > _CANVAS_PX:
             continue
-        box = np.array([*at, model.length_m * px_per_m, model.width_m * px_per_m, angle])
+        box = np.array([x, y, model.length_m * px_per_m, model.width_m * px_per_m, angle])
         draw_vehicle(canvas, model, box=box, px_per_m=px_per_m, sun=sun, strength=strength)
 
 
 def grounds(data: Path) -> list[Ground]:
-    """Train images of known scale."""
-    out: list[Ground] = []
-    # nothing on its cars
-    sharp = [s._replace(boxes=boxes_from_corners(s.ignore)) for s, *_ in chia_images(data)]
-    samples: Sequence[TrainImage] = [
-        *load_train_images(data / "vehicles"),
-        *load_scenery(data),
-        *sharp,
-    ]
+    """Load the train images of known scale."""
+    samples: list[TrainImage] = [*load_train_images(data / "vehicles"), *load_scenery(data)]
+    for image in chia_images(data):
+        # Its cars have no labels but ignored squares; nothing may be drawn on them.
+        boxes = boxes_from_corners(image.sample.ignore)
+        samples.append(image.sample._replace(boxes=boxes))
+    grounds_of_known_scale = []
     for sample in samples:
         gsd = CAR_M / sample.car_px if sample.car_px else GSD_M_PER_PX.get(sample.set)
         if gsd:
-            out.append(Ground(sample, gsd))
-    return out
+            grounds_of_known_scale.append(Ground(sample, gsd))
+    return grounds_of_known_scale
 
 
 def main() -> None:
@@ -332,36 +380,34 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument(
-        "--without", default="", help="sets whose ground is left out, comma between"
+        "--without", default="", help="sets whose ground is left out, separated by commas"
     )
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rng = np.random.default_rng(options.seed)
-    places = [
-        ground
-        for ground in grounds(options.data)
-        if ground.sample.set not in options.without.split(",")
-    ]
-    names = np.array([ground.sample.set for ground in places])
+    excluded = options.without.split(",")
+    usable = [ground for ground in grounds(options.data) if ground.sample.set not in excluded]
+    names = np.array([ground.sample.set for ground in usable])
     odds = weight_of_sets(names)
-    odds[[ground.gsd_m_per_px < _SHARP_M_PER_PX for ground in places]] *= _SHARP_WEIGHT
-    made: list[Pasted] = []
-    while len(made) < options.count:
-        ground = places[int(rng.choice(len(places), p=odds / odds.sum()))]
-        one = pasted(rng, ground, Fleet(4.58, rng, "mixed"))
-        if one is not None:
-            made.append(one)
-            if len(made) % 1000 == 0:
-                print(len(made), flush=True)
+    odds[[ground.gsd_m_per_px < _SHARP_M_PER_PX for ground in usable]] *= _SHARP_WEIGHT
+    chips: list[Pasted] = []
+    while len(chips) < options.count:
+        ground = usable[int(rng.choice(len(usable), p=odds / odds.sum()))]
+        chip = pasted(rng, ground, Fleet(4.58, rng, "mixed"))
+        if chip is not None:
+            chips.append(chip)
+            if len(chips) % 1000 == 0:
+                print(len(chips), flush=True)
     store = ChipStore()
-    nothing = np.full(5, np.nan, np.float32)
-    rows = Rows.unlabelled(np.array([one.length_px for one in made]), "pasted", "pasted")._replace(
-        car=np.array([one.car for one in made], np.int8),
-        type=np.array([one.type for one in made], np.int8),
-        box=np.stack([nothing if one.box is None else one.box for one in made]),
-        log_length_m=np.log(np.array([one.length_m for one in made], np.float32)),
+    no_box = np.full(5, np.nan, np.float32)
+    rows = Rows.unlabelled(np.array([chip.length_px for chip in chips]), "pasted", "pasted")
+    rows = rows._replace(
+        car=np.array([chip.car for chip in chips], np.int8),
+        type=np.array([chip.type for chip in chips], np.int8),
+        box=np.stack([no_box if chip.box is None else chip.box for chip in chips]),
+        log_length_m=np.log(np.array([chip.length_m for chip in chips], np.float32)),
     )
-    store.add(np.stack([one.chip for one in made]), rows)
+    store.add(np.stack([chip.chip for chip in chips]), rows)
     rows = store.save(options.run / "pasted")
     print(f"{(rows.car == 1).sum()} cars, {(rows.car == 0).sum()} others")
 

@@ -1,4 +1,6 @@
-"""Candidates on photographs whose cars people have drawn: ``python -m research.training.chips.people R``.
+"""Collect candidates on photographs whose cars people have drawn.
+
+``python -m research.training.chips.people R``.
 
 Writes the store ``R/people``, which trains nothing: val of Estonia, street crossings, ``harlem``
 and the even crops of ``chia``. Boxes of the first two are upright: a candidate is a car if its
@@ -33,13 +35,15 @@ from vehanchor_evaluation.dota import read_labels
 
 _FITS = 0.5
 _MISSES = 0.15
-_LEAST_SCORE = 0.15  # of the detector
-_EDGE = 0.6  # of a candidate's length
+# Least score of the detector.
+_MIN_SCORE = 0.15
+# Nearer to the image's edge than this many lengths, a candidate counts neither way.
+_EDGE = 0.6
 _NEAR = 0.5
 
 
 class Drawn(NamedTuple):
-    """A photograph with upright boxes ``[n, 4]`` (left, top, right, bottom) of cars and of what is doubtful."""
+    """Photograph with upright boxes ``[n, 4]`` (left, top, right, bottom) of cars and doubts."""
 
     path: Path
     set: str
@@ -76,8 +80,8 @@ def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
 
 
 def photographs(data: Path) -> Iterator[Drawn]:
-    """All photographs."""
-    seen = _looked_at()
+    """List all photographs."""
+    by_eye = _looked_at()
     for folder, sets in (("upright", ("estonia", "crossings")), ("vehicles", ("jekhor",))):
         with (data / folder / "index.csv").open(newline="") as handle:
             rows = [
@@ -89,13 +93,13 @@ def photographs(data: Path) -> Iterator[Drawn]:
             labels = read_labels(data / folder / "labels" / f"{Path(row['file']).stem}.txt")
             cars = upright(labels.of_class("small-vehicle").reshape(-1, 4, 2))
             ignored = [labels.of_class(name).reshape(-1, 4, 2) for name in ("ignore",)]
-            more = [box for kind, box in seen.get(Path(row["file"]).name, []) if kind != "other"]
+            more = [box for kind, box in by_eye.get(Path(row["file"]).name, []) if kind != "other"]
             doubtful = np.concatenate([upright(np.concatenate(ignored)), np.reshape(more, (-1, 4))])
             yield Drawn(data / folder / row["file"], row["set"], cars=cars, doubtful=doubtful)
     with (data / "chia" / "crops.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 0]
     for row in rows:
-        there = seen.get(Path(row["file"]).name, [])
+        there = by_eye.get(Path(row["file"]).name, [])
         parts = [
             np.reshape([box for kind, box in there if (kind == "car") == car], (-1, 4))
             for car in (True, False)
@@ -148,9 +152,9 @@ def main() -> None:
             raise FileNotFoundError(drawn.path)
         pixels = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
         with open_raster(pixels) as raster:
-            seen = ImageSearch(raster, detector, Search(min_score=_LEAST_SCORE)).searched()
-        boxes = seen.boxes
-        scores = seen.scores
+            vehicles = ImageSearch(raster, detector, Search(min_score=_MIN_SCORE)).searched()
+        boxes = vehicles.boxes
+        scores = vehicles.scores
         if not len(boxes):
             continue
         combined = verifier.scored(

@@ -1,4 +1,4 @@
-"""Chips of cars that were read by eye: ``python -m research.training.chips.readings OUT.npz``.
+"""Cut the chips of cars that were read by eye: ``python -m research.training.chips.readings OUT``.
 
 Each car of ``research/training/readings`` is stored 60 px long, with 200 px of surroundings, as
 fine as its image allows.
@@ -55,25 +55,23 @@ class Read(NamedTuple):
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Read:
         """Select cars."""
-        return Read(*(each[which] for each in self))  # type: ignore[arg-type]
+        return Read(*(column[which] for column in self))  # type: ignore[arg-type]
 
 
 def load(path: Path) -> Read:
-    """Read what ``main`` wrote."""
+    """Load the file that ``main`` wrote."""
     with np.load(path) as stored:
         return Read(**{name: stored[name] for name in Read._fields})
 
 
 def scales(data: Path) -> dict[str, float]:
-    """Metres per pixel by file, where they are known."""
-    out: dict[str, float] = {}
+    """Read the metres per pixel by file, where they are known."""
+    gsd_by_file: dict[str, float] = {}
     for folder, table in (("fleets", "table.csv"), ("chia", "crops.csv")):
         with (data / folder / table).open(newline="") as handle:
-            out |= {
-                f"{folder}/{row['file']}": float(row["gsd_m_per_px"])
-                for row in csv.DictReader(handle)
-            }
-    return out
+            for row in csv.DictReader(handle):
+                gsd_by_file[f"{folder}/{row['file']}"] = float(row["gsd_m_per_px"])
+    return gsd_by_file
 
 
 def _rows(name: str) -> list[dict[str, str]]:
@@ -82,53 +80,79 @@ def _rows(name: str) -> list[dict[str, str]]:
 
 
 def collect(data: Path) -> Read:
-    """Cut the chips of both tables; a car of the table of ends is left out of that of kinds."""
-    known = scales(data)
-    parts = []
-    measured: dict[str, list[NDArray[np.float64]]] = {}
+    """Cut the chips of both tables.
+
+    A car that the table of ends has is left out of the table of kinds.
+    """
+    gsd_by_file = scales(data)
+    cars = _cars()
+    images: dict[str, NDArray[np.uint8]] = {}
+    chips = []
+    for car in cars:
+        if car.file not in images:
+            image = cv2.imread(str(data / car.file), cv2.IMREAD_COLOR)
+            if image is None:
+                raise FileNotFoundError(car.file)
+            images[car.file] = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
+        chip = surroundings(images[car.file], car.box, side_px=READ_PX, length_px=READ_LENGTH_PX)
+        chips.append(chip[0])
+    return Read(
+        np.stack(chips),
+        np.array([car.edges for car in cars], np.float32),
+        kind=np.array([kind_index(car.kind) for car in cars]),
+        length_px=np.array([car.box[2] for car in cars]),
+        width_px=np.array([car.width_px for car in cars]),
+        gsd=np.array(
+            [gsd_by_file.get(car.file, _GSD_OF_SET.get(car.place, np.nan)) for car in cars]
+        ),
+        place=np.array([car.place for car in cars]),
+        source=np.array([car.file for car in cars]),
+        check=np.array([car.check for car in cars]),
+    )
+
+
+class _Car(NamedTuple):
+    """Car of a table; see ``Read``."""
+
+    file: str
+    place: str
+    kind: str
+    check: bool
+    box: NDArray[np.float64]
+    edges: list[float]
+    width_px: float
+
+
+def _cars() -> list[_Car]:
+    """Read the cars of both tables, each once."""
+    cars = []
+    boxes_by_file: dict[str, list[NDArray[np.float64]]] = {}
     for row in _rows("ends_and_sides.csv"):
         names = ("x", "y", "box_length_px", "box_width_px", "box_angle")
         box = np.array([float(row[name]) for name in names])
         edges = [float(row[name] or "nan") / box[2] for name in _EDGES]
-        measured.setdefault(row["file"], []).append(box)
-        parts.append((row, box, edges, box[3]))
+        boxes_by_file.setdefault(row["file"], []).append(box)
+        cars.append(_car(row, box, edges=edges, width_px=box[3]))
     for row in _rows("kinds.csv"):
-        x, y, length, angle = (float(row[name]) for name in ("x", "y", "length_px", "angle"))
+        x, y, length, angle = [float(row[name]) for name in ("x", "y", "length_px", "angle")]
         box = np.array([x, y, length, 0.45 * length, angle])
-        seen = [
-            other
-            for other in measured.get(row["file"], [])
-            if np.hypot(*(other[:2] - (x, y))) < 0.3 * length
-        ]
-        if not seen:
-            parts.append((row, box, [np.nan] * 4, np.nan))
-    images: dict[str, NDArray[np.uint8]] = {}
-    chips = []
-    for row, box, _, _ in parts:
-        if row["file"] not in images:
-            image = cv2.imread(str(data / row["file"]), cv2.IMREAD_COLOR)
-            if image is None:
-                raise FileNotFoundError(row["file"])
-            images[row["file"]] = np.ascontiguousarray(image[:, :, ::-1]).astype(np.uint8)
-        chips.append(
-            surroundings(images[row["file"]], box, side_px=READ_PX, length_px=READ_LENGTH_PX)[0]
-        )
-    places = [row["place"].removesuffix("_found") for row, *_ in parts]
-    return Read(
-        np.stack(chips),
-        np.array([edges for _, _, edges, _ in parts], np.float32),
-        kind=np.array([kind_index(row["kind"]) for row, *_ in parts]),
-        length_px=np.array([box[2] for _, box, _, _ in parts]),
-        width_px=np.array([width for *_, width in parts]),
-        gsd=np.array(
-            [
-                known.get(row["file"], _GSD_OF_SET.get(place, np.nan))
-                for (row, *_), place in zip(parts, places, strict=True)
-            ]
-        ),
-        place=np.array(places),
-        source=np.array([row["file"] for row, *_ in parts]),
-        check=np.array([row["use"] == "check" for row, *_ in parts]),
+        measured = boxes_by_file.get(row["file"], [])
+        if not any(np.hypot(*(other[:2] - (x, y))) < 0.3 * length for other in measured):
+            cars.append(_car(row, box, edges=[np.nan] * 4, width_px=np.nan))
+    return cars
+
+
+def _car(
+    row: dict[str, str], box: NDArray[np.float64], edges: list[float], width_px: float
+) -> _Car:
+    return _Car(
+        file=row["file"],
+        place=row["place"].removesuffix("_found"),
+        kind=row["kind"],
+        check=row["use"] == "check",
+        box=box,
+        edges=edges,
+        width_px=width_px,
     )
 
 
@@ -142,8 +166,10 @@ def main() -> None:
     with whole_file(options.out) as partial, partial.open("wb") as handle:
         np.savez(handle, **read._asdict())
     whole = np.isfinite(read.edges).all(axis=1)
-    counts = len(read.kind), whole.sum(), (read.kind >= 0).sum(), read.check.sum()
-    print("{} cars, {} with all edges, {} of a kind, {} kept back".format(*counts))
+    print(
+        f"{len(read.kind)} cars, {whole.sum()} with all edges, "
+        f"{(read.kind >= 0).sum()} of a kind, {read.check.sum()} kept back"
+    )
 
 
 if __name__ == "__main__":

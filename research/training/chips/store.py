@@ -1,4 +1,4 @@
-"""Stored chips: what the network trains on, larger than a chip so that it can be turned, scaled and shifted."""
+"""Stored chips, which are larger than a chip so that training can turn, scale and shift them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from vehanchor.storage.atomic import whole_file
 
 STORED_PX = 144
-STORED_LENGTH_PX = 36.0  # the candidate's length on a stored chip: four lengths of context
+# Length of the candidate on a stored chip, which shows four lengths of context.
+STORED_LENGTH_PX = 36.0
 UNKNOWN = -1
 _CHIPS = "chips.npy"
 _TABLE = "table.npz"
@@ -48,22 +49,23 @@ class Rows(NamedTuple):
 
     def take(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
         """Select rows by a mask or by indices."""
-        return Rows(*(each[which] for each in self))  # type: ignore[arg-type]
+        return Rows(*(column[which] for column in self))  # type: ignore[arg-type]
 
     @classmethod
     def unlabelled(cls, lengths_px: NDArray[np.floating], set_name: str, file: str) -> Rows:
-        """Candidates of these lengths in an image: no cars, of unknown type, found by nobody."""
+        """Make rows of candidates of these lengths: not cars, of unknown type, found by nobody."""
         count = len(lengths_px)
         nothing = np.zeros(len(lengths_px), np.float32)
         return cls(
-            np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8), np.full((count, 5), np.nan, np.float32),
-            np.full(count, np.nan, np.float32), lengths_px.astype(np.float32), nothing, nothing,
-            np.full(count, set_name), np.full(count, file),
+            np.zeros(count, np.int8), np.full(count, UNKNOWN, np.int8),
+            np.full((count, 5), np.nan, np.float32), np.full(count, np.nan, np.float32),
+            lengths_px.astype(np.float32), nothing, nothing, np.full(count, set_name),
+            np.full(count, file),
         )  # fmt: skip
 
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:
-        """All rows, one part after the other."""
+        """Join all rows, one part after the other."""
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

@@ -22,21 +22,22 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SIDE_PX = 96
-# metres per pixel of the crops
+# Range of the crops' metres per pixel.
 FINEST_M = 0.38
 COARSEST_M = 0.88
 TENNIS_M = 23.77
 BASKETBALL_M = 28.3
 _LABELS = Path(__file__).with_name("tennis.csv")
-_SHARES = (0.45, 0.25, 0.30)  # real courts, rendered scenes, places without
-_MOST_EMPTY = 300
-# weight of cells of a real tile that nobody marked: courts at its edge are not marked
+# Shares of real courts, rendered scenes, and places without courts.
+_SHARES = (0.45, 0.25, 0.30)
+_MAX_EMPTY = 300
+# Weight of cells of a real tile without a marked court: courts at its edge are not marked.
 _UNSURE = 0.2
 _SPREAD_CELLS = 0.9
 
 
 class Court(NamedTuple):
-    """Centre in pixels, angle of the long axis in radians, class (0 tennis, 1 basketball)."""
+    """Court: centre in pixels, angle of its long axis, class (0 tennis, 1 basketball)."""
 
     x: float
     y: float
@@ -45,12 +46,12 @@ class Court(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """An image with the courts in it.
+    """Image with its courts.
 
     Attributes:
         pixels: ``[h, w, 3]`` RGB.
         gsd_m_per_px: its scale.
-        courts: in it.
+        courts: its courts.
         sure: whether these are all.
     """
 
@@ -68,14 +69,13 @@ def _read(path: Path) -> NDArray[np.uint8]:
 
 
 def load_real(data: Path) -> list[Picture]:
-    """The tennis tiles that train, with the courts of ``tennis.csv``."""
+    """Load the tennis tiles that train, with the courts of ``tennis.csv``."""
     courts: dict[str, list[Court]] = {}
     with _LABELS.open(newline="") as handle:
         for row in csv.DictReader(handle):
             angle = math.radians(float(row["angle_deg"]))
-            courts.setdefault(row["file"], []).append(
-                Court(float(row["x"]), float(row["y"]), angle, 0)
-            )
+            court = Court(float(row["x"]), float(row["y"]), angle, 0)
+            courts.setdefault(row["file"], []).append(court)
     return [
         Picture(_read(place.path), place.gsd_m_per_px, tuple(courts[place.path.name]), False)
         for place in places(data)
@@ -84,33 +84,38 @@ def load_real(data: Path) -> list[Picture]:
 
 
 def load_rendered(folder: Path) -> list[Picture]:
-    """Scenes of ``render_scenes courts``."""
-    out = []
-    for facts in sorted(folder.glob("*.json")):
-        told = json.loads(facts.read_text())
+    """Load scenes of ``render_scenes courts``."""
+    pictures = []
+    for path in sorted(folder.glob("*.json")):
+        facts = json.loads(path.read_text())
         courts = []
-        for court in told["courts"]:
+        for court in facts["courts"]:
             corners = np.array(court["corners"])
-            (x, y) = corners.mean(axis=0)
-            (dx, dy) = corners[1] - corners[0]
-            courts.append(Court(x, y, math.atan2(dy, dx), 0 if court["kind"] == "tennis" else 1))
-        out.append(Picture(_read(facts.with_suffix(".png")), told["gsd"], tuple(courts), True))
-    return out
+            x, y = corners.mean(axis=0)
+            dx, dy = corners[1] - corners[0]
+            which = 0 if court["kind"] == "tennis" else 1
+            courts.append(Court(x, y, math.atan2(dy, dx), which))
+        pixels = _read(path.with_suffix(".png"))
+        pictures.append(Picture(pixels, facts["gsd"], courts=tuple(courts), sure=True))
+    return pictures
 
 
 def load_empty(data: Path) -> list[Picture]:
-    """Places of the training splits that are not named for their courts."""
-    found = [
-        (p.path, p.gsd_m_per_px)
-        for p in places(data)
-        if p.kind != "tenniscourt" and not is_held_out(p)
+    """Load places of the training splits that are not named for their courts."""
+    files = [
+        (place.path, place.gsd_m_per_px)
+        for place in places(data)
+        if place.kind != "tenniscourt" and not is_held_out(place)
     ]
     with (data / "gsd" / "table.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
             if row["split"] == "train":
-                found.append((data / "gsd" / row["file"], float(row["gsd_m_per_px"])))
-    order = np.random.default_rng(0).permutation(len(found))[:_MOST_EMPTY]
-    return [Picture(_read(found[index][0]), found[index][1], (), True) for index in order]
+                files.append((data / "gsd" / row["file"], float(row["gsd_m_per_px"])))
+    pictures = []
+    for index in np.random.default_rng(0).permutation(len(files))[:_MAX_EMPTY]:
+        path, gsd = files[index]
+        pictures.append(Picture(_read(path), gsd, courts=(), sure=True))
+    return pictures
 
 
 class CropStream:
@@ -118,7 +123,7 @@ class CropStream:
 
     Args:
         groups: pictures with real courts, rendered ones, and others.
-        seed: of the stream.
+        seed: seed of the stream.
     """
 
     def __init__(self, groups: Sequence[Sequence[Picture]], seed: int) -> None:
@@ -126,16 +131,16 @@ class CropStream:
         self.seed = seed
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pixels ``[3, 96, 96]`` in 0..1, targets ``[5, 12, 12]``, weights of the two heats ``[2, 12, 12]``."""
+        """Make pixels ``[3, 96, 96]`` in 0..1, targets ``[5, 12, 12]``, weights ``[2, 12, 12]``."""
         rng = np.random.default_rng((self.seed, index))
         group = self.groups[int(rng.choice(3, p=_SHARES))]
         picture = group[int(rng.integers(len(group)))]
         gsd = math.exp(rng.uniform(math.log(FINEST_M), math.log(COARSEST_M)))
         pixels, courts = _crop(picture, gsd, rng)
         targets, weights = _targets(courts, gsd, sure=picture.sure)
-        seen = _recoloured(pixels, rng)
+        recoloured = _recoloured(pixels, rng)
         return (
-            torch.from_numpy(seen.transpose(2, 0, 1).copy()),
+            torch.from_numpy(recoloured.transpose(2, 0, 1).copy()),
             torch.from_numpy(targets),
             torch.from_numpy(weights),
         )
@@ -144,7 +149,7 @@ class CropStream:
 def _crop(
     picture: Picture, gsd: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], list[Court]]:
-    """A crop at a scale, turned at random and mirrored, and the courts in its pixels."""
+    """Cut a crop at a scale, turned at random and mirrored, and its courts in pixels."""
     factor = picture.gsd_m_per_px / gsd
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     reduced = cv2.resize(picture.pixels, None, fx=factor, fy=factor, interpolation=method)
@@ -171,6 +176,7 @@ def _crop(
 def _targets(
     courts: list[Court], gsd: float, *, sure: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Draw heats by class, and poses of the nearest court; weigh unmarked cells less."""
     cells = SIDE_PX // CELL_PX
     targets = np.zeros((5, cells, cells), np.float32)
     weights = np.full((2, cells, cells), 1.0 if sure else _UNSURE, np.float32)
@@ -192,16 +198,17 @@ def _targets(
 
 
 def _recoloured(pixels: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.float32]:
-    out = pixels.astype(np.float32) / 255.0
-    grey = out.mean(axis=2, keepdims=True)
-    out = grey + (out - grey) * rng.uniform(0.0 if rng.random() < 0.1 else 0.5, 1.5)
-    out = out[:, :, rng.permutation(3)] if rng.random() < 0.3 else out
-    out = np.clip(
-        out * rng.uniform(0.6, 1.4, 3 if rng.random() < 0.3 else 1) + rng.uniform(-0.1, 0.1), 0, 1
-    )
-    out = out ** rng.uniform(0.7, 1.4)
+    """Change saturation, order of channels, gain, gamma, sharpness and noise at random."""
+    values = pixels.astype(np.float32) / 255.0
+    grey = values.mean(axis=2, keepdims=True)
+    least_saturation = 0.0 if rng.random() < 0.1 else 0.5
+    values = grey + (values - grey) * rng.uniform(least_saturation, 1.5)
     if rng.random() < 0.3:
-        out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.3, 0.8))
-    return np.asarray(
-        np.clip(out + rng.normal(0, rng.uniform(0, 0.03), out.shape), 0, 1), np.float32
-    )
+        values = values[:, :, rng.permutation(3)]
+    n_gains = 3 if rng.random() < 0.3 else 1
+    values = values * rng.uniform(0.6, 1.4, n_gains) + rng.uniform(-0.1, 0.1)
+    values = np.clip(values, 0, 1) ** rng.uniform(0.7, 1.4)
+    if rng.random() < 0.3:
+        values = cv2.GaussianBlur(values, (0, 0), rng.uniform(0.3, 0.8))
+    noise = rng.normal(0, rng.uniform(0, 0.03), values.shape)
+    return np.asarray(np.clip(values + noise, 0, 1), np.float32)

@@ -8,12 +8,13 @@ import torch
 from torch import Tensor, nn
 
 CELL_PX = 8
-# log odds of tennis and of basketball, cos and sin of twice the angle, log of the length over 44 px
+# Log odds of tennis and of basketball, cos and sin of twice the angle, log of length over 44 px.
 CHANNELS = 5
 LENGTH_PX = 44.0
 _STEM = ((3, 8), (8, 16), (16, 24))
 _DILATIONS = (1, 2, 4, 1)
-_RARE = -4.0  # log odds of a court in a cell before anything is learned
+# Log odds of a court in a cell before training.
+_RARE = -4.0
 
 
 def _convolution(inputs: int, outputs: int, stride: int, dilation: int) -> nn.Sequential:
@@ -25,7 +26,10 @@ def _convolution(inputs: int, outputs: int, stride: int, dilation: int) -> nn.Se
 
 
 class CourtNet(nn.Module):
-    """Three strided and four dilated convolutions; ``[n, 3, h, w]`` in 0..1 to ``[n, 5, h / 8, w / 8]``."""
+    """Network of three strided and four dilated convolutions.
+
+    Maps ``[n, 3, h, w]`` in 0..1 to ``[n, 5, h / 8, w / 8]``.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -41,7 +45,7 @@ class CourtNet(nn.Module):
             cast("Tensor", self.head.bias)[:2] = _RARE
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Outputs of each cell."""
+        """Compute the outputs of each cell."""
         seen = self.stem(pixels - 0.4)
         for layer in self.body:
             seen = seen + layer(seen)

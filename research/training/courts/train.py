@@ -1,4 +1,7 @@
-"""Train the network that proposes courts: ``python -m research.training.courts.train RUN SCENES OUT.onnx``."""
+"""Train the network that proposes courts.
+
+``python -m research.training.courts.train RUN SCENES OUT.onnx``.
+"""
 
 from __future__ import annotations
 
@@ -26,19 +29,22 @@ _POSE_WEIGHT = 1.0
 def losses(
     network: nn.Module, batch: tuple[Tensor, Tensor, Tensor], device: torch.device
 ) -> Mapping[str, Tensor]:
-    """Focal loss of the heats (Zhou et al., Objects as Points, 2019), absolute error of the poses at their peaks."""
+    """Compute the focal loss of the heats and the absolute error of the poses at their peaks.
+
+    Source: Zhou et al., Objects as Points, 2019.
+    """
     pixels, targets, weights = (part.to(device) for part in batch)
-    seen = network(pixels)
-    heat = seen[:, :2]
-    wanted = targets[:, :2]
+    outputs = network(pixels)
+    heat = outputs[:, :2]
+    heats = targets[:, :2]
     share = torch.sigmoid(heat)
-    peaks = wanted > 0.8
+    peaks = heats > 0.8
     hit = functional.logsigmoid(heat) * (1 - share) ** 2
-    miss = functional.logsigmoid(-heat) * share**2 * (1 - wanted) ** 4
+    miss = functional.logsigmoid(-heat) * share**2 * (1 - heats) ** 4
     n_peaks = peaks.sum().clamp(min=1)
     focal = -(torch.where(peaks, hit, miss) * weights).sum() / n_peaks
-    near = (wanted.amax(dim=1, keepdim=True) > 0.5).float()
-    pose = ((seen[:, 2:] - targets[:, 2:]).abs() * near).sum() / near.sum().clamp(min=1)
+    near = (heats.amax(dim=1, keepdim=True) > 0.5).float()
+    pose = ((outputs[:, 2:] - targets[:, 2:]).abs() * near).sum() / near.sum().clamp(min=1)
     return {"heat": focal, "pose": _POSE_WEIGHT * pose}
 
 
@@ -50,7 +56,7 @@ class Exported(nn.Module):
         self.network = network
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """``[n, 5, h / 8, w / 8]`` of ``[n, 3, h, w]`` uint8."""
+        """Compute ``[n, 5, h / 8, w / 8]`` from ``[n, 3, h, w]`` uint8."""
         seen = self.network(tiles.float() / 255.0)
         return torch.cat([torch.sigmoid(seen[:, :2]), seen[:, 2:]], dim=1)
 

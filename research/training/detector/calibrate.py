@@ -1,4 +1,6 @@
-"""Calibrate a trained detector on the train split: ``python -m research.training.detector.calibrate RUN OUT.json``.
+"""Calibrate a trained detector on the train split.
+
+``python -m research.training.detector.calibrate RUN OUT.json``.
 
 Writes what ``export.py --calibration`` puts into the file:
 
@@ -55,20 +57,23 @@ REGION_OF_SET = {
     "ucm": "north_america",
     "estonia": "northern_europe",
 }
-# modal length of the detector's boxes in Nepal: shared/design/rulers.md
+# Modal length of the detector's boxes in Nepal (shared/design/rulers.md).
 MEASURED_ELSEWHERE = {"south_asia": 3.7}
 _THRESHOLDS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
 _SEARCH_SCORE = 0.1
 _AGGREGATION: Aggregation = "weighted_kde"
-_MAX_LOG_ERROR = 0.25  # beyond, it is another car
-_LABELLED = 5  # cars of an image that counts for its region
+# Beyond this error, the match is another car.
+_MAX_LOG_ERROR = 0.25
+# Labelled cars that an image needs to count for its region.
+_LABELLED = 5
 _CORRECTION_BINS_PX = (11, 13, 16, 20, 26, 34, 46, 64)
 _LENGTH_BINS_PX = (8, 9, 10, 11, 12, 13, 14, 16, 18, 20, 24, 28, 34, 40, 50, 64)
-_MAX_BIAS = 0.03  # of the length, beyond what all bins have in common
+# Largest log bias of a bin of lengths, beyond the bias that all bins share.
+_MAX_BIAS = 0.03
 _SHORT_PX = 24
 
 
-class Found(NamedTuple):
+class SearchedImage(NamedTuple):
     """Detections, at a low threshold, on one image of known scale."""
 
     image: KnownScaleImage
@@ -76,28 +81,31 @@ class Found(NamedTuple):
 
 
 def region_lengths(lengths_m: list[tuple[str, float]]) -> dict[str, float]:
-    """Median of the images' modal lengths, metres, for each region, from pairs of set and modal length."""
+    """Compute the median of the images' modal lengths for each region, metres."""
     return {
         region: float(np.median([length for name, length in lengths_m if name == set_name]))
         for set_name, region in REGION_OF_SET.items()
     }
 
 
-def mean_error(found: list[Found], min_score: float) -> float:
-    """Mean GSD error on images with labelled cars, each region's own reference length used; 1 without an estimate."""
+def mean_error(searched: list[SearchedImage], min_score: float) -> float:
+    """Compute the mean GSD error on images with labelled cars; 1 without an estimate.
+
+    Each region has its own reference length.
+    """
     modes: list[tuple[str, float]] = []
     n_without = 0
-    for image, detections in found:
+    for image, detections in searched:
         if image.set not in REGION_OF_SET or not image.labelled_vehicles:
             continue
-        wanted = detections.scores >= min_score
-        length = detections.boxes[wanted, 2]
-        score = detections.scores[wanted]
+        is_scored = detections.scores >= min_score
+        length = detections.boxes[is_scored, 2]
+        score = detections.scores[is_scored]
         if not len(length):
             n_without += 1
             continue
-        kept = inlier_mask(length)
-        mode, _ = modal_length(length[kept], score[kept], _AGGREGATION)
+        is_inlier = inlier_mask(length)
+        mode, _ = modal_length(length[is_inlier], score[is_inlier], _AGGREGATION)
         modes.append((image.set, mode * image.gsd_m_per_px))
     own = region_lengths(modes)
     errors = [min(1.0, abs(own[REGION_OF_SET[name]] / length - 1)) for name, length in modes]
@@ -107,7 +115,7 @@ def mean_error(found: list[Found], min_score: float) -> float:
 def matched_lengths(
     boxes: NDArray[np.float64], labels: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lengths of detections and of the labels whose centre is within a fifth of a length."""
+    """Match the lengths of detections and of labels whose centres are a fifth of a length apart."""
     if not len(boxes) or not len(labels):
         return np.zeros(0), np.zeros(0)
     gap = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2)
@@ -117,9 +125,9 @@ def matched_lengths(
 
 
 class LengthPairs(NamedTuple):
-    """Lengths of the same cars, pixels, all ``[n]``, and the set of images that each car is from."""
+    """Lengths of the same cars in pixels, all ``[n]``, and the set of images of each car."""
 
-    found: NDArray[np.float64]
+    detected: NDArray[np.float64]
     labelled: NDArray[np.float64]
     set: NDArray[np.str_]
 
@@ -155,14 +163,16 @@ def length_pairs(vehicles: Path, detector: Detector, min_score: float) -> Length
             if min(small.shape[:2]) < 32:
                 continue
             with open_raster(np.ascontiguousarray(small[:, :, ::-1])) as raster:
-                boxes = ImageSearch(raster, detector, Search(min_score=min_score)).searched().boxes
-            found, labelled = matched_lengths(boxes, labels * (factor, factor, factor, factor, 1))
-            pairs.append(LengthPairs(found, labelled, np.full(len(found), row["set"])))
+                search = ImageSearch(raster, detector, Search(min_score=min_score))
+                boxes = search.searched().boxes
+            small_labels = labels * (factor, factor, factor, factor, 1)
+            detected, labelled = matched_lengths(boxes, small_labels)
+            pairs.append(LengthPairs(detected, labelled, np.full(len(detected), row["set"])))
     return LengthPairs(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
 
 
 def length_bias(pairs: LengthPairs) -> dict[int, tuple[int, float]]:
-    """Median of log(found / labelled length) in bins of the labelled length.
+    """Compute the median of log(detected / labelled length) in bins of the labelled length.
 
     Returns:
         Lower edge of the bin in pixels to (number of boxes, bias).
@@ -171,25 +181,25 @@ def length_bias(pairs: LengthPairs) -> dict[int, tuple[int, float]]:
     for low, high in pairwise(_LENGTH_BINS_PX):
         inside = (pairs.labelled >= low) & (pairs.labelled < high)
         if inside.sum() >= 20:
-            ratio = pairs.found[inside] / pairs.labelled[inside]
+            ratio = pairs.detected[inside] / pairs.labelled[inside]
             out[low] = (int(inside.sum()), float(np.median(np.log(ratio))))
     return out
 
 
 def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
-    """Factors on the found length, at the centres of bins of the found length.
+    """Fit factors on the detected length, at the centres of bins of the detected length.
 
-    The log of labelled over found length is taken as one number for each bin plus one for each set
-    (least squares): sets differ in who drew their labels, and not every set has cars of every
-    length. Of the sets' numbers only the median over the cars enters the correction.
+    The log of labelled over detected length is the sum of a number for each bin and a number for
+    each set (least squares): sets differ in who drew their labels, and not every set has cars of
+    every length. Of the sets' numbers, only the median over the cars enters the correction.
     """
-    error = np.log(pairs.labelled / pairs.found)
-    usable = (np.abs(error) < _MAX_LOG_ERROR) & (pairs.found >= _CORRECTION_BINS_PX[0])
-    usable &= pairs.found < _CORRECTION_BINS_PX[-1]
-    bins = np.digitize(pairs.found[usable], _CORRECTION_BINS_PX) - 1
+    error = np.log(pairs.labelled / pairs.detected)
+    usable = (np.abs(error) < _MAX_LOG_ERROR) & (pairs.detected >= _CORRECTION_BINS_PX[0])
+    usable &= pairs.detected < _CORRECTION_BINS_PX[-1]
+    bins = np.digitize(pairs.detected[usable], _CORRECTION_BINS_PX) - 1
     names, sets = np.unique(pairs.set[usable], return_inverse=True)
     n_bins = len(_CORRECTION_BINS_PX) - 1
-    # the first set is the base
+    # The first set is the base, so it has no column.
     design = np.column_stack([np.eye(n_bins)[bins], np.eye(len(names))[sets][:, 1:]])
     fitted = np.linalg.lstsq(design, error[usable])[0]
     common = np.median(np.append(0.0, fitted[n_bins:])[sets])
@@ -200,8 +210,21 @@ def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
 
 
 def hash_of(name: str) -> int:
-    """A stable number for a file name."""
+    """Compute a stable number for a file name."""
     return sum(ord(letter) * (k + 1) for k, letter in enumerate(name))
+
+
+def _first_unbiased(bias: dict[int, tuple[int, float]]) -> int:
+    """Find the first bin of lengths above all biased short ones."""
+    # A bias common to all lengths is a part of the reference length.
+    common = float(np.median([value for _, value in bias.values()]))
+    biased = [
+        low
+        for low, (_, value) in bias.items()
+        if abs(value - common) > _MAX_BIAS and low < _SHORT_PX
+    ]
+    longest_biased = max(biased, default=0)
+    return min((low for low in bias if low > longest_biased), default=_LENGTH_BINS_PX[0])
 
 
 def main() -> None:
@@ -225,14 +248,14 @@ def main() -> None:
         file = Path(folder) / "vehicles.onnx"
         export(options.run, file, calibration)
         detector = Detector(file)
-        found = []
+        held_out = []
         search = Search(min_score=_SEARCH_SCORE, search_scales=False)
         for image in images:
             if is_dev(image.path.name, image.set):
                 with open_raster(image.path) as raster:
-                    searched = ImageSearch(raster, detector, search).searched()
-                found.append(Found(image, searched))
-        errors = {threshold: mean_error(found, threshold) for threshold in _THRESHOLDS}
+                    vehicles = ImageSearch(raster, detector, search).searched()
+                held_out.append(SearchedImage(image, vehicles))
+        errors = {threshold: mean_error(held_out, threshold) for threshold in _THRESHOLDS}
         min_score = min(errors, key=lambda threshold: errors[threshold])
         for threshold, error in errors.items():
             print(
@@ -248,33 +271,22 @@ def main() -> None:
         modes = [estimate_gsd(image.path, detector=detector).mode_length_px for image in images]
     for low, (count, value) in bias.items():
         print(f"labelled length from {low} px: {count} boxes, median log error {value:+.3f}")
-    lengths = region_lengths(
-        [
-            (image.set, mode * image.gsd_m_per_px)
-            for image, mode in zip(images, modes, strict=True)
-            if (image.labelled_vehicles or 0) >= _LABELLED and mode is not None
-        ]
-    )
-    logs = np.log(list(lengths.values()))
-    # common to all lengths: part of the reference
-    usual = float(np.median([value for _, value in bias.values()]))
-    biased = [
-        low
-        for low, (_, value) in bias.items()
-        if abs(value - usual) > _MAX_BIAS and low < _SHORT_PX
+    modal_lengths_m = [
+        (image.set, mode * image.gsd_m_per_px)
+        for image, mode in zip(images, modes, strict=True)
+        if (image.labelled_vehicles or 0) >= _LABELLED and mode is not None
     ]
-    first_good = min(
-        (low for low in bias if low > max(biased, default=0)), default=_LENGTH_BINS_PX[0]
-    )
+    lengths = region_lengths(modal_lengths_m)
+    length_m = float(np.median(list(lengths.values())))
+    log_sd = np.std(np.log(list(lengths.values())), ddof=1)
+    rounded = {
+        region: round(length, 4) for region, length in (lengths | MEASURED_ELSEWHERE).items()
+    }
     calibration |= {
-        "reference_length_m": round(float(np.median(list(lengths.values()))), 4),
-        "reference_length_sd_m": round(
-            float(np.median(list(lengths.values())) * np.std(logs, ddof=1)), 4
-        ),
-        "region_lengths_m": {
-            region: round(length, 4) for region, length in (lengths | MEASURED_ELSEWHERE).items()
-        },
-        "min_length_px": float(first_good),
+        "reference_length_m": round(length_m, 4),
+        "reference_length_sd_m": round(float(length_m * log_sd), 4),
+        "region_lengths_m": rounded,
+        "min_length_px": float(_first_unbiased(bias)),
     }
     with whole_file(options.out) as partial:
         partial.write_text(json.dumps(calibration, indent=2) + "\n")

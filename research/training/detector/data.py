@@ -1,4 +1,4 @@
-"""Labelled images to training crops: sampling, geometric and photometric augmentation, dense targets."""
+"""Training crops from labelled images: sampling, augmentation, dense targets."""
 
 from __future__ import annotations
 
@@ -24,37 +24,54 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CROP_PX = 320
-# crops are scaled so that the car length is log-uniform in this range
+# Crops are scaled so that the length of cars is log-uniform in this range.
 LENGTH_RANGE_PX = (9.0, 64.0)
-_MAX_ENLARGEMENT = 2.6  # beyond it an enlarged image is only blur
+# Beyond this factor, an enlarged image is only blur.
+_MAX_ENLARGEMENT = 2.6
 _SET_WEIGHT = {
-    "ucm": 0.15, "cannes": 0.15, "jekhor": 0.14, "saopaulo": 0.09, "empty": 0.04, "scene": 0.06, "estonia": 0.14,
-    "estonia_port": 0.07, "ucm_more": 0.08, "harbor": 0.06, "building": 0.04, "flights": 0.03,
+    "ucm": 0.15, "cannes": 0.15, "jekhor": 0.14, "saopaulo": 0.09, "empty": 0.04, "scene": 0.06,
+    "estonia": 0.14, "estonia_port": 0.07, "ucm_more": 0.08, "harbor": 0.06, "building": 0.04,
+    "flights": 0.03,
 }  # fmt: skip
-_DEV_SHARE = 10  # one train group in ten is held out: thresholds and confidence are fitted there
+# One train group in ten is held out: thresholds and confidence are fitted on it.
+_DEV_SHARE = 10
 HELD_OUT = 0
-_CLUTTER_SHARE = 0.35  # of the crops of images that have some
-# crops finer than the range, of images that are: there the parts of a car are no cars
+# Share of crops around clutter, of images with clutter.
+_CLUTTER_SHARE = 0.35
+# Share of crops finer than the range, of images that are: parts of a car are not cars.
 _FINER_SHARE = 0.12
 _FINEST_PX = 200.0
-_UNSEEN_PX = 105.0  # a car from this length on is not seen at this resolution, but at a reduced one
+# Cars from this length on are found at a reduced resolution only.
+_UNSEEN_PX = 105.0
 _DISTRACTOR_SHARE = 0.12
 CORRECTIONS = Path(__file__).with_name("corrections.csv")
 
 
 class TrainImage(NamedTuple):
-    """One labelled image in memory."""
+    """Labelled image in memory.
+
+    Attributes:
+        set: name of its set.
+        image: ``[h, w, 3]`` RGB.
+        boxes: ``[n, 5]`` small vehicles.
+        ignore: ``[m, 4, 2]`` corners of areas that are neither car nor background.
+        clutter: ``[k, 2]`` centres of false cars of an earlier detector.
+        car_px: length of a car at the known scale; None takes it from the labelled cars.
+    """
 
     set: str
-    image: NDArray[np.uint8]  # [h, w, 3] RGB
-    boxes: NDArray[np.float64]  # [n, 5] small vehicles
-    ignore: NDArray[np.float64]  # [m, 4, 2] corners of what is neither car nor background
-    clutter: NDArray[np.float64]  # [k, 2] where an earlier detector saw a car that cannot be one
-    car_px: float | None = None  # length of a car at the known scale; None: of the labelled ones
+    image: NDArray[np.uint8]
+    boxes: NDArray[np.float64]
+    ignore: NDArray[np.float64]
+    clutter: NDArray[np.float64]
+    car_px: float | None = None
 
 
 def group_of(name: str, set_name: str) -> str:
-    """The group of an image: neighbours and frames of one video stay on one side of the train/dev line."""
+    """Return the group of an image.
+
+    Neighbours and frames of one video stay on one side of the train/dev line.
+    """
     stem = name.rsplit("/", 1)[-1].rsplit(".", 1)[0]
     if set_name == "cannes":
         return (
@@ -68,7 +85,10 @@ def group_of(name: str, set_name: str) -> str:
 
 
 def is_dev(name: str, set_name: str) -> bool:
-    """Whether a train image belongs to the held-out tenth (by a checksum of its group: stable for ever)."""
+    """Return whether a train image belongs to the held-out tenth.
+
+    A checksum of its group decides, so it never changes.
+    """
     return (
         set_name != "jekhor"
         and zlib.crc32(group_of(name, set_name).encode()) % _DEV_SHARE == HELD_OUT
@@ -83,7 +103,7 @@ class Correction(NamedTuple):
 
 
 def read_corrections(path: Path) -> dict[str, list[Correction]]:
-    """Corrections of the train labels by the image's file name."""
+    """Load the corrections of the train labels by the image's file name."""
     out: dict[str, list[Correction]] = {}
     with path.open(newline="") as handle:
         for row in csv.DictReader(handle):
@@ -95,20 +115,23 @@ def read_corrections(path: Path) -> dict[str, list[Correction]]:
 def load_train_images(
     vehicles: Path, corrections: Path = CORRECTIONS, *, held_out: bool = False
 ) -> list[TrainImage]:
-    """Load the training part of ``shared/data/vehicles``, its labels corrected; or its held-out tenth alone."""
-    known = read_corrections(corrections)
+    """Load the training part of ``shared/data/vehicles``, or its held-out tenth."""
+    corrections_by_file = read_corrections(corrections)
     out = []
     with (vehicles / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == "train"]
     for row in rows:
         if is_dev(row["file"], row["set"]) == held_out:
             sample = _load(vehicles / row["file"], row["set"], vehicles / "labels")
-            out.append(corrected(sample, known.get(Path(row["file"]).name, [])))
+            out.append(corrected(sample, corrections_by_file.get(Path(row["file"]).name, [])))
     return out
 
 
 def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainImage:
-    """An image with its labels corrected: cars added, doubtful places and labels that nobody sees ignored."""
+    """Load an image with corrected labels.
+
+    Cars are added; doubtful places and labels without a visible car are ignored.
+    """
 
     def of(*kinds: str) -> NDArray[np.float64]:
         return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(
@@ -146,79 +169,78 @@ def _load(path: Path, set_name: str, labels_folder: Path) -> TrainImage:
 
 
 class Crop(NamedTuple):
-    """One training example at crop resolution."""
+    """Training example at crop resolution.
 
-    image: NDArray[np.uint8]  # [CROP_PX, CROP_PX, 3]
-    boxes: NDArray[np.float64]  # [n, 5]
-    ignore: NDArray[np.float64]  # [m, 4, 2]
-    covered: NDArray[np.bool_]  # [CROP_PX, CROP_PX] where the source image reaches
+    Attributes:
+        image: ``[CROP_PX, CROP_PX, 3]``.
+        boxes: ``[n, 5]``.
+        ignore: ``[m, 4, 2]``.
+        covered: ``[CROP_PX, CROP_PX]`` pixels that the source image covers.
+    """
+
+    image: NDArray[np.uint8]
+    boxes: NDArray[np.float64]
+    ignore: NDArray[np.float64]
+    covered: NDArray[np.bool_]
 
 
 def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
-    """Cut a rotated, flipped, rescaled crop; cars at the crop's edge and out of the length range become ignored."""
+    """Cut a rotated, flipped, rescaled crop.
+
+    Cars at the crop's edge or outside the range of lengths are ignored.
+    """
     scale = _drawn_scale(rng, sample)
     focus = _drawn_focus(rng, sample, scale)
     turn = rng.uniform(0, 2 * np.pi)
     flip = -1.0 if rng.random() < 0.5 else 1.0
     source, to_source = _reduced(sample.image, focus, scale)
-    rotation = (
-        np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]])
-        * scale
-    )
-    # image (continuous px) -> crop
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    rotation = np.array([[cos * flip, -sin], [sin * flip, cos]]) * scale
+    # Maps continuous pixels of the image to the crop.
     forward = np.column_stack([rotation, CROP_PX / 2 - rotation @ focus])
     # Continuous coordinates have pixel centres at +0.5; warpAffine works on pixel indices.
     matrix = _compose(forward, _invert(to_source))
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
     fill = source[::16, ::16].reshape(-1, 3).mean(axis=0) if rng.random() < 0.5 else np.zeros(3)
     interpolation = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
-    image: NDArray[np.uint8] = np.asarray(
-        cv2.warpAffine(
-            source, matrix, (CROP_PX, CROP_PX), flags=interpolation, borderValue=fill.tolist()
-        ),
-        dtype=np.uint8,
-    )
-    covered = cv2.warpAffine(
-        np.ones(source.shape[:2], np.uint8), matrix, (CROP_PX, CROP_PX), flags=cv2.INTER_NEAREST
-    ).astype(bool)
+    size = (CROP_PX, CROP_PX)
+    warped = cv2.warpAffine(source, matrix, size, flags=interpolation, borderValue=fill.tolist())
+    image: NDArray[np.uint8] = np.asarray(warped, dtype=np.uint8)
+    everywhere = np.ones(source.shape[:2], np.uint8)
+    covered = cv2.warpAffine(everywhere, matrix, size, flags=cv2.INTER_NEAREST).astype(bool)
 
     def moved(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(points @ forward[:, :2].T + forward[:, 2])
 
-    boxes, left_open = _judged(boxes_from_corners(moved(box_corners(sample.boxes))))
-    return Crop(
-        image, boxes, ignore=np.concatenate([moved(sample.ignore), left_open]), covered=covered
-    )
+    boxes, undecided = _judged(boxes_from_corners(moved(box_corners(sample.boxes))))
+    ignore = np.concatenate([moved(sample.ignore), undecided])
+    return Crop(image, boxes, ignore=ignore, covered=covered)
 
 
 def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
-    """Crop pixels per image pixel, so that the cars' length is log-uniform in its range."""
-    native = (
-        float(np.median(sample.boxes[:, 2]))
-        if len(sample.boxes)
-        else sample.car_px or float(rng.uniform(14, 40))
-    )
-    target = float(np.exp(rng.uniform(*np.log(LENGTH_RANGE_PX))))
-    if native > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
-        target = float(
-            np.exp(rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(min(_FINEST_PX, 1.3 * native))))
-        )
-    return min(target / native, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
+    """Draw crop pixels per image pixel: the cars' length is log-uniform in its range."""
+    if len(sample.boxes):
+        car_px = float(np.median(sample.boxes[:, 2]))
+    else:
+        car_px = sample.car_px or float(rng.uniform(14, 40))
+    log_target = rng.uniform(*np.log(LENGTH_RANGE_PX))
+    if car_px > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
+        longest = min(_FINEST_PX, 1.3 * car_px)
+        log_target = rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(longest))
+    target = float(np.exp(log_target))
+    return min(target / car_px, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
 
 
 def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> NDArray[np.float64]:
-    """The image point in the middle of the crop: near clutter, near a car, or anywhere."""
+    """Draw the image point in the middle of the crop: near clutter, near a car, or anywhere."""
     height, width = sample.image.shape[:2]
     if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
-        focus = (
-            sample.clutter[rng.integers(len(sample.clutter))]
-            + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
-        )
+        target = sample.clutter[rng.integers(len(sample.clutter))]
+        focus = target + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
     elif len(sample.boxes) and rng.random() < 0.75:
-        focus = (
-            sample.boxes[rng.integers(len(sample.boxes)), :2]
-            + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
-        )
+        target = sample.boxes[rng.integers(len(sample.boxes)), :2]
+        focus = target + rng.uniform(-0.35, 0.35, 2) * CROP_PX / scale
     else:
         focus = rng.uniform(0, 1, 2) * (width, height)
     margin = np.minimum(0.4 * CROP_PX / scale, (width / 2, height / 2))
@@ -228,17 +250,17 @@ def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> 
 def _reduced(
     image: NDArray[np.uint8], focus: NDArray[np.float64], scale: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """The part around the focus, reduced by averaging (no aliasing), and the affine map from the image to it."""
+    """Cut the part around the focus, reduced by averaging; return it with its affine map."""
     height, width = image.shape[:2]
     reduce = min(1.0, scale * 1.15)
     if reduce >= 0.95:
         return image, np.array([[1.0, 0, 0], [0, 1.0, 0]])
-    half = CROP_PX / scale  # beyond any corner of the rotated crop
-    x0, y0 = (int(max(0, f - half)) for f in focus)
+    # The part reaches beyond any corner of the rotated crop.
+    half = CROP_PX / scale
+    x0 = min(int(max(0, focus[0] - half)), width - 8)
+    y0 = min(int(max(0, focus[1] - half)), height - 8)
     x1 = int(min(width, focus[0] + half))
     y1 = int(min(height, focus[1] + half))
-    x0 = min(x0, width - 8)
-    y0 = min(y0, height - 8)
     part = image[y0 : max(y1, y0 + 8), x0 : max(x1, x0 + 8)]
     size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
     small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
@@ -252,7 +274,7 @@ def _reduced(
 
 
 def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The boxes that a crop shows whole and at a length to learn, and the corners of those to ignore."""
+    """Select the boxes that a crop shows whole and at a length to learn, and corners to ignore."""
     corners = box_corners(boxes)
     near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
     boxes = boxes[near]
@@ -262,12 +284,12 @@ def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     whole = ((corners > -border) & (corners < CROP_PX + border)).all(axis=(1, 2))
     sized = (boxes[:, 2] > 0.8 * LENGTH_RANGE_PX[0]) & (boxes[:, 2] < 1.3 * LENGTH_RANGE_PX[1])
     good = inside & whole & sized
-    left_open = ~good & (boxes[:, 2] < _UNSEEN_PX)
-    return boxes[good], corners[left_open]
+    undecided = ~good & (boxes[:, 2] < _UNSEEN_PX)
+    return boxes[good], corners[undecided]
 
 
 def lay_over(top: Crop, bottom: Crop) -> Crop:
-    """Fill what ``top`` leaves uncovered with ``bottom``, so that small source images do not waste the crop."""
+    """Fill with ``bottom`` what ``top`` leaves uncovered, so that small images waste nothing."""
     image = np.where(top.covered[:, :, None], top.image, bottom.image)
     below = _hidden_by(top.covered, bottom)
     return Crop(
@@ -279,22 +301,21 @@ def lay_over(top: Crop, bottom: Crop) -> Crop:
 
 
 def distracted(rng: np.random.Generator, crop: Crop) -> Crop:
-    """A crop with striped or gridded things drawn over a part of it."""
+    """Draw striped or gridded objects over a part of a crop."""
     image, hides = draw_distractors(rng, crop.image)
     return _hidden_by(hides, crop)._replace(image=image)
 
 
 def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
-    """The crop's boxes without those that ``cover`` hides; those that it cuts are ignored."""
+    """Select the boxes that ``cover`` does not hide; boxes that it cuts are ignored."""
     corners = box_corners(crop.boxes)
     probe = np.concatenate([corners, crop.boxes[:, None, :2]], axis=1)
     cells = np.clip(np.floor(probe), 0, CROP_PX - 1).astype(int)
     hidden = cover[cells[:, :, 1], cells[:, :, 0]]
     clear = ~hidden.any(axis=1)
     cut = ~clear & ~hidden.all(axis=1)
-    return crop._replace(
-        boxes=crop.boxes[clear], ignore=np.concatenate([crop.ignore, corners[cut]])
-    )
+    ignore = np.concatenate([crop.ignore, corners[cut]])
+    return crop._replace(boxes=crop.boxes[clear], ignore=ignore)
 
 
 def _compose(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -307,7 +328,7 @@ def _invert(a: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Strong random change of exposure, colour, sharpness, noise and compression."""
+    """Change exposure, colour, sharpness, noise and compression strongly at random."""
     x = image.astype(np.float32) / 255.0
     if rng.random() < 0.12:
         x = x[:, :, rng.permutation(3)]
@@ -318,16 +339,16 @@ def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[n
         x = grey + (x - grey) * np.float32(rng.uniform(0.4, 1.5))
         x = x * rng.uniform(0.85, 1.15, 3).astype(np.float32)
     x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
-    x = (
-        (x - x.mean()) * np.float32(rng.uniform(0.6, 1.45))
-        + x.mean()
-        + np.float32(rng.uniform(-0.15, 0.15))
-    )
-    if rng.random() < 0.15:  # a shadow or haze gradient across the crop
-        down, right = (np.linspace(-1, 1, side, dtype=np.float32) for side in x.shape[:2])
-        field = down[:, None] * np.float32(rng.uniform(-1, 1)) + right * np.float32(
-            rng.uniform(-1, 1)
-        )
+    contrast = np.float32(rng.uniform(0.6, 1.45))
+    brightness = np.float32(rng.uniform(-0.15, 0.15))
+    x = (x - x.mean()) * contrast + x.mean() + brightness
+    # A gradient of shadow or haze across the crop.
+    if rng.random() < 0.15:
+        down = np.linspace(-1, 1, x.shape[0], dtype=np.float32)
+        right = np.linspace(-1, 1, x.shape[1], dtype=np.float32)
+        slope_down = np.float32(rng.uniform(-1, 1))
+        slope_right = np.float32(rng.uniform(-1, 1))
+        field = down[:, None] * slope_down + right * slope_right
         x = x * (1 + 0.3 * field[:, :, None])
     draw = rng.random()
     if draw < 0.35:
@@ -354,7 +375,7 @@ class Target(NamedTuple):
 
 
 def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Target:
-    """Draw oriented Gaussians at the centres and spread each box's numbers over the cells around it."""
+    """Draw oriented Gaussians at the centres, and spread each box's numbers over near cells."""
     side = CROP_PX // STRIDE_PX
     heat = np.zeros((side, side), np.float32)
     care = np.ones((side, side), np.uint8)
@@ -419,7 +440,7 @@ class CropStream:
             self._pick[name] = weight / weight.sum()
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, Target]:
-        """Draw a set by weight, an image in it (those with more cars a little more often), then a crop.
+        """Draw a set by weight, an image in it, then a crop; images with more cars are more likely.
 
         Returns:
             The image ``[3, h, w]`` uint8 and its target.

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_SHIFT = 4  # fractional bits of OpenCV's coordinates
-# colour [h, w, 3] in 0..255 and opacity [h, w] in 0..1
+# Fractional bits of OpenCV's coordinates.
+_SHIFT = 4
+# Colour [h, w, 3] in 0..255, and opacity [h, w] in 0..1.
 _Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
@@ -78,16 +79,19 @@ def _rectangles(
     paints: list[NDArray[np.float32]],
     shadow: float,
 ) -> _Layer:
-    """A regular array; ``size`` and ``pitch`` in pixels along and across, ``shadow`` the share of a side it falls."""
+    """Draw a regular array.
+
+    ``size`` and ``pitch`` are in pixels along and across; ``shadow`` is a share of a side.
+    """
     colour, opacity = layer
     height, width = opacity.shape
     sun = rng.uniform(0, 2 * np.pi)
     offset = shadow * min(size) * np.array([np.cos(sun), np.sin(sun)])
     jitter = 0.03 * min(pitch)
-    places = np.stack(
+    centres = np.stack(
         np.meshgrid(np.arange(0, width, pitch[0]), np.arange(0, height, pitch[1])), axis=-1
     ).reshape(-1, 2)
-    places = places + rng.normal(0, jitter, places.shape)
+    centres = centres + rng.normal(0, jitter, centres.shape)
     corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
 
     def fill(moved: NDArray[np.float64], paint: NDArray[np.float32], strength: float) -> None:
@@ -96,12 +100,12 @@ def _rectangles(
         cv2.fillConvexPoly(opacity, polygon, strength, cv2.LINE_8, _SHIFT)
 
     missing = rng.uniform(0, 0.3)
-    for place in places:
+    for centre in centres:
         if rng.random() < missing:
             continue
         if shadow:
-            fill(place + offset, _SHADOW, 0.9)
-        fill(place, paints[rng.integers(len(paints))], 1.0)
+            fill(centre + offset, _SHADOW, 0.9)
+        fill(centre, paints[rng.integers(len(paints))], 1.0)
     return colour, opacity
 
 
@@ -137,7 +141,7 @@ def _posts(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
 
 
 def _slabs(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
-    """Tombs, crates, containers, pontoons: plain, of a few paints, with shadows."""
+    """Draw tombs, crates, containers or pontoons: plain, of a few paints, with shadows."""
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.2, 4.5), thick)
     pitch = (size[0] * rng.uniform(1.15, 2.0), thick * rng.uniform(1.25, 2.6))

@@ -27,7 +27,10 @@ from research.training.onnx_file import LICENCE, write_metadata, write_onnx
 
 
 class LengthCorrection(nn.Module):
-    """Log length to log length, by a factor that runs linearly in the log between knots and is constant beyond."""
+    """Correct log lengths by a factor that runs linearly in the log between knots.
+
+    Beyond the knots it is constant.
+    """
 
     def __init__(self, knots: Sequence[tuple[float, float]]) -> None:
         super().__init__()
@@ -42,7 +45,7 @@ class LengthCorrection(nn.Module):
 
 
 class UltralyticsLayout(nn.Module):
-    """The network with its dense output decoded to ``[b, 6, anchors]``, its lengths corrected by ``length_correction``.
+    """Network with its dense output decoded to ``[b, 6, anchors]`` and corrected lengths.
 
     That is pairs of a length in pixels and the factor on it, lengths rising (see ``calibrate.py``);
     none for no change.

@@ -8,7 +8,8 @@ from torch.nn import functional
 from research.training.detector.data import Target
 from research.training.detector.network import Prediction
 
-_SHAPE_WEIGHT = (0.5, 0.5, 2.0, 1.0, 0.6, 0.6)  # offset x, y, log length, log width, cos 2t, sin 2t
+# Weights of offset x and y, log length, log width, cos 2t and sin 2t.
+_SHAPE_WEIGHT = (0.5, 0.5, 2.0, 1.0, 0.6, 0.6)
 
 
 def detection_loss(prediction: Prediction, target: Target) -> tuple[torch.Tensor, torch.Tensor]:

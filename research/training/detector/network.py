@@ -1,4 +1,4 @@
-"""A compact one-class oriented-box network: heat map, sub-pixel offset, log length, log width, double angle.
+"""Compact one-class oriented-box network: heat, offset, log length, log width, double angle.
 
 Encoder to stride 32 for context, decoder back to stride 4 for localisation; plain 3 x 3
 convolutions with batch normalisation and ReLU, which ONNX Runtime fuses on a CPU.
@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 STRIDE_PX = 4
-_CHANNELS = (16, 32, 64, 128, 192)  # at strides 2, 4, 8, 16, 32
-_BOTTLENECK = (32, 64, 96, 96)  # inner width of the residual blocks at strides 4 to 32
+# Channels at strides 2, 4, 8, 16, 32.
+_CHANNELS = (16, 32, 64, 128, 192)
+# Inner width of the residual blocks at strides 4 to 32.
+_BOTTLENECK = (32, 64, 96, 96)
 _BLOCKS = (1, 2, 2, 2)
 _DECODER = (96, 64, 32)
 
@@ -67,10 +69,10 @@ class VehicleNet(nn.Module):
         assert isinstance(shape_out, nn.Conv2d)
         assert heat_out.bias is not None
         assert shape_out.bias is not None
-        # a cell holds a centre about once in a hundred: start there
+        # A cell holds a centre about once in a hundred, so training starts there.
         nn.init.constant_(heat_out.bias, -4.6)
         with torch.no_grad():
-            # exp(3.2) = 25 px by 10 px
+            # Boxes start at exp(3.2) = 25 px by 10 px.
             shape_out.bias.copy_(torch.tensor([0.0, 0.0, 3.2, 2.3, 0.0, 0.0]))
 
     def forward(self, image: Tensor) -> Prediction:

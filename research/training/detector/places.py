@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 _LOOKED_AT = Path(__file__).with_name("looked_at.csv")
-# from the GPS track, each pair of photographs within a fifth
+# Scales from the GPS track; each pair of photographs agrees within a fifth.
 _FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}
-_EVERY_PHOTOGRAPH = 4  # of a flight: neighbours show the same ground
+# One photograph in four of a flight trains, because neighbours show the same ground.
+_EVERY_PHOTOGRAPH = 4
 _DEV_SHARE = 10
 _HELD_OUT = 0
 
@@ -26,7 +27,7 @@ class Place(NamedTuple):
 
 
 def places(data: Path) -> list[Place]:
-    """The images of ``shared/data`` that may train and have no oriented labels."""
+    """List the images of ``shared/data`` that may train and have no oriented labels."""
     out = []
     with (data / "upright" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
@@ -57,13 +58,16 @@ def places(data: Path) -> list[Place]:
 
 
 def is_held_out(place: Place) -> bool:
-    """One place in ten never trains, by a checksum; halves of one tile (``b``) and flights stay together."""
+    """Return whether a place never trains: one in ten, by a checksum.
+
+    Halves of one tile (``b``) and flights stay together.
+    """
     stem = place.path.stem.rstrip("b") if place.set == "estonia" else place.path.stem
     return place.set != "flights" and zlib.crc32(stem.encode()) % _DEV_SHARE == _HELD_OUT
 
 
 def looked_at() -> dict[str, list[tuple[float, float, str]]]:
-    """Read x, y and kind (car, ignore, clutter) of candidates judged on contact sheets, by file name."""
+    """Read candidates judged on contact sheets by file: x, y and kind (car, ignore, clutter)."""
     out: dict[str, list[tuple[float, float, str]]] = {}
     with _LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):

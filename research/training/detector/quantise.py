@@ -1,4 +1,6 @@
-"""Write the detector in eight bits: ``python -m research.training.detector.quantise MODEL.onnx OUT.onnx``.
+"""Write the detector in eight bits.
+
+``python -m research.training.detector.quantise MODEL.onnx OUT.onnx``.
 
 Static quantisation after training: every convolution but the last ones of the two heads, weights a
 scale a channel, activations by what crops of train images (never of the held-out tenth, never of
@@ -58,7 +60,7 @@ def crops(vehicles: Path, count: int, seed: int = 0) -> Iterator[NDArray[np.floa
 
 
 def quantised_nodes(model: onnx.ModelProto) -> list[str]:
-    """Names of the nodes that get 8 bits: the network's, but the last convolutions of its heads."""
+    """List the nodes that get 8 bits: all but the last convolutions of the network's heads."""
     nodes = [
         node
         for node in model.graph.node
@@ -78,10 +80,12 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--crops", type=int, default=96)
-    chosen = parser.parse_args()
-    batches = list(crops(chosen.data / "vehicles", chosen.crops))
-    write_eight_bits(chosen.model, chosen.out, batches=batches, nodes=quantised_nodes, metadata={})
-    print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
+    arguments = parser.parse_args()
+    batches = list(crops(arguments.data / "vehicles", arguments.crops))
+    write_eight_bits(
+        arguments.model, arguments.out, batches=batches, nodes=quantised_nodes, metadata={}
+    )
+    print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

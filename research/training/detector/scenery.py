@@ -1,4 +1,4 @@
-"""Images of known scale without oriented boxes, with labels by size and by human judgement: ``scenery.csv``.
+"""Images of known scale without oriented boxes, with labels by size and by eye.
 
 The table has cars to learn, places to ignore, and clutter to look at more often; all other ground
 is background. It was made once, by three judges in this order: people's boxes and what we made of
@@ -22,8 +22,8 @@ CAR_M = 4.5
 
 
 def load_scenery(data: Path, table: Path = SCENERY, *, held_out: bool = False) -> list[TrainImage]:
-    """Load the places that train, with what ``scenery.csv`` says; lorries drawn by people are ignored."""
-    known = read_corrections(table)
+    """Load the places that train, with the labels of ``scenery.csv``; lorries are ignored."""
+    corrections_by_file = read_corrections(table)
     out = []
     for place in places(data):
         if is_held_out(place) != held_out:
@@ -42,5 +42,5 @@ def load_scenery(data: Path, table: Path = SCENERY, *, held_out: bool = False) -
             clutter=np.zeros((0, 2)),
             car_px=CAR_M / place.gsd_m_per_px,
         )
-        out.append(corrected(bare, known.get(place.path.name, [])))
+        out.append(corrected(bare, corrections_by_file.get(place.path.name, [])))
     return out

@@ -1,7 +1,7 @@
 """Augmentations that hide cars: cast shadows, bare branches, paint as dark as asphalt.
 
-Of fifty missed cars of Estonian towns, looked at, two in three were dark, in a building's shadow or
-below branches.
+Of fifty missed cars of Estonian towns, two in three were dark, in a building's shadow or below
+branches.
 """
 
 from __future__ import annotations
@@ -16,14 +16,18 @@ from vehanchor.detection.boxes import box_corners
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_CAR_PX = 24.0  # length of a car in a crop that has none
-# of the crops
+# Length of a car in a crop without cars.
+_CAR_PX = 24.0
+# Shares of crops with dark cars, with branches and with a shadow.
 _DARK_SHARE = 0.15
 _BRANCH_SHARE = 0.12
 _SHADOW_SHARE = 0.2
-_DARK_CARS = 0.4  # of the cars of such a crop
-_AT_CAR = 0.6  # of the shadows and crowns
-_SHIFT = 4  # fractional bits of OpenCV's coordinates
+# Share of dark cars in a crop with dark cars.
+_DARK_CARS = 0.4
+# Share of shadows and crowns that lie beside a car.
+_AT_CAR = 0.6
+# Fractional bits of OpenCV's coordinates.
+_SHIFT = 4
 
 
 def shaded(
@@ -42,13 +46,15 @@ def shaded(
         image = darken_cars(rng, image, boxes)
     if branches:
         for _ in range(int(rng.integers(1, 6))):
-            image = draw_crown(rng, image, foot=_place(rng, image, boxes), car_px=car_px)
+            foot = _position(rng, image, boxes)
+            image = draw_crown(rng, image, foot=foot, car_px=car_px)
     if shadow:
-        image = cast_shadow(rng, image, middle=_place(rng, image, boxes), car_px=car_px)
+        middle = _position(rng, image, boxes)
+        image = cast_shadow(rng, image, middle=middle, car_px=car_px)
     return image
 
 
-def _place(
+def _position(
     rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Draw a position beside a car or anywhere."""
@@ -64,21 +70,26 @@ def darken_cars(
     """Paint some of the cars dark: their form stays, its contrast shrinks."""
     brightness = np.ones(image.shape[:2], np.float32)
     for box in boxes[rng.random(len(boxes)) < _DARK_CARS]:
-        outline = _fixed(box_corners((box * (1, 1, 0.97, 0.94, 1))[None])[0])
-        cv2.fillPoly(brightness, [outline], float(rng.uniform(0.2, 0.6)), cv2.LINE_AA, _SHIFT)
+        # Paint ends a little inside the box.
+        painted = box * (1, 1, 0.97, 0.94, 1)
+        outline = _fixed(box_corners(painted[None])[0])
+        darkness = float(rng.uniform(0.2, 0.6))
+        cv2.fillPoly(brightness, [outline], darkness, cv2.LINE_AA, _SHIFT)
     return _lit(image, brightness[:, :, None])
 
 
 def cast_shadow(
     rng: np.random.Generator, image: NDArray[np.uint8], middle: NDArray[np.float64], car_px: float
 ) -> NDArray[np.uint8]:
-    """Darken a straight-sided area of one to eight cars' lengths, a little blue, its edge hard or soft."""
+    """Darken a straight-sided area of one to eight cars' lengths with a hard or soft edge."""
     sides = car_px * np.exp(rng.uniform(np.log(1.0), np.log(8.0), 2))
     corners = cv2.boxPoints((middle.tolist(), sides.tolist(), float(rng.uniform(0, 180))))
     corners = corners + rng.normal(0, 0.15, corners.shape) * sides.min()
     inside = np.zeros(image.shape[:2], np.float32)
     cv2.fillPoly(inside, [_fixed(corners)], 1.0, cv2.LINE_AA, _SHIFT)
-    inside = np.asarray(cv2.GaussianBlur(inside, (0, 0), float(rng.uniform(0.3, 1.5))), np.float32)
+    softness = float(rng.uniform(0.3, 1.5))
+    inside = np.asarray(cv2.GaussianBlur(inside, (0, 0), softness), np.float32)
+    # Only the blue sky lights a shadow.
     tint = np.array([0.94, 1.0, 1.08], np.float32) * np.float32(rng.uniform(0.22, 0.6))
     return _lit(image, 1 + inside[:, :, None] * (tint - 1))
 
@@ -90,16 +101,10 @@ def draw_crown(
     cover = np.zeros(image.shape[:2], np.float32)
     radius = car_px * float(rng.uniform(0.4, 1.3))
     for heading in rng.uniform(0, 2 * np.pi, int(rng.integers(6, 25))):
-        _draw_branch(
-            rng,
-            cover,
-            foot=foot,
-            heading=heading,
-            length_px=radius * float(rng.uniform(0.5, 1.0)),
-            car_px=car_px,
-        )
-    way = rng.normal(0, 0.5 * car_px, 2)
-    move = np.array([[1, 0, way[0]], [0, 1, way[1]]])
+        length_px = radius * float(rng.uniform(0.5, 1.0))
+        _draw_branch(rng, cover, foot=foot, heading=heading, length_px=length_px, car_px=car_px)
+    dx, dy = rng.normal(0, 0.5 * car_px, 2)
+    move = np.array([[1, 0, dx], [0, 1, dy]])
     shadow = np.asarray(cv2.warpAffine(cover, move, image.shape[1::-1]), np.float32)
     image = _lit(image, 1 - np.float32(rng.uniform(0.1, 0.5)) * shadow[:, :, None])
     bark = np.clip(rng.uniform(50, 150) + rng.normal(0, 8, 3), 0, 255).astype(np.float32)
@@ -115,7 +120,7 @@ def _draw_branch(
     length_px: float,
     car_px: float,
 ) -> None:
-    """One crooked branch, thinner than a pixel where the cars are short."""
+    """Draw one crooked branch, thinner than a pixel where the cars are short."""
     bends = heading + np.cumsum(rng.normal(0, 0.35, 4))
     steps = np.stack([np.cos(bends), np.sin(bends)], axis=1) * length_px / 4
     path = foot + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
@@ -123,7 +128,13 @@ def _draw_branch(
     strength = float(min(1.0, width_px))
     line = np.zeros_like(cover)
     cv2.polylines(
-        line, [_fixed(path)], False, strength, max(1, round(width_px)), cv2.LINE_AA, _SHIFT
+        line,
+        [_fixed(path)],
+        isClosed=False,
+        color=strength,
+        thickness=max(1, round(width_px)),
+        lineType=cv2.LINE_AA,
+        shift=_SHIFT,
     )
     np.maximum(cover, line, out=cover)
 

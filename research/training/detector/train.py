@@ -1,4 +1,6 @@
-"""Train the detector: ``python -m research.training.detector.train --steps 7000 --run runs/detector``.
+"""Train the detector.
+
+``python -m research.training.detector.train --steps 7000 --run runs/detector``.
 
 Resumes from ``RUN/checkpoint.pt`` when it exists; uses a GPU when there is one
 (``research/training/loop.py``). ``--without estonia`` leaves sets out: what such a detector finds
@@ -27,7 +29,7 @@ _STATISTICS_CROPS = 64
 def losses(
     network: nn.Module, batch: tuple[Tensor, Target], device: torch.device
 ) -> Mapping[str, Tensor]:
-    """Loss of the heat map and of the boxes' numbers."""
+    """Compute the loss of the heat map and of the boxes' numbers."""
     image, raw = batch
     pixels = image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
     heat, shape = detection_loss(network(pixels), Target(*(part.to(device) for part in raw)))
@@ -64,7 +66,7 @@ def main() -> None:
     print(f"{len(images)} images, {sum(len(i.boxes) for i in images)} cars", flush=True)
     stream = CropStream(images, seed=options.seed)
     network = VehicleNet()
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in torch's stub
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     if options.start:
         crops = torch.stack([stream[k][0] for k in range(_STATISTICS_CROPS)])
         load_exported(network, options.start, crops.float().div(255.0))

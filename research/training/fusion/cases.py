@@ -1,4 +1,6 @@
-"""Images to calibrate the chance of a scale on, and to report it: ``python -m research.training.fusion.cases RUN``.
+"""Collect images on which the chance of a scale is calibrated and reported.
+
+``python -m research.training.fusion.cases RUN``.
 
 ``fit``: the held-out tenth of the train images, whole and as windows with one to four cars at
 several resolutions; the odd numbers of ``chia/``, reduced; rendered scenes of mixed fleets.
@@ -34,9 +36,11 @@ from vehanchor_evaluation.dota import SMALL_VEHICLE, read_labels
 from vehanchor_evaluation.search import search_known_scale
 from vehanchor_evaluation.table import survey_table
 
-_WINDOWS = {"fit": 4, "val": 2}  # of an image
-_TRIALS = 40  # to find one window
-_MOST_CARS = 4
+# Windows of an image.
+_WINDOWS = {"fit": 4, "val": 2}
+# Random trials to find one window.
+_TRIALS = 40
+_MAX_CARS = 4
 _WINDOW_PX = (200, 640)
 _FACTORS = (1.0, 0.7, 0.5)
 _COARSEST_M_PER_PX = 0.3
@@ -45,18 +49,19 @@ _RENDERED = 80
 _SEEDS = {"fit": 300_000, "val": 400_000}
 _RENDERED_M_PER_PX = (0.03, 0.25)
 _NO_CARS_SHARE = 0.3
-_WITHOUT_CARS = ("harbor", "runway")  # kinds of ``ucm_more``
+# Kinds of ``ucm_more`` without cars.
+_WITHOUT_CARS = ("harbor", "runway")
 _CARS = "labelled_small_vehicles"
 
 
 class Picture(NamedTuple):
-    """An image of known scale.
+    """Image of known scale.
 
     Attributes:
         file: its path.
         set: name of its place.
         gsd_m_per_px: its true scale.
-        cars: number of labelled cars; None if nobody has labelled any.
+        cars: number of labelled cars; None without labels.
     """
 
     file: Path
@@ -72,63 +77,65 @@ def known_images(data: Path, split: str) -> list[tuple[Path, str, float]]:
     for table, folder in [*tables, (data / "unlabelled" / "index.csv", data / "unlabelled")]:
         with table.open(newline="") as handle:
             for row in csv.DictReader(handle):
-                if row.get("split", "train") == split and (
-                    split != "train" or is_dev(row["file"], row["set"])
-                ):
-                    rows.append((folder / row["file"], row["set"], float(row["gsd_m_per_px"])))
+                if row.get("split", "train") != split:
+                    continue
+                if split == "train" and not is_dev(row["file"], row["set"]):
+                    continue
+                rows.append((folder / row["file"], row["set"], float(row["gsd_m_per_px"])))
     return rows
 
 
 def labelled_centres(image: Path) -> np.ndarray | None:
-    """``[n, 2]`` centres of the labelled cars of an image in ``vehicles/`` or ``upright/``; None without labels."""
+    """Read the centres ``[n, 2]`` of the labelled cars of an image; None without labels."""
     labels = image.parent.parent / "labels" / f"{image.stem}.txt"
-    return read_labels(labels, []).of_class(SMALL_VEHICLE).mean(axis=1) if labels.exists() else None
+    if not labels.exists():
+        return None
+    return read_labels(labels, []).of_class(SMALL_VEHICLE).mean(axis=1)
 
 
 def whole_images(data: Path, split: str) -> Iterator[Picture]:
-    """Whole images of known scale: of the held-out tenth (``fit``), or of val."""
+    """List whole images of known scale: of the held-out tenth (``fit``), or of val."""
     for path, name, gsd in known_images(data, "train" if split == "fit" else "val"):
         centres = labelled_centres(path)
-        cars = 0 if name == "empty" else None if centres is None else len(centres)
-        if path.stem.removeprefix("ucm_").rstrip("0123456789") in _WITHOUT_CARS:
+        cars = None if centres is None else len(centres)
+        kind = path.stem.removeprefix("ucm_").rstrip("0123456789")
+        if name == "empty" or kind in _WITHOUT_CARS:
             cars = 0
         yield Picture(path, name, gsd, cars)
     if split == "fit":
-        yield from (
-            Picture(place.path, place.set, place.gsd_m_per_px, None)
-            for place in places(data)
-            if place.set == "building" and is_held_out(place)
-        )
+        for place in places(data):
+            if place.set == "building" and is_held_out(place):
+                yield Picture(place.path, place.set, place.gsd_m_per_px, None)
         return
     with (data / "segments" / "index.csv").open(newline="") as handle:
         for row in csv.DictReader(handle):
             if (row["split"], row["category"]) == ("val", "building"):
-                yield Picture(
-                    data / "segments" / row["image"], "building", float(row["gsd_m_per_px"]), None
-                )
+                path = data / "segments" / row["image"]
+                yield Picture(path, "building", float(row["gsd_m_per_px"]), None)
 
 
 def windows(whole: Picture, split: str, folder: Path) -> Iterator[Picture]:
     """Cut windows with one to four cars out of a labelled image, and reduce them."""
     centres = labelled_centres(whole.file)
     pixels = cv2.imread(str(whole.file))
-    if (
-        centres is None
-        or not len(centres)
-        or pixels is None
-        or whole.gsd_m_per_px > _COARSEST_M_PER_PX
-    ):
+    if centres is None or not len(centres) or pixels is None:
+        return
+    if whole.gsd_m_per_px > _COARSEST_M_PER_PX:
         return
     rng = np.random.default_rng(zlib.crc32(whole.file.name.encode()))
     size = np.array(pixels.shape[1::-1])
     for number in range(_WINDOWS[split]):
-        factors = [each for each in _FACTORS if whole.gsd_m_per_px / each <= _COARSEST_M_PER_PX]
+        factors = [
+            factor for factor in _FACTORS if whole.gsd_m_per_px / factor <= _COARSEST_M_PER_PX
+        ]
         factor = float(rng.choice(factors))
         for _ in range(_TRIALS):
-            side = np.minimum(np.exp(rng.uniform(*np.log(_WINDOW_PX))) / factor, size).astype(int)
+            side_px = np.exp(rng.uniform(*np.log(_WINDOW_PX))) / factor
+            side = np.minimum(side_px, size).astype(int)
             corner = rng.integers(0, size - side + 1)
-            cars = int(((centres > corner) & (centres < corner + side)).all(axis=1).sum())
-            if 1 <= cars <= _MOST_CARS:
+            is_inside = ((centres > corner) & (centres < corner + side)).all(axis=1)
+            cars = int(is_inside.sum())
+            if 1 <= cars <= _MAX_CARS:
                 cut = pixels[corner[1] : corner[1] + side[1], corner[0] : corner[0] + side[0]]
                 file = folder / f"{whole.set}_{whole.file.stem}_{number}.png"
                 yield reduced(cut, factor, Picture(file, whole.set, whole.gsd_m_per_px, cars))
@@ -136,7 +143,7 @@ def windows(whole: Picture, split: str, folder: Path) -> Iterator[Picture]:
 
 
 def reduced(pixels: np.ndarray, factor: float, picture: Picture) -> Picture:
-    """Write a reduced copy; its table row with the coarser scale."""
+    """Write a reduced copy; return its table row with the coarser scale."""
     if not picture.file.exists():
         small = cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         cv2.imwrite(str(picture.file), small)
@@ -144,7 +151,10 @@ def reduced(pixels: np.ndarray, factor: float, picture: Picture) -> Picture:
 
 
 def chia(data: Path, split: str, folder: Path) -> Iterator[Picture]:
-    """Crops and nadir copies of ``chia/`` without metadata: odd numbers reduced (``fit``), even numbers as they are."""
+    """List crops and nadir copies of ``chia/`` without metadata.
+
+    Odd numbers are reduced (``fit``), even numbers are not.
+    """
     for kind, table in (("crops", "crops.csv"), ("copies", "table.csv")):
         with (data / "chia" / table).open(newline="") as handle:
             rows = [row for row in csv.DictReader(handle) if row["gsd_m_per_px"]]
@@ -152,7 +162,8 @@ def chia(data: Path, split: str, folder: Path) -> Iterator[Picture]:
             path = data / "chia" / row["file"]
             if (int(path.stem[-4:]) % 2 == 1) != (split == "fit"):
                 continue
-            for factor in _CHIA_FACTORS[kind] if split == "fit" else (1.0,):
+            factors = _CHIA_FACTORS[kind] if split == "fit" else (1.0,)
+            for factor in factors:
                 file = folder / f"chia_{kind}_{path.stem}_{factor:g}.png"
                 picture = Picture(file, f"chia_{kind}", float(row["gsd_m_per_px"]), None)
                 pixels = cv2.imread(str(path))
@@ -161,7 +172,7 @@ def chia(data: Path, split: str, folder: Path) -> Iterator[Picture]:
 
 
 def rendered(split: str, folder: Path) -> Iterator[Picture]:
-    """Scenes of mixed fleets with up to six vehicles, a part of them without any."""
+    """Render scenes of mixed fleets with up to six vehicles, a part of them without any."""
     for seed in range(_SEEDS[split], _SEEDS[split] + _RENDERED):
         rng = np.random.default_rng(seed)
         gsd = float(np.exp(rng.uniform(*np.log(_RENDERED_M_PER_PX))))
@@ -183,7 +194,7 @@ def rendered(split: str, folder: Path) -> Iterator[Picture]:
 
 
 def pictures(data: Path, split: str, folder: Path) -> Iterator[Picture]:
-    """All pictures of a split."""
+    """List all pictures of a split."""
     folder.mkdir(parents=True, exist_ok=True)
     for whole in whole_images(data, split):
         yield whole
@@ -198,9 +209,11 @@ def write_table(run: Path, data: Path, split: str) -> Path:
     with whole_file(table) as partial, partial.open("w", newline="") as handle:
         writer = csv.writer(handle)
         writer.writerow(["file", "gsd_m_per_px", "set", "split", _CARS])
-        for each in pictures(data, split, run / "pictures" / split):
-            cars = "" if each.cars is None else each.cars
-            writer.writerow([each.file.resolve(), each.gsd_m_per_px, each.set, split, cars])
+        for picture in pictures(data, split, run / "pictures" / split):
+            cars = "" if picture.cars is None else picture.cars
+            writer.writerow(
+                [picture.file.resolve(), picture.gsd_m_per_px, picture.set, split, cars]
+            )
     return table
 
 
@@ -224,9 +237,9 @@ def copied(detector: Path, folder: Path) -> Path:
     if not copy.exists():
         folder.mkdir(parents=True, exist_ok=True)
         for kind in ("verifier", "chips"):
-            found = auxiliary_model(detector, kind)
-            if found is not None:
-                shutil.copy(found, folder / f"{detector.stem}.{kind}.onnx")
+            model = auxiliary_model(detector, kind)
+            if model is not None:
+                shutil.copy(model, folder / f"{detector.stem}.{kind}.onnx")
         shutil.copy(detector, copy)
     return copy
 

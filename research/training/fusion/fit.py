@@ -1,7 +1,7 @@
 """Fit how a detector's boxes vote: ``python -m research.training.fusion.fit RUN DETECTOR.onnx``.
 
-Reads the searches that ``research.training.fusion.cases`` has kept in ``RUN``. A box of a car's
-length in metres is taken for a car: its log odds follow from the score by logistic regression
+Reads the searches that ``research.training.fusion.cases`` stored in ``RUN``. A box with a
+car's length in metres counts as a car. Logistic regression gives its log odds from its score
 (``vehanchor.scale.density.Votes``), with equal weights of all photographs. The result becomes
 ``vehanchor.votes`` of the detector's file. Prints how often the answer is usable, how many usable
 ones are wrong, and how often the interval holds the true scale: by number of vehicles, and by place
@@ -37,19 +37,21 @@ from vehanchor_evaluation.reliability import upper_bound
 from vehanchor_evaluation.search import SearchedImage, open_detection_log
 from vehanchor_evaluation.table import survey_table
 
-_CAR_M = (3.0, 6.3)  # between these a box of known scale is taken for a car
-_NUMBERS = ((0, 0), (1, 1), (2, 2), (3, 4), (5, 12), (13, 10_000))  # of vehicles, in reports
+# A box of known scale with a length in this range counts as a car.
+_CAR_M = (3.0, 6.3)
+# Ranges of the number of vehicles, in reports.
+_NUMBERS = ((0, 0), (1, 1), (2, 2), (3, 4), (5, 12), (13, 10_000))
 
 
 class Searched(NamedTuple):
-    """An image of known scale with its search."""
+    """Image of known scale with its search."""
 
     image: KnownScaleImage
-    found: SearchedImage
+    search: SearchedImage
 
     @property
     def place(self) -> str:
-        """The place; crops and copies of one photograph count together."""
+        """Place; crops and copies of one photograph count together."""
         return self.image.set.split("_")[0]
 
 
@@ -86,110 +88,112 @@ class Outcome(NamedTuple):
 def kept_searches(run: Path, split: str, detector: Detector) -> list[Searched]:
     """Read the searches of a split."""
     log = open_detection_log(run / f"{split}.jsonl", detector, ScaleOptions())
-    found = (
-        (image, log.get(Source.of(image.path)))
-        for image in survey_table(run / f"{split}.csv").images
-    )
-    return [Searched(image, each) for image, each in found if each is not None]
+    searched = []
+    for image in survey_table(run / f"{split}.csv").images:
+        search = log.get(Source.of(image.path))
+        if search is not None:
+            searched.append(Searched(image, search))
+    return searched
 
 
 def boxes_of(searched: Sequence[Searched]) -> Boxes:
-    """Collect the boxes of images, and tell which are as long as a car."""
-    scores = [each.found.detections.scores for each in searched]
-    metres = [each.found.detections.boxes[:, 2] * each.image.gsd_m_per_px for each in searched]
-    weights = [np.full(len(some), 1.0 / max(1, len(some))) for some in scores]
-    joined = np.concatenate(metres)
-    return Boxes(
-        np.concatenate(scores), (joined > _CAR_M[0]) & (joined < _CAR_M[1]), np.concatenate(weights)
+    """Collect the boxes of images, and mark those that are as long as a car."""
+    scores = [search.detections.scores for _, search in searched]
+    lengths_m = np.concatenate(
+        [search.detections.boxes[:, 2] * image.gsd_m_per_px for image, search in searched]
     )
+    weights = [np.full(len(of_image), 1.0 / max(1, len(of_image))) for of_image in scores]
+    is_car = (lengths_m > _CAR_M[0]) & (lengths_m < _CAR_M[1])
+    return Boxes(np.concatenate(scores), is_car, np.concatenate(weights))
 
 
 def fit_votes(boxes: Boxes) -> Votes:
     """Fit the log odds of a car at score 0, and their increase to a score of 1."""
 
-    def surprise(odds: NDArray[np.float64]) -> float:
-        log_odds = odds[0] + odds[1] * boxes.scores
-        return float(
-            np.average(
-                np.logaddexp(0, np.where(boxes.car, -log_odds, log_odds)), weights=boxes.weight
-            )
-        )
+    def cross_entropy(parameters: NDArray[np.float64]) -> float:
+        log_odds = parameters[0] + parameters[1] * boxes.scores
+        losses = np.logaddexp(0, np.where(boxes.car, -log_odds, log_odds))
+        return float(np.average(losses, weights=boxes.weight))
 
-    found = minimize(surprise, [-3.0, 6.0], method="Nelder-Mead").x
-    return Votes(float(found[0]), float(found[1]))
+    best = minimize(cross_entropy, [-3.0, 6.0], method="Nelder-Mead").x
+    return Votes(float(best[0]), float(best[1]))
 
 
 def outcome(analysis: ScaleAnalysis, true_gsd_m_per_px: float) -> Outcome:
     """Decide on the scale by vehicles and priors alone, and compare it with the truth."""
     vehicles = analysis.vehicles
     assert vehicles is not None
-    n = vehicles.n
-    found = answer([vehicles, *(each for each in analysis.witnesses if not each.sets_scale)])
-    if found is None:
-        return Outcome(n, False, math.nan, False)
-    error = abs(found.gsd_m_per_px / true_gsd_m_per_px - 1)
-    return Outcome(
-        n, found.usable, error, found.interval.low <= true_gsd_m_per_px <= found.interval.high
-    )
+    priors = [witness for witness in analysis.witnesses if not witness.sets_scale]
+    scale = answer([vehicles, *priors])
+    if scale is None:
+        return Outcome(vehicles.n, usable=False, error=math.nan, held=False)
+    error = abs(scale.gsd_m_per_px / true_gsd_m_per_px - 1)
+    held = scale.interval.low <= true_gsd_m_per_px <= scale.interval.high
+    return Outcome(vehicles.n, scale.usable, error=error, held=held)
 
 
 def outcomes(searched: Sequence[Searched], card: DetectorCard) -> list[Outcome]:
     """Apply a card's votes to kept searches."""
     options = ScaleOptions()
-    return [outcome(found.analysis(card, options), image.gsd_m_per_px) for image, found in searched]
+    return [
+        outcome(search.analysis(card, options), image.gsd_m_per_px) for image, search in searched
+    ]
 
 
-def row(name: str, some: Sequence[Outcome]) -> str:
+def row(name: str, results: Sequence[Outcome]) -> str:
     """Describe outcomes in a row of a table."""
-    usable = [each for each in some if each.usable]
-    scaled = [each for each in some if not math.isnan(each.error)]
-    wrong = sum(each.error > TOLERANCE for each in usable)
-    bound = upper_bound(wrong, len(usable))
-    median = f"{np.median([each.error for each in scaled]):.1%}" if scaled else ""
-    cover = f"{np.mean([each.held for each in scaled]):.3f}" if scaled else ""
-    return (
-        f"| {name} | {len(some)} | {len(usable)} | {wrong} | "
-        f"{'' if bound is None else f'{bound:.1%}'} | {median} | "
-        f"{cover} |"
-    )
+    usable = [result for result in results if result.usable]
+    scaled = [result for result in results if not math.isnan(result.error)]
+    wrong = sum(result.error > TOLERANCE for result in usable)
+    upper = upper_bound(wrong, len(usable))
+    bound = "" if upper is None else f"{upper:.1%}"
+    median = ""
+    coverage = ""
+    if scaled:
+        median = f"{np.median([result.error for result in scaled]):.1%}"
+        coverage = f"{np.mean([result.held for result in scaled]):.3f}"
+    counts = f"{len(results)} | {len(usable)} | {wrong}"
+    return f"| {name} | {counts} | {bound} | {median} | {coverage} |"
 
 
 def report(name: str, searched: Sequence[Searched], cards: Sequence[DetectorCard]) -> None:
     """Print outcomes by number of vehicles and by place.
 
     Args:
-        name: of the images.
+        name: name of the images.
         searched: the images.
         cards: for each image, the detector's card with the votes to judge it by.
     """
-    seen = [outcomes([each], card)[0] for each, card in zip(searched, cards, strict=True)]
-    print(header(name, "n", "ok", "wrong", "below", "median error", "interval holds"))
+    results = [outcomes([image], card)[0] for image, card in zip(searched, cards, strict=True)]
+    columns = ("n", "ok", "wrong", "below", "median error", "interval holds")
+    print(header(name, *columns))
     for low, high in _NUMBERS:
-        print(row(f"{low} to {high} vehicles", [each for each in seen if low <= each.n <= high]))
-    for place in sorted({each.place for each in searched}):
-        some = [found for each, found in zip(searched, seen, strict=True) if each.place == place]
-        print(row(place, some))
-    print(row("all", seen), end="\n\n", flush=True)
+        in_range = [result for result in results if low <= result.n <= high]
+        print(row(f"{low} to {high} vehicles", in_range))
+    for place in sorted({image.place for image in searched}):
+        at_place = [
+            result for image, result in zip(searched, results, strict=True) if image.place == place
+        ]
+        print(row(place, at_place))
+    print(row("all", results), end="\n\n", flush=True)
 
 
 def left_out(searched: Sequence[Searched], card: DetectorCard) -> list[DetectorCard]:
     """Make the card of each image: its votes are fitted on the other places."""
-    by_place = {
-        place: card.model_copy(
-            update={
-                "votes": fit_votes(boxes_of([each for each in searched if each.place != place]))
-            }
-        )
-        for place in {each.place for each in searched}
-    }
-    return [by_place[each.place] for each in searched]
+    card_by_place = {}
+    for place in {image.place for image in searched}:
+        others = [image for image in searched if image.place != place]
+        votes = fit_votes(boxes_of(others))
+        card_by_place[place] = card.model_copy(update={"votes": votes})
+    return [card_by_place[image.place] for image in searched]
 
 
 def write(path: Path, votes: Votes) -> None:
     """Put the votes into the detector's file; its graph stays as it is."""
     model = onnx.load(path)
-    stated = {entry.key: entry.value for entry in model.metadata_props}
-    onnx.helper.set_model_props(model, stated | {"vehanchor.votes": json.dumps(votes._asdict())})
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    properties["vehanchor.votes"] = json.dumps(votes._asdict())
+    onnx.helper.set_model_props(model, properties)
     with whole_file(path) as partial:
         onnx.save(model, partial)
 
@@ -199,10 +203,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument(
-        "detectors", type=Path, nargs="*", help="files that get the votes; none: only report"
+        "detectors", type=Path, nargs="*", help="files that get the votes; without any, only report"
     )
     options = parser.parse_args()
-    (copy,) = (path for path in (options.run / "models").glob("*.onnx") if "." not in path.stem)
+    # The copy of the detector that made the searches; files of its auxiliary models have a dot.
+    files = (options.run / "models").glob("*.onnx")
+    (copy,) = [path for path in files if "." not in path.stem]
     detector = load_detector(copy)
     card = detector.card
     searched = {split: kept_searches(options.run, split, detector) for split in ("fit", "val")}
@@ -213,8 +219,8 @@ def main() -> None:
         card = card.model_copy(update={"votes": votes})
         for path in options.detectors:
             write(path, votes)
-    for split, some in searched.items():
-        report(split, some, [card] * len(some))
+    for split, images in searched.items():
+        report(split, images, [card] * len(images))
 
 
 if __name__ == "__main__":

@@ -10,16 +10,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BINS = 66
-LOG_STEP = 0.07  # the last bin is 1.15 m/px
-FIRST_LOG_GSD = float(np.log(0.0245)) - 10 * LOG_STEP  # centre of the first bin, 0.0122 m/px
-LABEL_SPREAD = 0.12  # of the soft target, in log; rulers.md
+# Width of a bin; the last one is 1.15 m/px.
+LOG_STEP = 0.07
+# Centre of the first bin, 0.0122 m/px.
+FIRST_LOG_GSD = float(np.log(0.0245)) - 10 * LOG_STEP
+# Spread of the soft target, in log (rulers.md).
+LABEL_SPREAD = 0.12
 LOG_GSD = FIRST_LOG_GSD + LOG_STEP * np.arange(BINS)
 
 
 def soft_target(
     gsd_m_per_px: float, label_spread: float = 0.0, lost: float = 0.0
 ) -> NDArray[np.float32]:
-    """The distribution over the bins that a crop is labelled with.
+    """Compute the distribution over the bins with which a crop is labelled.
 
     Args:
         gsd_m_per_px: of the crop.

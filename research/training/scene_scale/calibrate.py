@@ -1,4 +1,6 @@
-"""Fit how a network's answers combine: ``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
+"""Fit how a network's answers combine.
+
+``python -m research.training.scene_scale.calibrate OUT.json CASES.npz ...``.
 
 The cases (``cases.py``) should be of networks that never saw the sets they are asked about: what
 the shipped network says of a new place is as good as that. Every set counts alike. Fitted are the
@@ -25,7 +27,8 @@ from vehanchor.scale.density import LOG_STEP as GRID_STEP
 from vehanchor.storage.atomic import whole_file
 
 BEGIN = SceneCalibration(FIRST_LOG_GSD, LOG_STEP, doubt=0.01)
-_OF_BINS = ("first_log_gsd", "log_step")  # fields that are the network's, not fitted
+# Fields that the network determines, which are not fitted.
+_OF_BINS = ("first_log_gsd", "log_step")
 _CHOICES: dict[str, Sequence[float]] = {
     "temperature": tuple(np.exp(np.linspace(np.log(0.35), np.log(3.5), 13))),
     "levels": (0.0, 0.25, 0.5, 0.75, 1.0),
@@ -34,48 +37,49 @@ _CHOICES: dict[str, Sequence[float]] = {
     "finer": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
 }
 _ROUNDS = 2
-_LEAST_COVER = 0.9
+_MIN_COVER = 0.9
 _COVER_WEIGHT = 2.0
-_LEAST_CASES = 15  # of a set whose cover counts
+# Images that a set needs, so that its coverage counts.
+_MIN_CASES = 15
 _WITHIN = 1.5
 
 
 def density_of(case: Case, calibration: SceneCalibration) -> NDArray[np.float64]:
     """Combine what was seen on an image's tiles, as the library does."""
     levels = [
-        (factor, seen.astype(np.float64).mean(axis=0))
-        for factor, seen in zip(case.factors, case.log_probs, strict=True)
+        (factor, log_probs.astype(np.float64).mean(axis=0))
+        for factor, log_probs in zip(case.factors, case.log_probs, strict=True)
     ]
     return scene_density(levels, calibration)
 
 
 def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
-    """The mean log density (per unit of log m/px) at the truth, every set alike."""
+    """Compute the mean log density (per unit of log m/px) at the truth, every set alike."""
     scores: dict[str, list[float]] = {}
     for case in cases:
         density = density_of(case, calibration)
-        at = int(np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px))))
-        scores.setdefault(case.set, []).append(float(np.log(density[at] / GRID_STEP)))
-    return float(np.mean([np.mean(each) for each in scores.values()]))
+        truth_bin = int(np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px))))
+        scores.setdefault(case.set, []).append(float(np.log(density[truth_bin] / GRID_STEP)))
+    return float(np.mean([np.mean(of_set) for of_set in scores.values()]))
 
 
 def least_cover(cases: Sequence[Case], calibration: SceneCalibration) -> float:
-    """The share of images whose interval holds the truth, in the set where it holds least."""
+    """Compute the share of intervals that hold the truth, in the set where it is lowest."""
     held: dict[str, list[bool]] = {}
     for case in cases:
         _, low, high = _row(case, calibration)
         held.setdefault(case.set, []).append(low < 0 < high)
-    return float(min(np.mean(each) for each in held.values() if len(each) >= _LEAST_CASES))
+    return float(min(np.mean(of_set) for of_set in held.values() if len(of_set) >= _MIN_CASES))
 
 
 def fit(cases: Sequence[Case]) -> SceneCalibration:
     """Find the calibration of the highest score by coordinate ascent.
 
-    Where intervals hold in less than ``_LEAST_COVER`` of a set's images, that weighs against it.
+    Where intervals hold in less than ``_MIN_COVER`` of a set's images, that weighs against it.
     """
 
     def worth(option: SceneCalibration) -> float:
-        lacking = max(0.0, _LEAST_COVER - least_cover(cases, option))
+        lacking = max(0.0, _MIN_COVER - least_cover(cases, option))
         return log_score(cases, option) - _COVER_WEIGHT * lacking
 
     best = BEGIN
@@ -92,17 +96,17 @@ def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
     ]
     for reduced in (False, True):
         for name in (*sorted({case.set for case in cases}), "all"):
-            chosen = [
+            selected = [
                 case for case in cases if case.reduced == reduced and name in (case.set, "all")
             ]
-            if not chosen:
+            if not selected:
                 continue
-            rows = np.array([_row(case, calibration) for case in chosen])
+            rows = np.array([_row(case, calibration) for case in selected])
             error, low, high = rows.T
             held = np.mean((low < 0) & (high > 0))
             right = np.mean(np.abs(error) < np.log(_WITHIN))
             lines.append(
-                f"{name:12s} {'reduced' if reduced else 'as it is':8s} {len(chosen):6d}"
+                f"{name:12s} {'reduced' if reduced else 'as it is':8s} {len(selected):6d}"
                 f"  {np.median(np.abs(error)):18.3f}  {right:10.0%}  {held:14.0%}"
                 f"  {np.median(np.exp(high - low)):15.2f}"
             )
@@ -110,7 +114,7 @@ def report(cases: Sequence[Case], calibration: SceneCalibration) -> list[str]:
 
 
 def _row(case: Case, calibration: SceneCalibration) -> tuple[float, float, float]:
-    """Logs of the density's median and of its interval's ends over the truth."""
+    """Compute the logs of the density's median and of its interval's ends over the truth."""
     density = density_of(case, calibration)
     median = np.interp(0.5, np.cumsum(density), GRID + GRID_STEP / 2)
     low, high = np.log(credible_interval(density)) - np.log(case.gsd_m_per_px)

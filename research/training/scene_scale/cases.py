@@ -22,8 +22,10 @@ from vehanchor.detection.scene_scale import TILE_PX, read_tile, tile_windows
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.storage.atomic import whole_file
 
-_REDUCED = 2  # random reductions beside each image as it is
-_SMALLEST_PX = 1.25 * TILE_PX  # shorter side of a reduced image
+# Random reductions of each image, beside the image itself.
+_REDUCED = 2
+# Shorter side of the smallest reduced image.
+_SMALLEST_PX = 1.25 * TILE_PX
 
 
 class Case(NamedTuple):
@@ -76,9 +78,9 @@ def searched_cases(
 def save(cases: Sequence[Case], path: Path) -> None:
     """Write cases as one file."""
     levels = [
-        (k, factor, len(seen))
+        (k, factor, len(log_probs))
         for k, c in enumerate(cases)
-        for factor, seen in zip(c.factors, c.log_probs, strict=True)
+        for factor, log_probs in zip(c.factors, c.log_probs, strict=True)
     ]
     with whole_file(path) as partial, partial.open("wb") as handle:
         np.savez_compressed(
@@ -86,7 +88,7 @@ def save(cases: Sequence[Case], path: Path) -> None:
             text=np.array([(c.set, c.name) for c in cases]),
             numbers=np.array([(c.gsd_m_per_px, c.reduced) for c in cases]),
             levels=np.array(levels),
-            log_probs=np.concatenate([seen for c in cases for seen in c.log_probs]),
+            log_probs=np.concatenate([log_probs for c in cases for log_probs in c.log_probs]),
         )
 
 
@@ -124,8 +126,8 @@ def main() -> None:
     parser.add_argument("--sets", default="", help=f"some of {', '.join(SETS)}; all by default")
     parser.add_argument("--every", type=int, default=1, help="take one image in so many")
     options = parser.parse_args()
-    chosen = [name for name in options.sets.split(",") if name] or [*SETS, "tilt"]
-    without = {*SETS, "tilt"} - set(chosen)
+    names = [name for name in options.sets.split(",") if name] or [*SETS, "tilt"]
+    without = {*SETS, "tilt"} - set(names)
     if options.on == "val":
         images = load_val_images(options.data, without=without)
     else:

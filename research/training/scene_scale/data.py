@@ -1,4 +1,4 @@
-"""Images of known scale, and an endless stream of crops of them, each resampled to a random number of metres a pixel.
+"""Images of known scale, and an endless stream of crops resampled to random scales.
 
 No labels are needed: whatever has a scale trains. The scale of ``jekhor`` comes from its cars, the
 scale of ``flights`` from its GPS track. Nothing of a val split is read, nor what is for evaluation
@@ -30,35 +30,45 @@ if TYPE_CHECKING:
 TILE_PX = 160
 FINEST_M_PER_PX = 0.0135
 COARSEST_M_PER_PX = 1.1
-_CAR_M = 4.6  # median length of Munich's and Minsk's cars
-_LEAST_CARS = 2  # of an image whose scale they give
-# log standard deviation of these two kinds of label
+# Median length of Munich's and Minsk's cars.
+_CAR_M = 4.6
+# Cars that an image needs, so that they give its scale.
+_MIN_CARS = 2
+# Log standard deviation of these two kinds of label.
 _CAR_SPREAD = 0.07
 _FLIGHT_SPREAD = 0.12
-_HEIGHT_SPREAD = 0.03  # likewise, of a height above take-off
-# the latter are the photographs of tilt/, most of them oblique
+# Log standard deviation of a height above take-off.
+_HEIGHT_SPREAD = 0.03
+# The latter are the photographs of tilt/, most of them oblique.
 _CHECK_ONLY = re.compile(r"harlem|DJI_\d+$")
-# m/px, from the GPS track: each pair within a fifth
+# Scales in m/px from the GPS track; each pair agrees within a fifth.
 _FLIGHT_GSD = {"garfield": 0.047, "seneca": 0.058}
-_DOWN_DEG = -85.0  # a camera's pitch from here on looks down
-_FULL_FRAME_MM = 36.0  # width of what "35 mm" focal lengths are for
+# From this pitch on, a camera looks down.
+_DOWN_DEG = -85.0
+# Width of the frame to which "35 mm" focal lengths refer.
+_FULL_FRAME_MM = 36.0
 _TILT_WIDTH_PX = 3000
-_EVERY_PHOTOGRAPH = 2  # of a flight: neighbours show the same ground
-_HELD_OUT_PHOTOGRAPHS = 4  # the last of a flight, with the last ground
-_FINEST_SHARE = 0.75  # of its native metres a pixel a source is resampled to: beyond is blur
-_FINEST_FLIGHT_SHARE = 0.6  # reduced copies are sharp to the pixel
+# One photograph in two of a flight trains, because neighbours show the same ground.
+_EVERY_PHOTOGRAPH = 2
+# The last photographs of a flight are held out, with the last ground.
+_HELD_OUT_PHOTOGRAPHS = 4
+# Finest resampling of a source, as a share of its own metres a pixel; beyond is only blur.
+_FINEST_SHARE = 0.75
+# The same for flights, whose reduced copies are sharp to the pixel.
+_FINEST_FLIGHT_SHARE = 0.6
 _SET_WEIGHT = {
-    "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0, "estonia_port": 0.7,
-    "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0, "seneca": 0.8, "scene": 1.0,
-    "chia": 1.5,
+    "cannes": 1.0, "ucm": 0.8, "ucm_more": 0.8, "empty": 0.4, "saopaulo": 1.0, "estonia": 1.0,
+    "estonia_port": 0.7, "building": 1.0, "munich": 0.5, "minsk": 0.8, "garfield": 1.0,
+    "seneca": 0.8, "scene": 1.0, "chia": 1.5,
 }  # fmt: skip
-# of the crops by any angle, which softens them; the others in one of the eight symmetries
+# Share of crops turned by any angle, which softens them; others have one of eight symmetries.
 _TURNED_SHARE = 0.25
-# of the crops as the detector's, which blurs and sharpens; the others are retouched only
+# Share of crops changed as for the detector, with blur and sharpening; others are retouched.
 _PHOTOMETRIC_SHARE = 0.5
 _BLURRED_SHARE = 0.08
 _NOISE_SHARE = 0.05
-_BLUR_PX = (2.0, 9.0)  # standard deviations; from the upper one on a crop says nothing
+# Standard deviations of the blur; from the upper one on, a crop shows nothing.
+_BLUR_PX = (2.0, 9.0)
 SETS = tuple(name for name in _SET_WEIGHT if name != "scene")
 
 
@@ -84,7 +94,7 @@ class Source(NamedTuple):
 
 
 def sources(data: Path) -> list[Source]:
-    """Every file of ``shared/data`` that may train and has a scale, each once."""
+    """List every file of ``shared/data`` that may train and has a scale, each once."""
     out = [
         *_listed(data, "gsd/table.csv"),
         *_listed(data, "gsd/upright.csv"),
@@ -100,7 +110,10 @@ def sources(data: Path) -> list[Source]:
 def load_images(
     data: Path, *, held_out: bool = False, without: Collection[str] = ()
 ) -> list[ScaledImage]:
-    """Load the training part of ``shared/data``, or its held-out tenth alone; ``without`` names sets to leave out."""
+    """Load the training part of ``shared/data`` or its held-out tenth.
+
+    ``without`` names sets to leave out.
+    """
     return [_load(s) for s in sources(data) if s.held_out == held_out and s.set not in without]
 
 
@@ -114,8 +127,8 @@ def load_scenes(folder: Path) -> list[ScaledImage]:
 
 
 def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[ScaledImage]:
-    """Load what is for reporting: the val splits where they have a scale, and what of ``tilt/`` looks down."""
-    found = [
+    """Load the images for reports: val splits with a scale, and nadir photographs of ``tilt/``."""
+    photographs = [
         *_listed(data, "gsd/table.csv", "val"),
         *_listed(data, "gsd/upright.csv", "val"),
         *_segments(data, "val"),
@@ -127,7 +140,7 @@ def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[Scaled
                 * _FULL_FRAME_MM
                 / float(row["focal_length_35mm"])
             )
-            found.append(
+            photographs.append(
                 Source(
                     data / "tilt" / row["file"],
                     "tilt",
@@ -136,8 +149,8 @@ def load_val_images(data: Path, *, without: Collection[str] = ()) -> list[Scaled
                     held_out=False,
                 )
             )
-    found += chia_photographs(data, odd=False)
-    return [_load(source) for source in found if source.set not in without]
+    photographs += chia_photographs(data, odd=False)
+    return [_load(source) for source in photographs if source.set not in without]
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
@@ -146,7 +159,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 
 def _listed(data: Path, index: str, split: str = "train") -> list[Source]:
-    """The rows of a split of a table with ``file``, ``set``, ``gsd_m_per_px`` and perhaps ``split``."""
+    """Read a split of a table with ``file``, ``set``, ``gsd_m_per_px`` and perhaps ``split``."""
     folder = (data / index).parent
     return [
         Source(
@@ -162,7 +175,7 @@ def _listed(data: Path, index: str, split: str = "train") -> list[Source]:
 
 
 def _segments(data: Path, split: str = "train") -> list[Source]:
-    """Images that have masks and are in no other table, nor in a val split anywhere."""
+    """List images that have masks and are in no other table, nor in a val split."""
     elsewhere = {Path(row["file"]).stem for row in _rows(data / "vehicles" / "index.csv")}
     out = []
     for row in _rows(data / "segments" / "index.csv"):
@@ -176,7 +189,7 @@ def _segments(data: Path, split: str = "train") -> list[Source]:
 
 
 def _cars_as_rulers(data: Path) -> list[Source]:
-    """``jekhor``: the median length of an image's cars is ``_CAR_M``."""
+    """List ``jekhor``: the median length of an image's cars is ``_CAR_M``."""
     out = []
     for row in _rows(data / "vehicles" / "index.csv"):
         stem = Path(row["file"]).stem
@@ -186,7 +199,7 @@ def _cars_as_rulers(data: Path) -> list[Source]:
             "small-vehicle"
         )
         lengths = np.linalg.norm(np.diff(corners[:, :3], axis=1), axis=2).max(axis=1)
-        if len(lengths) >= _LEAST_CARS:
+        if len(lengths) >= _MIN_CARS:
             kind = "minsk" if "DJI" in stem else "munich"
             path = (data / "vehicles" / row["file"]).resolve()
             out.append(
@@ -212,7 +225,7 @@ def _photographs(data: Path) -> list[Source]:
 
 
 def chia_photographs(data: Path, *, odd: bool = True) -> list[Source]:
-    """Photographs of ``chia/`` that look down, and crops of the same: odd numbers train, even ones check."""
+    """Load nadir photographs of ``chia/`` and crops of them: odd numbers train, even ones check."""
     out = []
     for table in ("chia/table.csv", "chia/crops.csv"):
         for row in _rows(data / table):
@@ -240,14 +253,14 @@ def _load(source: Source) -> ScaledImage:
 
 
 def coarsest_m_per_px(image: ScaledImage) -> float:
-    """The scale at which a whole tile is the largest square of an image."""
+    """Compute the scale at which a whole tile is the largest square of an image."""
     return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
 
 
 def draw_crop(
     rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float
 ) -> NDArray[np.uint8]:
-    """Cut a square of ``TILE_PX`` pixels of the wanted size, averaged over areas, turned and flipped at random.
+    """Cut a square of ``TILE_PX`` pixels, averaged over areas, turned and flipped at random.
 
     Returns:
         Pixels ``[TILE_PX, TILE_PX, 3]`` uint8.
@@ -298,7 +311,7 @@ def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.u
 
 
 def featureless(rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud, a lens cap."""
+    """Draw noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
     roughness = rng.uniform(0.2, 1.2)
     for side in (2, 5, 10, 20, 40, 80, 160):

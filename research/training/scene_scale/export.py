@@ -33,7 +33,7 @@ class FromBytes(nn.Module):
         self.network = network
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """Log-probabilities ``[n, BINS]`` of tiles ``[n, 3, TILE_PX, TILE_PX]`` uint8."""
+        """Compute log-probabilities ``[n, BINS]`` of tiles ``[n, 3, TILE_PX, TILE_PX]`` uint8."""
         return cast("Tensor", self.network(tiles.float() / 255.0))
 
 

@@ -22,8 +22,10 @@ from research.training.warm_start import load_exported
 if TYPE_CHECKING:
     from pathlib import Path
 
-_CHANNELS = (16, 32, 64, 128, 192)  # at strides 2, 4, 8, 16, 32
-_BOTTLENECK = (32, 64, 96)  # inner width of the residual blocks at strides 4 to 16
+# Channels at strides 2, 4, 8, 16, 32.
+_CHANNELS = (16, 32, 64, 128, 192)
+# Inner width of the residual blocks at strides 4 to 16.
+_BOTTLENECK = (32, 64, 96)
 _BLOCKS = (1, 1, 2, 0)
 _HIDDEN = 64
 
@@ -56,7 +58,7 @@ class SceneScaleNet(nn.Module):
         )
 
     def forward(self, tiles: Tensor) -> Tensor:
-        """Log-probabilities ``[n, bins]``."""
+        """Compute log-probabilities ``[n, bins]``."""
         seen = self.stem(tiles)
         pooled = []
         for stage in self.stages:
@@ -69,7 +71,7 @@ class SceneScaleNet(nn.Module):
         return functional.log_softmax(self.head(torch.cat(pooled, dim=1)), dim=1)
 
     def freeze(self, parts: int) -> None:
-        """Keep the weights of the first parts as they are: of the stem, and then of one stage after another."""
+        """Freeze the weights of the first parts: the stem, and then one stage after another."""
         for part in (self.stem, *self.stages)[:parts]:
             part.requires_grad_(False)
 

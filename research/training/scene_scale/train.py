@@ -28,9 +28,9 @@ def losses(
     network: nn.Module, batch: tuple[Tensor, Tensor], device: torch.device
 ) -> Mapping[str, Tensor]:
     """Cross-entropy with the soft targets."""
-    tiles, wanted = (part.to(device) for part in batch)
-    seen = network(tiles.float().div(255.0).contiguous(memory_format=torch.channels_last))
-    return {"entropy": -(wanted * seen).sum(dim=1).mean()}
+    tiles, targets = (part.to(device) for part in batch)
+    outputs = network(tiles.float().div(255.0).contiguous(memory_format=torch.channels_last))
+    return {"entropy": -(targets * outputs).sum(dim=1).mean()}
 
 
 def main() -> None:
@@ -82,7 +82,7 @@ def main() -> None:
         tiles = torch.stack([stream[k][0] for k in range(_BATCH)])
         begin_with_exported(network, options.exported, tiles.float().div(255.0))
     network.freeze(options.frozen)
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack it
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     schedule = Schedule(
         options.steps, options.rate, warm_up=min(60, options.steps // 4 + 1), held=options.held
     )

@@ -47,11 +47,13 @@ _GOOD_IOU = 0.7
 _Z_95 = 1.96
 _OFFSETS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _SMOOTHINGS = (0.0, 0.5, 0.7, 0.85, 1.0)
-_MOST_TOO_LARGE = 0.01
+_MAX_TOO_LARGE = 0.01
 
 
 def mask_area_log_sd(trials: list[Trial], least_score: float) -> float:
-    """Sd of log(area / true area) whose 95 % interval holds that share of the masks scored at least ``least_score``.
+    """Compute the sd of log(area / true area) of masks scored at least ``least_score``.
+
+    Its 95 % interval holds that share of the masks.
 
     The errors have heavy tails (a mask is right, or it is of something else): a plain standard
     deviation would be set by a few failures. The 90 % quantile is used and scaled as if Gaussian
@@ -64,13 +66,13 @@ def mask_area_log_sd(trials: list[Trial], least_score: float) -> float:
 
 
 def least_trusted_score(trials: list[Trial]) -> float:
-    """The predicted IoU that 95 of 100 good masks (IoU of 0.7 and more) reach."""
+    """Compute the predicted IoU that 95 of 100 good masks (IoU of 0.7 and more) reach."""
     good = [t.score for t in trials if t.iou >= _GOOD_IOU]
     return math.floor(100 * float(np.percentile(good, 5))) / 100
 
 
 def area_bias(trials: list[Trial]) -> dict[str, float]:
-    """Median of area / true area - 1 by category."""
+    """Compute the median of area / true area - 1 by category."""
     categories = sorted({t.category for t in trials})
     return {
         name: float(np.median([t.area_ratio for t in trials if t.category == name])) - 1
@@ -92,7 +94,7 @@ def see(contract: SamContract, target: Target) -> MaskLogits:
 def finished(
     view: MaskLogits, smoothing: float, offset: float
 ) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
-    """The mask of the whole image that smoothed and raised logits give, and its score."""
+    """Compute the mask of the whole image from smoothed and raised logits, and its score."""
 
     def method(target: Target) -> tuple[NDArray[np.bool_], float]:
         logits = smoothed(torch.from_numpy(view.logits)[None, None], smoothing)[
@@ -111,11 +113,11 @@ def finished(
 
 
 def best_choice(by_choice: dict[tuple[float, float], list[Trial]]) -> tuple[float, float]:
-    """Smoothing and offset of the best mean IoU at which no category is too large; none of either where all are."""
+    """Choose smoothing and offset by the mean IoU, with no category too large; None without any."""
     allowed = [
         choice
         for choice, trials in by_choice.items()
-        if max(area_bias(trials).values()) <= _MOST_TOO_LARGE
+        if max(area_bias(trials).values()) <= _MAX_TOO_LARGE
     ]
     return max(
         allowed,
@@ -148,16 +150,16 @@ def main() -> None:
     trials = by_choice[smoothing, offset]
     print(f"smoothing {smoothing}, offset {offset}: area bias {area_bias(trials)}", flush=True)
     limit = least_trusted_score(trials)
-    found = {
+    results = {
         "mask_offset": offset,
         "mask_smoothing": smoothing,
         "min_score": limit,
         "mask_area_log_sd": round(mask_area_log_sd(trials, limit), 4),
     }
     with whole_file(options.out) as partial:
-        partial.write_text(json.dumps(found, indent=1) + "\n")
+        partial.write_text(json.dumps(results, indent=1) + "\n")
     print("\n".join(report({"held out": trials})))
-    print(found)
+    print(results)
 
 
 if __name__ == "__main__":

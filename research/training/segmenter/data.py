@@ -29,19 +29,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LEAST_SIDE_PX = 10  # smaller objects are no lesson
+# Smaller objects teach nothing.
+LEAST_SIDE_PX = 10
 MAX_POINTS = 6
 _SOURCE_WEIGHT = {"swimming-pool": 0.27, "building": 0.33, "scene": 0.15, "shape": 0.25}
 _MAX_ENLARGEMENT = 5.0
-# black, and SAM's mean, which pads its inputs
+# Black, and the mean with which SAM pads its inputs.
 _FILLS = ((0.0, 0.0, 0.0), (123.675, 116.28, 103.53))
-_LEAST_SOLIDITY = 0.72
-_DEV_SHARE = 10  # one train group in ten is held out: the mask's uncertainty is measured there
+_MIN_SOLIDITY = 0.72
+# One train group in ten is held out: the mask's uncertainty is measured on it.
+_DEV_SHARE = 10
 HELD_OUT = 0
 
 
 class MaskObject(NamedTuple):
-    """One object of an image: its id in the mask, and its bounding box in whole pixels."""
+    """Object of an image: its id in the mask, and its bounding box in whole pixels."""
 
     image: int
     id: int
@@ -52,17 +54,25 @@ class MaskObject(NamedTuple):
 
 
 class MaskImage(NamedTuple):
-    """One image in memory with one mask of instances; scenes have one for each category."""
+    """Image in memory with one mask of instances; scenes have one for each category.
+
+    Attributes:
+        source: ``real`` or ``scene``.
+        category: category of its objects.
+        group: group of its file.
+        image: ``[h, w, 3]`` RGB.
+        mask: ``[h, w]`` ids; 0 is the background.
+    """
 
     source: str
     category: str
     group: str
-    image: NDArray[np.uint8]  # [h, w, 3] RGB
-    mask: NDArray[np.uint16]  # [h, w], 0 = background
+    image: NDArray[np.uint8]
+    mask: NDArray[np.uint16]
 
 
 def group_of(name: str) -> str:
-    """The group of an image: neighbours stay on one side of the train/dev line."""
+    """Return the group of an image: neighbours stay on one side of the train/dev line."""
     parts = name.rsplit("/", 1)[-1].rsplit(".", 1)[0].split("_")
     if parts[0] == "cannes":
         tile = int(parts[1])
@@ -73,7 +83,7 @@ def group_of(name: str) -> str:
 
 
 def is_dev(group: str) -> bool:
-    """Whether a group belongs to the held-out tenth (by checksum: stable for ever)."""
+    """Return whether a group belongs to the held-out tenth, by a checksum that never changes."""
     return zlib.crc32(group.encode()) % _DEV_SHARE == HELD_OUT
 
 
@@ -116,7 +126,7 @@ def load_scenes(folder: Path) -> list[MaskImage]:
 
 
 def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) -> list[MaskObject]:
-    """Every object whose bounding box is at least that large both ways."""
+    """List every object whose bounding box is at least that large both ways."""
     out = []
     for index, sample in enumerate(images):
         for number in np.unique(sample.mask)[1:]:
@@ -127,26 +137,30 @@ def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) 
 
 
 def is_sound(sample: MaskImage, item: MaskObject) -> bool:
-    """Whether a mask is fit to learn from: ragged pools are where the semi-automatic outline lost the shaded half."""
+    """Return whether a mask can train.
+
+    Ragged pools are those whose semi-automatic outline lost the shaded half.
+    """
     if sample.category != "swimming-pool" or sample.source != "real":
         return True
     inside = (sample.mask[item.y0 : item.y1, item.x0 : item.x1] == item.id).astype(np.uint8)
     outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    hull = cv2.contourArea(cv2.convexHull(np.concatenate(outlines))) + 0.5 * (
-        item.x1 - item.x0 + item.y1 - item.y0
-    )
-    return bool(inside.sum() >= _LEAST_SOLIDITY * hull)
+    hull = cv2.convexHull(np.concatenate(outlines))
+    # Contours run through pixel centres, so half a pixel around them is missing.
+    margin = 0.5 * (item.x1 - item.x0 + item.y1 - item.y0)
+    hull_area = cv2.contourArea(hull) + margin
+    return bool(inside.sum() >= _MIN_SOLIDITY * hull_area)
 
 
 class Example(NamedTuple):
-    """One training crop: ``image`` ``[s, s, 3]`` and the object's ``mask`` coverage ``[s, s]`` in 0..1."""
+    """Training crop: ``image`` ``[s, s, 3]``, and coverage ``mask`` ``[s, s]`` in 0..1."""
 
     image: NDArray[np.uint8]
     mask: NDArray[np.float32]
 
 
 def _turn(rng: np.random.Generator) -> float:
-    """Any angle half of the time, else nearly a multiple of a right angle: boxes fit there as users draw them."""
+    """Draw any angle, or nearly a multiple of a right angle, at which users' boxes fit."""
     if rng.random() < 0.5:
         return float(rng.uniform(0, 2 * np.pi))
     return float(rng.integers(4)) * np.pi / 2 + float(rng.normal(0, 0.08))
@@ -160,7 +174,7 @@ def cut(
     focus: tuple[float, float],
     number: int | None,
 ) -> Example:
-    """A turned, flipped, rescaled crop centred at ``focus`` of the image, with the mask of one object (or none)."""
+    """Cut a turned, flipped, rescaled crop around ``focus``, with one mask or none."""
     height, width = sample.image.shape[:2]
     reach = 0.75 * side / scale + 2
     x0 = int(max(0, focus[0] - reach))
@@ -169,42 +183,41 @@ def cut(
     y1 = int(min(height, focus[1] + reach)) + 1
     part = sample.image[y0:y1, x0:x1]
     ids = sample.mask[y0:y1, x0:x1]
-    chosen = (
-        (ids == number).astype(np.uint8) * 255
-        if number is not None
-        else np.zeros(ids.shape, np.uint8)
-    )
+    part_mask = np.zeros(ids.shape, np.uint8)
+    if number is not None:
+        part_mask[ids == number] = 255
+    # A strong reduction averages first, so that the warp does not alias.
     reduce = min(1.0, scale * 1.1)
-    sx = sy = 1.0
-    if reduce < 0.9:  # average first, so that the warp does not alias
+    sx = 1.0
+    sy = 1.0
+    if reduce < 0.9:
         size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
         sx = size[0] / part.shape[1]
         sy = size[1] / part.shape[0]
         part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        chosen = np.asarray(cv2.resize(chosen, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        small_mask = cv2.resize(part_mask, size, interpolation=cv2.INTER_AREA)
+        part_mask = np.asarray(small_mask, dtype=np.uint8)
     turn = _turn(rng)
     flip = -1.0 if rng.random() < 0.5 else 1.0
-    rotation = (
-        np.array([[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]])
-        * scale
-    )
-    matrix = np.column_stack(
-        [rotation / (sx, sy), side / 2 - rotation @ (focus[0] - x0, focus[1] - y0)]
-    )
-    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5  # warpAffine counts from pixel centres
-    fill = (
-        _FILLS[rng.integers(len(_FILLS))]
-        if rng.random() < 0.6
-        else part[::8, ::8].reshape(-1, 3).mean(axis=0)
-    )
-    how = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
-    image = cv2.warpAffine(part, matrix, (side, side), flags=how, borderValue=tuple(fill))
-    mask = cv2.warpAffine(chosen, matrix, (side, side), flags=cv2.INTER_LINEAR)
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    rotation = np.array([[cos * flip, -sin], [sin * flip, cos]]) * scale
+    shift = side / 2 - rotation @ (focus[0] - x0, focus[1] - y0)
+    matrix = np.column_stack([rotation / (sx, sy), shift])
+    # warpAffine counts from pixel centres.
+    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
+    if rng.random() < 0.6:
+        fill = tuple(_FILLS[rng.integers(len(_FILLS))])
+    else:
+        fill = tuple(part[::8, ::8].reshape(-1, 3).mean(axis=0))
+    method = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
+    image = cv2.warpAffine(part, matrix, (side, side), flags=method, borderValue=fill)
+    mask = cv2.warpAffine(part_mask, matrix, (side, side), flags=cv2.INTER_LINEAR)
     return Example(np.asarray(image, np.uint8), np.asarray(mask, np.float32) / np.float32(255.0))
 
 
 def box_of(mask: NDArray[np.float32]) -> NDArray[np.float64] | None:
-    """x0, y0, x1, y1 of what is more than half covered, or None if that is next to nothing."""
+    """Compute x0, y0, x1, y1 of the pixels that are more than half covered; None for too few."""
     x, y, w, h = cv2.boundingRect((mask > 0.5).astype(np.uint8))
     return np.array([x, y, x + w, y + h], float) if min(w, h) >= 4 else None
 
@@ -218,7 +231,7 @@ def jitter(rng: np.random.Generator, box: NDArray[np.float64], share: float) -> 
 def draw_prompt(
     rng: np.random.Generator, mask: NDArray[np.float32], box: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """SAM points ``[6, 2]`` and labels ``[6]``: mostly a box, else points, sometimes both."""
+    """Draw SAM points ``[6, 2]`` and labels ``[6]``: mostly a box, else points, or both."""
     points = np.zeros((MAX_POINTS, 2), np.float32)
     labels = np.full(MAX_POINTS, PADDING, np.float32)
     side = mask.shape[0]
@@ -233,36 +246,40 @@ def draw_prompt(
     depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     deep = np.argwhere(depth >= min(2.0, float(depth.max())))
     window = np.zeros_like(inside)
-    x0, y0, x1, y1 = (
-        int(v)
-        for v in (*(box[:2] - 0.4 * (box[2:] - box[:2])), *(box[2:] + 0.4 * (box[2:] - box[:2])))
-    )
-    window[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 1
-    clear = np.argwhere((cv2.dilate(inside, np.ones((7, 7), np.uint8)) == 0) & (window > 0))
+    # Negative points lie near the box, but clearly outside the object.
+    margin = 0.4 * (box[2:] - box[:2])
+    x0, y0 = np.maximum(0, (box[:2] - margin).astype(int))
+    x1, y1 = np.maximum(0, (box[2:] + margin).astype(int))
+    window[y0:y1, x0:x1] = 1
+    grown = cv2.dilate(inside, np.ones((7, 7), np.uint8))
+    clear = np.argwhere((grown == 0) & (window > 0))
     slot = 2
-    for place, label, count in (
+    for pixels, label, count in (
         (deep, POSITIVE, rng.integers(1, 4)),
         (clear, NEGATIVE, rng.integers(0, 2)),
     ):
-        for _ in range(count if len(place) else 0):
-            row, col = place[rng.integers(len(place))]
+        if not len(pixels):
+            continue
+        for _ in range(count):
+            row, column = pixels[rng.integers(len(pixels))]
+            # The first point is often the innermost one, where users click.
             if slot == 2 and rng.random() < 0.5:
-                row, col = np.unravel_index(int(depth.argmax()), depth.shape)
-            points[slot] = (col + 0.5, row + 0.5)
+                row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+            points[slot] = (column + 0.5, row + 0.5)
             labels[slot] = label
             slot += 1
     return points, labels
 
 
 def draw_prior(rng: np.random.Generator, coverage: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
+    """Draw logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
     moved = np.roll(coverage, rng.integers(-2, 3, 2), axis=(0, 1))
     soft = cv2.GaussianBlur(moved, (0, 0), float(rng.uniform(0.8, 3.0)))
     return ((soft - rng.uniform(0.3, 0.7)) * rng.uniform(6, 16)).astype(np.float32)
 
 
 class Batch(NamedTuple):
-    """Uint8 ``image`` ``[b, 3, s, s]``, the prompt, and ``target`` coverage ``[b, 1, s / 2, s / 2]``."""
+    """Batch: uint8 ``image`` ``[b, 3, s, s]``, prompt, ``target`` ``[b, 1, s / 2, s / 2]``."""
 
     image: torch.Tensor
     prompt: Prompt
@@ -270,11 +287,18 @@ class Batch(NamedTuple):
 
 
 class CropSize(NamedTuple):
-    """One size of training batch: small crops are cheap, large ones teach outlines and context."""
+    """Size of a training batch: small crops are cheap, large ones teach outlines and context.
+
+    Attributes:
+        side_px: side of the crops.
+        batch: crops in a batch.
+        length_px: range of the objects' longer side, log-uniform.
+        share: share of the batches.
+    """
 
     side_px: int
     batch: int
-    length_px: tuple[float, float]  # the object's longer side, log-uniform
+    length_px: tuple[float, float]
     share: float
 
 
@@ -286,7 +310,7 @@ CROP_SIZES = (
 
 @dataclass
 class BatchStream:
-    """An endless, seeded stream of whole batches, sizes mixed; the k-th is the same whenever it is asked for."""
+    """Endless, seeded stream of whole batches of mixed sizes; the k-th is always the same."""
 
     images: list[MaskImage]
     seed: int
@@ -301,7 +325,7 @@ class BatchStream:
                 self._objects.setdefault(name, []).append(item)
 
     def counts(self) -> dict[str, int]:
-        """Number of objects from each source."""
+        """Count the objects from each source."""
         return {name: len(items) for name, items in self._objects.items()}
 
     def __getitem__(self, index: int) -> Batch:
@@ -312,7 +336,7 @@ class BatchStream:
         return self.batch(rng, CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())])
 
     def batch(self, rng: np.random.Generator, size: CropSize) -> Batch:
-        """One batch."""
+        """Make one batch."""
         names = [name for name in _SOURCE_WEIGHT if name == "shape" or name in self._objects]
         weight = np.array([_SOURCE_WEIGHT[name] for name in names])
         images: list[NDArray[np.uint8]] = []
@@ -322,22 +346,23 @@ class BatchStream:
         priors = []
         has_prior = []
         while len(images) < size.batch:
-            example = self._draw(rng, names[rng.choice(len(names), p=weight / weight.sum())], size)
+            name = names[rng.choice(len(names), p=weight / weight.sum())]
+            example = self._draw(rng, name, size)
             box = box_of(example.mask)
             if box is None:
                 continue
             point, label = draw_prompt(rng, example.mask, box)
             cells = size.side_px // STRIDE_PX
-            target = np.asarray(
-                cv2.resize(example.mask, (cells, cells), interpolation=cv2.INTER_AREA), np.float32
-            )
-            known = rng.random() < 0.06
+            small = cv2.resize(example.mask, (cells, cells), interpolation=cv2.INTER_AREA)
+            target = np.asarray(small, np.float32)
+            is_given = rng.random() < 0.06
             images.append(photometric(rng, example.image).transpose(2, 0, 1))
             targets.append(target[None])
             points.append(point)
             labels.append(label)
-            priors.append((draw_prior(rng, target) if known else np.zeros_like(target))[None])
-            has_prior.append(np.float32(known))
+            prior = draw_prior(rng, target) if is_given else np.zeros_like(target)
+            priors.append(prior[None])
+            has_prior.append(np.float32(is_given))
         prompt = Prompt(
             *(torch.from_numpy(np.stack(part)) for part in (points, labels, priors, has_prior))
         )

@@ -1,4 +1,6 @@
-"""Write a run as SAM-contract ONNX: ``python -m research.training.segmenter.export RUN FOLDER [--calibration JSON]``.
+"""Write a run as SAM-contract ONNX.
+
+``python -m research.training.segmenter.export RUN FOLDER [--calibration JSON]``.
 
 Makes ``segmenter-encoder.onnx`` (``input_image`` ``[256, 256, 3]`` RGB 0..255, preprocessing
 inside) and ``segmenter-decoder.onnx`` with Meta's names. An image that is not square is scaled
@@ -22,7 +24,8 @@ from research.training.segmenter.network import EMBEDDING_CHANNELS, STRIDE_PX, P
 
 INPUT_PX = 256
 NAME = "vehanchor-segmenter"
-_REACH_CELLS = 2  # of the smoothing: almost three standard deviations
+# Reach of the smoothing: almost three standard deviations.
+_REACH_CELLS = 2
 
 
 class EncoderGraph(nn.Module):
@@ -39,7 +42,7 @@ class EncoderGraph(nn.Module):
 
 
 def smoothed(logits: Tensor, sigma: float) -> Tensor:
-    """``[b, 1, h, w]`` blurred by a Gaussian of ``sigma`` cells, the border repeated; 0 leaves them as they are."""
+    """Blur ``[b, 1, h, w]`` by a Gaussian of ``sigma`` cells, with the border repeated; 0: not."""
     if sigma == 0:
         return logits
     steps = torch.arange(-_REACH_CELLS, _REACH_CELLS + 1, dtype=logits.dtype, device=logits.device)
@@ -50,7 +53,7 @@ def smoothed(logits: Tensor, sigma: float) -> Tensor:
 
 
 class DecoderGraph(nn.Module):
-    """SAM's decoder signature; one mask a prompt, its logits smoothed and raised (see ``calibrate.py``)."""
+    """Decoder with SAM's signature: one mask a prompt, its logits smoothed and raised."""
 
     def __init__(
         self, network: Segmenter, side_px: int, mask_offset: float, mask_smoothing: float
@@ -70,7 +73,7 @@ class DecoderGraph(nn.Module):
         has_mask_input: Tensor,
         orig_im_size: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Masks are logits at the original size."""
+        """Compute masks, which are logits at the original size."""
         points = point_coords + 0.5  # SAM's coordinates are pixel indices
         found = self.decoder(
             image_embeddings, Prompt(points, point_labels, mask_input, has_mask_input)
@@ -90,7 +93,7 @@ class DecoderGraph(nn.Module):
 
 
 def export(run: Path, folder: Path, calibration: dict[str, object]) -> tuple[Path, Path]:
-    """Export a run; ``calibration`` (see ``calibrate.py``) becomes ``vehanchor.*`` metadata of both files.
+    """Export a run; ``calibration`` (``calibrate.py``) becomes metadata of both files.
 
     Its ``mask_offset`` and ``mask_smoothing`` enter the graph as well.
     """

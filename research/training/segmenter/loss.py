@@ -1,4 +1,4 @@
-"""Loss of the segmenter: cross-entropy near the object, soft Dice, and regression of the mask's own overlap."""
+"""Loss of the segmenter: cross-entropy near the object, soft Dice, and the mask's own overlap."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from torch.nn import functional
 
 from research.training.segmenter.network import Segmentation
 
-_FAR_WEIGHT = 0.15  # pixels far from the object: mostly trivial background
+# Weight of pixels far from the object, which are mostly trivial background.
+_FAR_WEIGHT = 0.15
 _EDGE_WEIGHT = 3.0
 _NEAR_CELLS = 17
 _EDGE_CELLS = 5

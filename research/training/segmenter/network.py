@@ -1,4 +1,4 @@
-"""A compact promptable segmenter: convolutional encoder with a stride-2 embedding, prompt-conditioned decoder.
+"""Compact promptable segmenter: encoder with a stride-2 embedding, prompt-conditioned decoder.
 
 The prompt is drawn as dense maps (signed distance to the box, its own coordinates, points, an
 earlier mask) at the embedding's resolution with ordinary operators, so the exported decoder takes
@@ -16,17 +16,23 @@ from torch.nn import functional
 
 from research.training.layers import Residual, conv_block
 
-STRIDE_PX = 2  # of the embedding and of the low-resolution mask
+# Stride of the embedding and of the low-resolution mask.
+STRIDE_PX = 2
 EMBEDDING_CHANNELS = 24
-_CHANNELS = (24, 48, 96, 160, 192)  # encoder, at strides 2, 4, 8, 16, 32
+# Channels of the encoder at strides 2, 4, 8, 16, 32.
+_CHANNELS = (24, 48, 96, 160, 192)
 _BOTTLENECK = (40, 64, 96, 96)
 _BLOCKS = (1, 2, 2, 1)
-_UP = (96, 64, 48, EMBEDDING_CHANNELS)  # encoder's way up, at strides 16, 8, 4, 2
-_DECODER = (24, 48, 64, 96)  # at strides 2, 4, 8, 16
+# Channels of the encoder's way up, at strides 16, 8, 4, 2.
+_UP = (96, 64, 48, EMBEDDING_CHANNELS)
+# Channels of the decoder at strides 2, 4, 8, 16.
+_DECODER = (24, 48, 64, 96)
 _PROMPT_MAPS = 11
-_NEAR_PX = 16.0  # distances to the box's sides saturate here
+# Distances to the box's sides saturate here.
+_NEAR_PX = 16.0
 _EDGE_PX = 4.0
-_POINT_PX = (4.0, 24.0)  # Gaussian radii of a point's two maps
+# Gaussian radii of a point's two maps.
+_POINT_PX = (4.0, 24.0)
 
 # SAM's labels
 POSITIVE = 1.0
@@ -53,7 +59,7 @@ class Prompt(NamedTuple):
 
 
 class Segmentation(NamedTuple):
-    """Output of the decoder: ``mask`` logits ``[b, 1, h, w]`` at stride 2 and ``iou`` ``[b, 1]`` in 0..1."""
+    """Output of the decoder: ``mask`` logits ``[b, 1, h, w]`` at stride 2; ``iou`` ``[b, 1]``."""
 
     mask: Tensor
     iou: Tensor
@@ -119,7 +125,7 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
         return place[:, 0].view(-1, 1, 1, 1), place[:, 1].view(-1, 1, 1, 1)
 
     has_box = (labels == TOP_LEFT).to(points.dtype).sum(dim=1).clamp(max=1.0).view(-1, 1, 1, 1)
-    # the other way round in a mirrored image
+    # Corners change places in a mirrored image.
     (xa, ya) = corner(TOP_LEFT)
     (xb, yb) = corner(BOTTOM_RIGHT)
     (x0, y0) = (torch.minimum(xa, xb), torch.minimum(ya, yb))
@@ -205,7 +211,7 @@ class Decoder(nn.Module):
         chosen = (mask > 0).to(mask.dtype)
         hit = (chance * chosen).sum(dim=(2, 3))
         size = chosen.sum(dim=(2, 3)) + 1.0
-        # the IoU if the chances were true
+        # The expected IoU, if the mask's chances are true.
         calibrated = hit / (size + (chance * (1 - chosen)).sum(dim=(2, 3)))
         unsure = (chance * (1 - chance)).sum(dim=(2, 3)) / size
         pooled = (fine * chance).sum(dim=(2, 3)) / (chance.sum(dim=(2, 3)) + 1.0)

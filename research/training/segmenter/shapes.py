@@ -1,4 +1,4 @@
-"""Composited shapes: something with an outline and a surface of its own, pasted on a real background.
+"""Composited shapes: an outline with its own surface, pasted on a real background.
 
 They teach "the closed thing that touches the sides of the box" beyond the two categories with real
 masks: irregular roofs, blobs, discs with rings, stadium ovals, rows of panels, with aprons, shadows
@@ -17,9 +17,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_FINE = 2  # outlines are drawn at twice the resolution and reduced: soft edges
-_SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
-_LEAST_CONTRAST = 14.0  # grey levels between the shape and what surrounds it
+# Outlines are drawn at twice the resolution and reduced, which makes their edges soft.
+_FINE = 2
+# Fractional bits of OpenCV's drawing coordinates.
+_SHIFT = 4
+# Grey levels between the shape and its surroundings.
+_MIN_CONTRAST = 14.0
 
 
 def _turned(points: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -38,43 +41,47 @@ def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64
     t = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     cos = np.cos(t)
     sin = np.sin(t)
-    return np.column_stack(
-        [
-            wide * np.sign(cos) * np.abs(cos) ** (2 / power),
-            high * np.sign(sin) * np.abs(sin) ** (2 / power),
-        ]
-    )
+    # A superellipse: powers above 2 are closer to a rectangle.
+    x = wide * np.sign(cos) * np.abs(cos) ** (2 / power)
+    y = high * np.sign(sin) * np.abs(sin) ** (2 / power)
+    return np.column_stack([x, y])
 
 
 def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
-    """Polygons (their union is the shape) of about unit half size, not yet turned."""
+    """Draw polygons, whose union is the shape, of about unit half size, not yet turned."""
     kind = rng.choice(7, p=(0.22, 0.14, 0.16, 0.12, 0.12, 0.12, 0.12))
     ratio = float(rng.uniform(0.3, 1.0))
-    if kind == 0:  # wings of a building
+    if kind == 0:
+        # Wings of a building.
         parts = [_rectangle(1.0, ratio)]
         for _ in range(rng.integers(0, 3)):
             wing = _rectangle(float(rng.uniform(0.2, 0.6)), float(rng.uniform(0.2, 0.6)))
             parts.append(wing + np.array([rng.uniform(-0.8, 0.8), rng.choice([-1, 1]) * ratio]))
         return parts
-    if kind == 1:  # blob
+    if kind == 1:
+        # A blob: a circle with random harmonics.
         t = np.linspace(0, 2 * np.pi, 72, endpoint=False)
         radius = np.ones_like(t)
         for order in range(2, 6):
             radius += rng.normal(0, 0.32 / order) * np.cos(order * t + rng.uniform(0, 2 * np.pi))
         radius = np.maximum(radius, 0.25)
         return [np.column_stack([radius * np.cos(t), ratio * radius * np.sin(t)])]
-    if kind == 2:  # tank, roundabout
+    if kind == 2:
+        # A tank or roundabout.
         return [_ellipse(1.0, 1.0)]
     if kind == 3:
+        # An oval, or nearly a rectangle with round corners.
         return [_ellipse(1.0, ratio, float(rng.choice([2.0, 4.0])))]
-    if kind == 4:  # running track
+    if kind == 4:
+        # A running track.
         shift = np.array([1.0 - ratio, 0.0])
         return [
             _rectangle(1.0 - ratio, ratio),
             _ellipse(ratio, ratio) + shift,
             _ellipse(ratio, ratio) - shift,
         ]
-    if kind == 5:  # any convex quadrilateral or more
+    if kind == 5:
+        # Any convex polygon of four to seven corners.
         t = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(4, 8)))
         return [np.column_stack([np.cos(t), np.sin(t)])]
     return [_rectangle(1.0, ratio)]
@@ -99,59 +106,79 @@ def _colour(rng: np.random.Generator) -> NDArray[np.float32]:
 def _surface(
     rng: np.random.Generator, texture: NDArray[np.uint8], polygons: list[NDArray[np.float64]]
 ) -> NDArray[np.float32]:
-    """What covers a shape: a colour or real texture, then ridges, a grid, rings or stripes."""
+    """Draw a shape's surface: a colour or real texture, then ridges, a grid, rings or stripes."""
     side = texture.shape[0]
-    grain = texture.astype(np.float32)
+    surface: NDArray[np.floating] = _base(rng, texture)
+    centre, size, u, v = _own_axes(rng, side, polygons)
+    # Two slopes, one of them in the light.
+    if rng.random() < 0.35:
+        is_lit = v > rng.normal(0, 0.05) * size
+        shade = np.float32(rng.uniform(0.65, 0.92))
+        surface = np.where(is_lit[:, :, None], surface, surface * shade)
     draw = rng.random()
-    if draw < 0.35:
-        out = grain * np.float32(rng.uniform(0.7, 1.2)) + rng.normal(0, 15, 3).astype(np.float32)
-    else:
-        grain -= grain.mean(axis=(0, 1))
-        out = _colour(rng) + grain * np.float32(rng.uniform(0.0, 0.35))
-    rows, cols = np.mgrid[0:side, 0:side].astype(np.float32)
+    if draw < 0.22:
+        # The joints of panels or tiles.
+        pitch_u, pitch_v = rng.uniform(3, 14, 2)
+        joint_u = (u % pitch_u) < rng.uniform(0.8, 1.8)
+        joint_v = (v % pitch_v) < rng.uniform(0.8, 1.8)
+        step = np.float32(rng.uniform(-50, 70))
+        surface = np.where((joint_u | joint_v)[:, :, None], surface + step, surface)
+    elif draw < 0.37:
+        # Corrugation or markings.
+        height = np.float32(rng.uniform(5, 30))
+        waves = np.sin(2 * np.pi * v / rng.uniform(3, 16))
+        surface = surface + height * waves[:, :, None]
+    elif draw < 0.62:
+        # An inner shape: an island, an infield, roof lights.
+        inner = [(polygon - centre) * rng.uniform(0.3, 0.85) + centre for polygon in polygons]
+        change = _filled(inner, side)[:, :, None] * (_colour(rng) - surface)
+        surface = surface + change * np.float32(rng.uniform(0.4, 1.0))
+    # Brightness that changes along the shape.
+    if rng.random() < 0.3:
+        slope = np.float32(rng.uniform(-0.3, 0.3) / size)
+        surface = surface * (1 + slope * u[:, :, None])
+    return surface.astype(np.float32)
+
+
+def _base(rng: np.random.Generator, texture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Draw a real texture of another brightness, or a colour with a little texture."""
+    grain = texture.astype(np.float32)
+    if rng.random() < 0.35:
+        gain = np.float32(rng.uniform(0.7, 1.2))
+        return grain * gain + rng.normal(0, 15, 3).astype(np.float32)
+    grain -= grain.mean(axis=(0, 1))
+    return _colour(rng) + grain * np.float32(rng.uniform(0.0, 0.35))
+
+
+def _own_axes(
+    rng: np.random.Generator, side: int, polygons: list[NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64], NDArray[np.float64]]:
+    """Compute a shape's centre and size, and each pixel's coordinates along and across it.
+
+    The axis follows the first edge of a polygon; a curve has none, so its axis is random.
+    """
+    rows, columns = np.mgrid[0:side, 0:side].astype(np.float32)
     corners = np.concatenate(polygons)
     centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     size = float(np.ptp(corners, axis=0).max())
-    first = polygons[0][1] - polygons[0][0] if len(polygons[0]) < 10 else rng.normal(0, 1, 2)
-    along = first / max(1e-6, float(np.hypot(*first)))
-    u = (cols - centre[0]) * along[0] + (rows - centre[1]) * along[1]
-    v = -(cols - centre[0]) * along[1] + (rows - centre[1]) * along[0]
-    if rng.random() < 0.35:  # two slopes, one in the light
-        out = np.where(
-            (v > rng.normal(0, 0.05) * size)[:, :, None],
-            out,
-            out * np.float32(rng.uniform(0.65, 0.92)),
-        )
-    draw = rng.random()
-    if draw < 0.22:  # panels, tiles
-        pitch_u, pitch_v = rng.uniform(3, 14, 2)
-        line = ((u % pitch_u) < rng.uniform(0.8, 1.8)) | ((v % pitch_v) < rng.uniform(0.8, 1.8))
-        out = np.where(line[:, :, None], out + np.float32(rng.uniform(-50, 70)), out)
-    elif draw < 0.37:  # corrugation, markings
-        out = (
-            out
-            + np.float32(rng.uniform(5, 30))
-            * np.sin(2 * np.pi * v / rng.uniform(3, 16))[:, :, None]
-        )
-    elif draw < 0.62:  # an inner shape: islands, infields, roof lights
-        inner = [(p - centre) * rng.uniform(0.3, 0.85) + centre for p in polygons]
-        out = out + _filled(inner, side)[:, :, None] * (_colour(rng) - out) * np.float32(
-            rng.uniform(0.4, 1.0)
-        )
-    if rng.random() < 0.3:
-        out = out * (1 + np.float32(rng.uniform(-0.3, 0.3) / size) * u[:, :, None])
-    return out.astype(np.float32)
+    edge = polygons[0][1] - polygons[0][0] if len(polygons[0]) < 10 else rng.normal(0, 1, 2)
+    along = edge / max(1e-6, float(np.hypot(*edge)))
+    u = (columns - centre[0]) * along[0] + (rows - centre[1]) * along[1]
+    v = -(columns - centre[0]) * along[1] + (rows - centre[1]) * along[0]
+    return centre, size, u, v
 
 
 def _placed(
     rng: np.random.Generator, length_px: float, focus: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """A drawn outline, turned, at its size and place."""
+    """Draw an outline, turned, at its size and position."""
     outline = _outline(rng)
     turned = _turned(np.concatenate(outline), rng)
-    parts = np.split(turned, np.cumsum([len(p) for p in outline])[:-1])
+    ends = np.cumsum([len(polygon) for polygon in outline])
+    parts = np.split(turned, ends[:-1])
     middle = 0.5 * (turned.min(axis=0) + turned.max(axis=0))
-    return [(p - middle) * (length_px / np.ptp(turned, axis=0).max()) + focus for p in parts]
+    scale = length_px / np.ptp(turned, axis=0).max()
+    return [(polygon - middle) * scale + focus for polygon in parts]
 
 
 def composite(
@@ -181,38 +208,58 @@ def composite(
     dark = np.float32(rng.uniform(0.35, 0.75))
     soft = float(rng.uniform(0.4, 1.2))
 
-    def paste(polygons: list[NDArray[np.float64]], cover: NDArray[np.float32], cast: bool) -> None:
+    def paste(
+        polygons: list[NDArray[np.float64]], cover: NDArray[np.float32], *, has_shadow: bool
+    ) -> None:
         nonlocal image
-        if cast:
-            moved = _filled([p + shadow for p in polygons], side)[:, :, None]
-            image = image * (1 - moved * (1 - dark))
-        surface = _surface(rng, texture(), polygons)
-        inside = cover > 0.5
-        ring = cv2.dilate(inside.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool) & ~inside
-        if inside.any() and ring.any():
-            gap = surface[inside].mean(axis=0) - image[ring].mean(axis=0)
-            size = float(np.abs(gap).mean())
-            if size < _LEAST_CONTRAST:
-                surface = surface + (_LEAST_CONTRAST - size) * (1.0 if gap.mean() >= 0 else -1.0)
+        if has_shadow:
+            shaded = _filled([polygon + shadow for polygon in polygons], side)
+            image = image * (1 - shaded[:, :, None] * (1 - dark))
+        surface = _with_contrast(_surface(rng, texture(), polygons), cover, image)
         edge = cv2.GaussianBlur(cover, (0, 0), soft)[:, :, None]
         image = image + edge * (surface - image)
 
-    if rng.random() < 0.3:  # an apron, a roof under panels, a kerb
-        apron = [
-            (p - focus) * rng.uniform(1.15, 1.7) + focus + rng.normal(0, 0.04, 2) * length_px
-            for p in placed
+    # An apron around the shape, the roof under panels, a kerb.
+    if rng.random() < 0.3:
+        apron = []
+        for polygon in placed:
+            larger = (polygon - focus) * rng.uniform(1.15, 1.7) + focus
+            apron.append(larger + rng.normal(0, 0.04, 2) * length_px)
+        cover = _filled(apron, side)
+        paste(apron, cover, has_shadow=rng.random() < 0.5)
+    # Neighbours, alike or not, that the shape covers in part.
+    for _ in range(rng.integers(0, 4)):
+        angle = rng.uniform(0, 2 * np.pi)
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        shift = direction * length_px * rng.uniform(0.75, 1.4)
+        neighbour = [
+            (polygon - focus) * rng.uniform(0.4, 1.0) + focus + shift for polygon in placed
         ]
-        paste(apron, _filled(apron, side), rng.random() < 0.5)
-    for _ in range(rng.integers(0, 4)):  # neighbours, alike or not, that stop short of the shape
-        away = rng.uniform(0, 2 * np.pi)
-        shift = np.array([np.cos(away), np.sin(away)]) * length_px * rng.uniform(0.75, 1.4)
-        other = [(p - focus) * rng.uniform(0.4, 1.0) + focus + shift for p in placed]
-        paste(other, _filled(other, side), rng.random() < 0.5)
-    paste(placed, mask, rng.random() < 0.6)
-    if rng.random() < 0.25:  # a neighbour's shadow across
-        strip = _turned(_rectangle(length_px, float(rng.uniform(0.1, 0.4)) * length_px), rng)
-        across = cv2.GaussianBlur(
-            _filled([strip + focus + rng.uniform(-0.6, 0.6, 2) * length_px], side), (0, 0), 1.0
-        )
+        cover = _filled(neighbour, side)
+        paste(neighbour, cover, has_shadow=rng.random() < 0.5)
+    paste(placed, mask, has_shadow=rng.random() < 0.6)
+    # The shadow of something else across the shape.
+    if rng.random() < 0.25:
+        half_width = float(rng.uniform(0.1, 0.4)) * length_px
+        strip = _turned(_rectangle(length_px, half_width), rng)
+        moved = strip + focus + rng.uniform(-0.6, 0.6, 2) * length_px
+        across = cv2.GaussianBlur(_filled([moved], side), (0, 0), 1.0)
         image = image * (1 - across[:, :, None] * (1 - dark))
     return np.clip(image + 0.5, 0, 255).astype(np.uint8), mask
+
+
+def _with_contrast(
+    surface: NDArray[np.float32], cover: NDArray[np.float32], image: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Brighten or darken a surface that is hardly visible against its surroundings."""
+    inside = cover > 0.5
+    grown = cv2.dilate(inside.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
+    ring = grown & ~inside
+    if not inside.any() or not ring.any():
+        return surface
+    gap = surface[inside].mean(axis=0) - image[ring].mean(axis=0)
+    contrast = float(np.abs(gap).mean())
+    if contrast >= _MIN_CONTRAST:
+        return surface
+    sign = 1.0 if gap.mean() >= 0 else -1.0
+    return surface + (_MIN_CONTRAST - contrast) * sign

@@ -25,12 +25,12 @@ _PEAK_RATE = 2e-3
 
 
 def losses(network: nn.Module, batch: Batch, device: torch.device) -> Mapping[str, Tensor]:
-    """Loss of the masks and of the predicted IoU."""
+    """Compute the loss of the masks and of the predicted IoU."""
     prompt = Prompt(*(part.to(device) for part in batch.prompt))
     image = batch.image.to(device).float().div(255.0).contiguous(memory_format=torch.channels_last)
-    found = network(image, prompt)
+    outputs = network(image, prompt)
     loss = segmentation_loss(
-        Segmentation(found.mask.float(), found.iou.float()), batch.target.to(device)
+        Segmentation(outputs.mask.float(), outputs.iou.float()), batch.target.to(device)
     )
     return {"mask": loss.mask, "iou": loss.iou}
 
@@ -55,7 +55,7 @@ def main() -> None:
     stream = BatchStream(images, seed=options.seed)
     print(f"{len(images)} masks, objects: {stream.counts()}", flush=True)
     network = Segmenter()
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in torch's stub
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     schedule = Schedule(options.steps, _PEAK_RATE, warm_up=80, last=0.01)
     recipe = Recipe(schedule, batch=None, average=0.995, bfloat16=options.bfloat16, log_every=25)
     train(network, stream, losses, recipe, options.run)

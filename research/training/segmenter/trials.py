@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LEAST_SIDE_PX = 15
-JITTER = 0.05  # of the box's extent, each side, uniform
+# Uniform shift of each side of the box, as a share of its extent.
+JITTER = 0.05
 _SEED = 0
 
 Box = tuple[float, float, float, float]
@@ -54,14 +55,14 @@ class Trial(NamedTuple):
 
 
 def read_targets(
-    folder: Path, split: str, wanted: Callable[[str], bool] | None = None
+    folder: Path, split: str, is_wanted: Callable[[str], bool] | None = None
 ) -> Iterator[Target]:
-    """Objects of one split of ``shared/data/segments``; ``wanted`` chooses by the image's file name."""
+    """Load objects of a split of ``shared/data/segments``; ``is_wanted`` selects by file name."""
     rng = np.random.default_rng(_SEED)
     with (folder / "index.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if row["split"] == split]
     for row in rows:
-        if wanted is not None and not wanted(row["image"]):
+        if is_wanted is not None and not is_wanted(row["image"]):
             continue
         image = cv2.imread(str(folder / row["image"]), cv2.IMREAD_COLOR)
         ids = cv2.imread(str(folder / row["mask"]), cv2.IMREAD_UNCHANGED)
@@ -106,7 +107,7 @@ def _row(method: str, category: str, trials: list[Trial]) -> str:
 
 
 def report(by_method: dict[str, list[Trial]]) -> list[str]:
-    """Tables as Markdown lines."""
+    """Format tables as Markdown lines."""
     ours = next(iter(by_method))
     lines = [
         "| category | method | n | mean IoU | median IoU | IoU < 0.5 | median area error | mean "

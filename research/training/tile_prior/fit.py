@@ -4,7 +4,7 @@
 
 A logistic regression of "somebody labelled a car here" on the log of the mean gradient at 1/8 of
 the resolution, on the train split of the sets of known scale; prints the two numbers of
-``vehanchor.detection.tile_prior``, and the area under the curve on train and val.
+``tile_prior`` in ``vehicles.errors.toml``, and the area under the curve on train and val.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 
 _TABLES = ("table.csv", "upright.csv")
 _UNLABELLED = "estonia_port"
-_FINE_M = 0.16  # sets finer than this are shown at half their resolution, too
-_RIDGE = 1e-3  # of the slope for a standard deviation of the log gradient
+# Sets finer than this are also used at half their resolution.
+_FINE_M = 0.16
+# Penalty of the slope for a standard deviation of the log gradient.
+_RIDGE = 1e-3
 
 
 def read_images(data: Path, split: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -1,1 +1,1 @@
-"""Training of the verifier: whether a candidate of the detector is a car, by its pixels and their surroundings."""
+"""Training of the verifier: whether a candidate is a car, by its pixels and surroundings."""

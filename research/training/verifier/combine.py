@@ -24,11 +24,13 @@ from research.training.onnx_file import LICENCE, write_metadata
 from research.training.verifier.data import Candidates, load, middle
 from vehanchor.detection.verifier import Weights
 
-_CHANCE = 0.65  # a missed car costs less than a false one
+# Chance from which a candidate is a car: a missed car costs less than a false one.
+_CHANCE = 0.65
 _RIDGE = 1e-3
 _MIN_SCORE = 0.5
-# of the detector: of 1,693 hits on the held-out tenth none has less, but 44 % of the candidates
-_LEAST_SCORE = 0.25
+# Least score of the detector: none of 1,693 hits on the held-out tenth has less, but 44 % of the
+# candidates have.
+_MIN_DETECTOR_SCORE = 0.25
 
 
 def _logit(chance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -36,24 +38,26 @@ def _logit(chance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.log(inside / (1 - inside)))
 
 
-def fitted(logits: NDArray[np.float64], found: Candidates) -> Weights:
+def fitted(logits: NDArray[np.float64], candidates: Candidates) -> Weights:
     """Fit the weights by logistic regression: the score is the chance of a car.
 
     Args:
         logits: ``[n]`` of the verifier.
-        found: the candidates.
+        candidates: the candidates.
     """
-    design = np.column_stack([_logit(found.scores), logits, np.ones(len(logits))])
-    theta = logistic(design, found.car, weight=weight_of_sets(found.sets), ridge=_RIDGE)
+    design = np.column_stack([_logit(candidates.scores), logits, np.ones(len(logits))])
+    theta = logistic(design, candidates.car, weight=weight_of_sets(candidates.sets), ridge=_RIDGE)
     return Weights(*(float(value) for value in theta))
 
 
-def rescaled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -> Weights:
-    """Rescale scores so that 0.5 and the median of the hits are where they were; the order stays."""
-    total = _logit(weights.score(found.scores, logits))
+def rescaled(weights: Weights, logits: NDArray[np.float64], candidates: Candidates) -> Weights:
+    """Rescale scores so that 0.5 and the median of the hits stay where they were, in order."""
+    total = _logit(weights.score(candidates.scores, logits))
     limit = float(np.log(_CHANCE / (1 - _CHANCE)))
-    ours = np.median(total[found.car & (total >= limit)]) - limit
-    theirs = np.median(_logit(found.scores[found.car & (found.scores >= _MIN_SCORE)]))
+    ours = np.median(total[candidates.car & (total >= limit)]) - limit
+    theirs = np.median(
+        _logit(candidates.scores[candidates.car & (candidates.scores >= _MIN_SCORE)])
+    )
     scale = float(theirs / ours)
     return Weights(
         weights.detector * scale, weights.verifier * scale, (weights.bias - limit) * scale
@@ -63,7 +67,7 @@ def rescaled(weights: Weights, logits: NDArray[np.float64], found: Candidates) -
 def verifier_logits(
     session: onnxruntime.InferenceSession, chips: NDArray[np.uint8]
 ) -> NDArray[np.float64]:
-    """Logits of ``[n, 48, 48, 3]`` chips."""
+    """Compute logits of ``[n, 48, 48, 3]`` chips."""
     if not len(chips):
         return np.zeros(0)
     batch = np.ascontiguousarray(chips.transpose(0, 3, 1, 2)).astype(np.float32) / 255
@@ -80,15 +84,16 @@ def main() -> None:
     )
     parser.add_argument("--size-weight", type=float, default=0.3, help="of the scene-scale prior")
     options = parser.parse_args()
-    found = load(options.run / "held_out.npz")
+    candidates = load(options.run / "held_out.npz")
     session = onnxruntime.InferenceSession(options.run / "verifier.onnx")
-    logits = verifier_logits(session, middle(found.chips))
-    chances = fitted(logits, found)
-    weights = rescaled(chances, logits, found)._replace(size=options.size_weight)
-    scores = weights.score(found.scores, logits)
-    for name in np.unique(found.sets):
+    logits = verifier_logits(session, middle(candidates.chips))
+    chances = fitted(logits, candidates)
+    weights = rescaled(chances, logits, candidates)._replace(size=options.size_weight)
+    scores = weights.score(candidates.scores, logits)
+    for name in np.unique(candidates.sets):
         hits, false = (
-            scores[(found.sets == name) & (found.car == car)] >= _MIN_SCORE for car in (True, False)
+            scores[(candidates.sets == name) & (candidates.car == car)] >= _MIN_SCORE
+            for car in (True, False)
         )
         print(
             f"{name}: {hits.sum()} of {len(hits)} cars, {false.sum()} of {len(false)} false alarms"
@@ -101,7 +106,7 @@ def main() -> None:
         "license": LICENCE,
         "vehanchor.detector": options.detector,
         "vehanchor.weights": ",".join(f"{value:.4f}" for value in weights),
-        "vehanchor.least_score": f"{_LEAST_SCORE:g}",
+        "vehanchor.least_score": f"{_MIN_DETECTOR_SCORE:g}",
         "vehanchor.min_score": f"{_MIN_SCORE:g}",
     }
     write_metadata(options.out, metadata)

@@ -1,4 +1,4 @@
-"""Candidates of a detector at a low threshold over all train images: hits, false alarms, their chips."""
+"""Candidates of a detector at a low threshold on all train images: hits, false alarms, chips."""
 
 from __future__ import annotations
 
@@ -20,25 +20,30 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.verifier import CHIP_LENGTH_PX, CHIP_PX, surroundings
 from vehanchor.storage.atomic import whole_file
 
-STORED_PX = 72  # room for jitter and turns around a chip of 48
+# Side of a stored chip, with room for jitter and turns around a chip of 48.
+STORED_PX = 72
 _CAR_PX = (
     15.0,
     28.0,
     55.0,
     110.0,
 )  # sizes at which an image is searched: at the finer ones a car's parts look like cars
-# an enlarged image has no parts to learn from
+# An enlarged image has no parts to learn from.
 _MAX_ENLARGEMENT = {15.0: 2.2, 28.0: 2.2, 55.0: 1.1, 110.0: 1.0}
-_LEAST_SCORE = 0.15
-_MOST_FALSE = 40  # of an image at one size, at random: a harbour has hundreds
-# of a label's length: beyond one, within the other
+_MIN_SCORE = 0.15
+# Random false alarms of an image at one size; a harbour has hundreds.
+_MAX_FALSE = 40
+# Distances in lengths of a label: beyond the one, within the other.
 _NEAR = 0.6
 _AT = 0.25
 _LENGTH_RATIO = 1.35
-_PART_RATIO = 0.55  # of a car's length: what is shorter and stands on it is a part of it, no car
-_JITTER = 0.06  # of a length, of place and size
-_TURN = 0.08  # radians
-# on its chip
+# A shorter box on a car, as a share of its length, is a part of it and not a car.
+_PART_RATIO = 0.55
+# Jitter of position and size, as a share of the length.
+_JITTER = 0.06
+# Jitter of the angle, radians.
+_TURN = 0.08
+# Length of the candidate on its chip.
 _CANDIDATE = np.array([[CHIP_PX / 2, CHIP_PX / 2, CHIP_LENGTH_PX, 0.45 * CHIP_LENGTH_PX, 0.0]])
 
 
@@ -107,22 +112,22 @@ def mined(images: Iterable[TrainImage], detector: Detector) -> Candidates:
             scaled = np.asarray(
                 cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=way), np.uint8
             )
-            found = detector.detect_tile(detector.prepared(scaled), _LEAST_SCORE).vehicles
-            kept = oriented_nms(found.boxes, found.scores)
-            boxes = found.boxes[kept]
-            score = found.scores[kept]
+            vehicles = detector.detect_tile(detector.prepared(scaled), _MIN_SCORE).vehicles
+            survivors = oriented_nms(vehicles.boxes, vehicles.scores)
+            boxes = vehicles.boxes[survivors]
+            score = vehicles.scores[survivors]
             truth = truth_of(
                 boxes, sample.boxes * (factor, factor, factor, factor, 1), sample.ignore * factor
             )
             false = rng.permutation(np.flatnonzero(truth == 0))
-            truth[false[_MOST_FALSE:]] = -1
-            known = truth >= 0
+            truth[false[_MAX_FALSE:]] = -1
+            is_known = truth >= 0
             chips.append(
-                surroundings(scaled, boxes[known], side_px=STORED_PX, length_px=CHIP_LENGTH_PX)
+                surroundings(scaled, boxes[is_known], side_px=STORED_PX, length_px=CHIP_LENGTH_PX)
             )
-            car.append(truth[known] == 1)
-            scores.append(score[known])
-            sets += [sample.set] * int(known.sum())
+            car.append(truth[is_known] == 1)
+            scores.append(score[is_known])
+            sets += [sample.set] * int(is_known.sum())
     return Candidates(
         np.concatenate(chips),
         np.concatenate(car),
@@ -145,7 +150,7 @@ def load(path: Path) -> Candidates:
 
 
 def middle(chips: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The chips of ``CHIP_PX`` in the middle of stored ones, ``[n, 48, 48, 3]``."""
+    """Cut chips of ``CHIP_PX`` from the middle of stored ones, ``[n, 48, 48, 3]``."""
     margin = (chips.shape[1] - CHIP_PX) // 2
     return chips[:, margin : margin + CHIP_PX, margin : margin + CHIP_PX]
 
@@ -161,27 +166,27 @@ class ChipStream:
         """Weigh the candidates."""
         self._weight = []
         for car in (False, True):
-            chosen = self.candidates.car == car
+            indices = self.candidates.car == car
             weight = np.zeros(len(self.candidates.car))
-            weight[chosen] = weight_of_sets(self.candidates.sets[chosen])
+            weight[indices] = weight_of_sets(self.candidates.sets[indices])
             self._weight.append(np.cumsum(weight))
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """A chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""
+        """Make a chip ``[3, 48, 48]`` uint8 and whether it is a car, 0 or 1."""
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         car = int(rng.random() < 0.5)
-        chosen = min(
+        indices = min(
             int(np.searchsorted(self._weight[car], rng.random())), len(self.candidates.car) - 1
         )
-        cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[chosen]), _CANDIDATE))
+        cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[indices]), _CANDIDATE))
         return torch.from_numpy(np.ascontiguousarray(cut.transpose(2, 0, 1))), torch.tensor(
             float(car)
         )
 
 
 def varied(rng: np.random.Generator, stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A chip of a box a little off, mirrored at random, sometimes of a coarser image."""
+    """Cut a chip of a box a little off, mirrored at random, sometimes of a coarser image."""
     scale = np.exp(rng.normal(0, _JITTER))
     turn = rng.normal(0, _TURN)
     flip = rng.choice((-1.0, 1.0), 2)

@@ -29,11 +29,12 @@ from vehanchor.detection.detector import Detector
 from vehanchor.models.runtime import Runtime
 
 _DISTRACTED_CROPS = 400
-_CAR_PX = 22.0  # where a crop has none
+# Length of a car in a crop without cars.
+_CAR_PX = 22.0
 
 
 def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) -> list[TrainImage]:
-    """Crops of train images with striped and gridded things drawn over a part of each."""
+    """Draw striped and gridded objects over a part of crops of train images."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(count):
@@ -68,10 +69,10 @@ def main() -> None:
         if not held_out:
             images += distracted_crops(images, _DISTRACTED_CROPS)
             images += load_scenes(options.scenes) if options.scenes else []
-        found = mined(images, detector)
-        save(found, options.run / f"{name}.npz")
+        candidates = mined(images, detector)
+        save(candidates, options.run / f"{name}.npz")
         print(
-            f"{name}: {found.car.sum()} cars, {(~found.car).sum()} false alarms in "
+            f"{name}: {candidates.car.sum()} cars, {(~candidates.car).sum()} false alarms in "
             f"{len(images)} images",
             flush=True,
         )

@@ -9,12 +9,15 @@ from torch import Tensor, nn
 
 from research.training.layers import conv_block
 
-# inputs, outputs, stride
+# Inputs, outputs and stride of each convolution.
 _LAYERS = ((3, 32, 2), (32, 40, 1), (40, 64, 2), (64, 88, 1), (88, 112, 2), (112, 112, 1))
 
 
 class VerifierNet(nn.Module):
-    """Six 3 x 3 convolutions; the middle of the chip and its mean side by side; input ``[b, 3, 48, 48]`` in 0..1."""
+    """Network of six 3 x 3 convolutions; input ``[b, 3, 48, 48]`` in 0..1.
+
+    The middle of the chip and its mean enter the last layer side by side.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -27,7 +30,7 @@ class VerifierNet(nn.Module):
         )
 
     def forward(self, chips: Tensor) -> Tensor:
-        """Logits ``[b]``."""
+        """Compute logits ``[b]``."""
         seen = self.body(chips)  # [b, c, 6, 6]
         middle = seen[:, :, 2:4, 1:5].mean(dim=(2, 3))
         whole = seen.mean(dim=(2, 3))

@@ -1,4 +1,6 @@
-"""Write the verifier in eight bits: ``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
+"""Write the verifier in eight bits.
+
+``python -m research.training.verifier.quantise RUN MODEL.onnx OUT.onnx``.
 
 Its convolutions get eight bits, the two layers at its end stay; activations by chips of ``RUN``'s
 training part.
@@ -23,7 +25,7 @@ _BATCH = 64
 
 
 def quantised_nodes(model: onnx.ModelProto) -> list[str]:
-    """Names of the nodes that get eight bits."""
+    """List the nodes that get eight bits."""
     return [node.name for node in model.graph.node if node.op_type in ("Conv", "Relu")]
 
 
@@ -33,19 +35,25 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("model", type=Path)
     parser.add_argument("out", type=Path)
-    chosen = parser.parse_args()
-    found = load(chosen.run / "train.npz")
+    arguments = parser.parse_args()
+    candidates = load(arguments.run / "train.npz")
     rng = np.random.default_rng(0)
-    some = np.sort(
-        rng.choice(len(found.car), min(_CHIPS, len(found.car)) // _BATCH * _BATCH, replace=False)
+    sample = np.sort(
+        rng.choice(
+            len(candidates.car), min(_CHIPS, len(candidates.car)) // _BATCH * _BATCH, replace=False
+        )
     )
     chips = (
-        np.ascontiguousarray(middle(found.chips)[some].transpose(0, 3, 1, 2)).astype(np.float32)
+        np.ascontiguousarray(middle(candidates.chips)[sample].transpose(0, 3, 1, 2)).astype(
+            np.float32
+        )
         / 255
     )
     batches = [chips[start : start + _BATCH] for start in range(0, len(chips), _BATCH)]
-    write_eight_bits(chosen.model, chosen.out, batches=batches, nodes=quantised_nodes, metadata={})
-    print(f"{chosen.out}: {chosen.out.stat().st_size / 1e6:.2f} MB")
+    write_eight_bits(
+        arguments.model, arguments.out, batches=batches, nodes=quantised_nodes, metadata={}
+    )
+    print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

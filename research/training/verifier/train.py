@@ -1,4 +1,6 @@
-"""Train the verifier: ``python -m research.training.verifier.train RUN``, after ``research.training.verifier.mine``.
+"""Train the verifier, after ``research.training.verifier.mine``.
+
+``python -m research.training.verifier.train RUN``.
 
 Writes ``RUN/verifier.onnx``: ``chips`` ``[n, 3, 48, 48]`` float32 in 0..1 to ``logit`` ``[n]``.
 Resumes from ``RUN/checkpoint.pt`` when it exists.
@@ -26,7 +28,8 @@ from vehanchor.detection.verifier import CHIP_PX
 
 _RATE = 2e-3
 _BATCH = 96
-_SMOOTHING = 0.02  # labels are wrong now and then
+# Labels are wrong now and then.
+_SMOOTHING = 0.02
 
 
 def losses(
@@ -34,8 +37,8 @@ def losses(
 ) -> Mapping[str, Tensor]:
     """Cross-entropy of the logit."""
     chips, car = (part.to(device) for part in batch)
-    wanted = car * (1 - 2 * _SMOOTHING) + _SMOOTHING
-    return {"entropy": binary_cross_entropy_with_logits(network(chips.float().div(255.0)), wanted)}
+    target = car * (1 - 2 * _SMOOTHING) + _SMOOTHING
+    return {"entropy": binary_cross_entropy_with_logits(network(chips.float().div(255.0)), target)}
 
 
 def export(network: VerifierNet, out: Path) -> None:
@@ -52,7 +55,7 @@ def export(network: VerifierNet, out: Path) -> None:
 
 
 def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Logits of a network for stored chips, ``[n]``."""
+    """Compute the logits of a network for stored chips, ``[n]``."""
     out = []
     with torch.no_grad():
         for start in range(0, len(chips), 512):
@@ -64,12 +67,12 @@ def logits(network: VerifierNet, chips: NDArray[np.uint8]) -> NDArray[np.float64
 def report(
     car: NDArray[np.bool_], sets: NDArray[np.str_], scores: NDArray[np.float64]
 ) -> list[str]:
-    """Area under the ROC curve and false alarms left at 95 % of the hits, by set."""
+    """Tabulate area under the ROC curve and false alarms left at 95 % of the hits, by set."""
     lines = []
     for name in (*np.unique(sets), "all"):
-        chosen = np.ones(len(sets), bool) if name == "all" else sets == name
-        hits = scores[chosen & car]
-        false = scores[chosen & ~car]
+        in_set = np.ones(len(sets), bool) if name == "all" else sets == name
+        hits = scores[in_set & car]
+        false = scores[in_set & ~car]
         if len(hits) > 5 and len(false):
             left = np.mean(false > np.percentile(hits, 5))
             counts = f"{name:13s} {len(hits):5d} hits {len(false):5d} false"
@@ -96,9 +99,13 @@ def main() -> None:
     )
     trained = cast("VerifierNet", network)
     export(trained, options.run / "verifier.onnx")
-    seen = logits(trained, held_out.chips)
+    held_out_logits = logits(trained, held_out.chips)
     detector = np.log(held_out.scores / (1 - held_out.scores))
-    for name, scores in (("detector", detector), ("verifier", seen), ("sum", detector + seen)):
+    for name, scores in (
+        ("detector", detector),
+        ("verifier", held_out_logits),
+        ("sum", detector + held_out_logits),
+    ):
         print(name)
         print("\n".join(report(held_out.car, held_out.sets, scores)), flush=True)
 

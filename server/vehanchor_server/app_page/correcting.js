@@ -1,6 +1,5 @@
 // ---- Corrections: vehicles that a person drops or adds ----
 
-const CAR_LENGTH_OVER_WIDTH = 2.21; // of vehanchor.scale.defaults
 const NEAR_PX = 6; // screen pixels beside a box that still pick it
 
 const numberOf = (vehicle) => vehicle[6];
@@ -8,7 +7,7 @@ const isAdded = (vehicle) => Boolean(vehicle[7]);
 const boxAlong = ([[x1, y1], [x2, y2]]) => {
   const length = Math.hypot(x2 - x1, y2 - y1);
   const degrees = (Math.atan2(y2 - y1, x2 - x1) * 180) / Math.PI;
-  return [(x1 + x2) / 2, (y1 + y2) / 2, length, length / CAR_LENGTH_OVER_WIDTH, degrees, 1];
+  return [(x1 + x2) / 2, (y1 + y2) / 2, length, length / call.corrections.lengthOverWidth, degrees, 1];
 };
 
 // Read the corrections of the call, once, and the vehicles of its result.
@@ -19,7 +18,9 @@ function readCorrections(record, drawing) {
     drop: new Set(numbersIn(drop)),
     add: (add ?? []).map(({ x1, y1, x2, y2 }) => ({ ends: [[x1 * across, y1 * down], [x2 * across, y2 * down]] })),
     boxes: new Map(), // of all detections, also of dropped ones
+    lengthOverWidth: Infinity, // of the detector's boxes; until it is known, an added vehicle is a line
   };
+  call.corrections.lengthOverWidth = drawing?.length_over_width ?? call.corrections.lengthOverWidth;
   const { boxes, add: added } = call.corrections;
   const vehicles = drawing?.vehicles ?? [];
   call.corrections.detected = vehicles.filter((each) => !isAdded(each));

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import FailFast
+from pydantic import FailFast, Field
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.text import advice_for, by_hand_text
@@ -44,6 +44,7 @@ class Drawing(FrozenModel):
             best first.
         vehicles_left_out: number of vehicles beyond the limit.
         lines: lines of other rulers.
+        length_over_width: proportions of the detector's boxes; None if vehicles are excluded.
     """
 
     vehicles: Annotated[
@@ -51,6 +52,7 @@ class Drawing(FrozenModel):
     ]
     vehicles_left_out: int
     lines: Annotated[tuple[DrawnLine, ...], FailFast()]
+    length_over_width: Annotated[float, Field(gt=0)] | None
 
 
 def panel_meta(
@@ -124,8 +126,12 @@ def drawing_of(analysis: ScaleEvidence) -> Drawing:
     for mark in analysis.marks[:MAX_LINES]:
         points = tuple((round(float(x), 1), round(float(y), 1)) for x, y in mark.points)
         lines.append(DrawnLine(points=points, label=mark.label, closed=mark.closed))
+    length_over_width = None
+    if analysis.vehicles is not None:
+        length_over_width = analysis.vehicles.card.errors.boxes.length_over_width
     return Drawing(
         vehicles=tuple(vehicles),
         vehicles_left_out=len(detections.boxes) - len(boxes),
         lines=tuple(lines),
+        length_over_width=length_over_width,
     )

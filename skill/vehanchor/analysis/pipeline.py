@@ -208,6 +208,7 @@ def search_raster(
         options.frame,
         size_px=(raster.width_px, raster.height_px),
         nms_iou=options.search.nms_iou,
+        length_over_width=detector.card.errors.boxes.length_over_width,
     )
     return replace(view, detections=detections)
 
@@ -228,7 +229,12 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
     notices: tuple[Notice, ...] = ()
     # The vehicles may show a tilt only if none is known.
     if view.tilt is None and vehicles is not None and vehicles.found:
-        notices = tilt_notice(view.image, view.options, view.detections)
+        notices = tilt_notice(
+            view.image,
+            view.options,
+            view.detections,
+            log_size_sd=view.card.errors.boxes.log_size_sd,
+        )
     return conclude(view, witnesses, notices)
 
 

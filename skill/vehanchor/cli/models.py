@@ -169,10 +169,17 @@ def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_
         about: further members of the JSON object.
         as_json: print one JSON object and nothing else.
     """
+    from vehanchor.models.zoo import errors_file
+
     detector = engine.detector
     card = detector.card
+    errors_path = errors_file(detector.path)
     if as_json:
-        file = {"file": str(detector.path), "fixed_size_px": detector.fixed_size}
+        file = {
+            "file": str(detector.path),
+            "errors_file": None if errors_path is None else str(errors_path),
+            "fixed_size_px": detector.fixed_size,
+        }
         print_json({**about, **file, **card.model_dump(mode="json")})
         return
 
@@ -191,6 +198,12 @@ def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_
     regions = [
         f"{name} {length:.4g} m" for name, length in sorted(lengths.region_lengths_m.items())
     ]
+    errors_source = "defaults"
+    if errors_path is not None:
+        errors_source = errors_path.name
+    errors = f"{errors_source}; one car's box {100 * card.errors.boxes.log_sd:.3g} %"
+    if detector.chips is not None:
+        errors += f", a fleet by appearance {100 * card.errors.appearance.log_sd:.3g} %"
     facts = [
         ("file", str(detector.path)),
         ("input", input_size),
@@ -199,6 +212,7 @@ def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_
         ("reference length", f"{mean:.4g} m, sd {sd:.2g} m between regions"),
         ("vehicle lengths", vehicle_lengths),
         ("minimum score", f"{card.min_score:g}"),
+        ("errors", errors),
         ("licence", card.licence or "not stated"),
         ("regions", ", ".join(regions)),
     ]

@@ -20,7 +20,7 @@ from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
 from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import COURTS
+from vehanchor.models.zoo import bundled_file
 from vehanchor.scale.density import quantile
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def load_court_network(runtime: Runtime | None = None) -> CourtNetwork:
     The network is small, and must not occupy all cores of a single-threaded worker.
     """
     runtime = replace(runtime or Runtime(), threads=1)
-    return _opened(COURTS, runtime=runtime.idle).under(runtime)
+    return _opened(bundled_file("courts"), runtime=runtime.idle).under(runtime)
 
 
 def _peaks(answers: NDArray[np.float32], window: Window, factor: int) -> list[Proposal]:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar, get_args
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.errors import ModelContractError
 from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
 from vehanchor.scale.density import Votes
@@ -137,6 +138,7 @@ class DetectorCard(_Card):
         chips_sha256: checksum of the chip network's file; None without one.
         votes: calibration of the boxes' votes; None if it was never fitted, as for other people's
             models.
+        errors: errors of the detector and of its auxiliary models.
     """
 
     name: Annotated[str, Field(description="a name")]
@@ -175,6 +177,7 @@ class DetectorCard(_Card):
     votes: Annotated[
         Votes | None, _JSON, Field(description="a JSON object of the fields of Votes")
     ] = None
+    errors: DetectorErrors = DetectorErrors()
 
 
 class AuxiliaryCard(_Card):
@@ -277,6 +280,7 @@ def read_detector_card(
     metadata: Mapping[str, str],
     verifier: VerifierCard | None = None,
     chips: ChipCard | None = None,
+    errors: DetectorErrors | None = None,
 ) -> DetectorCard:
     """Read the model card of a detector.
 
@@ -286,6 +290,7 @@ def read_detector_card(
         metadata: metadata of the file.
         verifier: card of the verifier; None without one.
         chips: card of the chip network; None without one.
+        errors: errors of the detector; None for the defaults.
 
     Returns:
         The card, with the paper's values for missing entries.
@@ -305,6 +310,8 @@ def read_detector_card(
         _check_detector(chips, "chip network", card=card, path=path)
         values["bodies"] = chips.bodies
         values["chips_sha256"] = chips.sha256
+    if errors is not None:
+        values["errors"] = errors
     return card.model_copy(update=values)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from vehanchor.detection.boxes import oriented_iou
 from vehanchor.errors import InvalidParameterError
-from vehanchor.scale.defaults import CAR_LENGTH_OVER_WIDTH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -167,7 +166,13 @@ NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
 
 
 def corrected(
-    detections: Detections, by_hand: ByHand, frame: Frame, size_px: tuple[int, int], nms_iou: float
+    detections: Detections,
+    by_hand: ByHand,
+    frame: Frame,
+    *,
+    size_px: tuple[int, int],
+    nms_iou: float,
+    length_over_width: float,
 ) -> Detections:
     """Drop and add vehicles after a search.
 
@@ -179,6 +184,7 @@ def corrected(
         frame: the caller's copy.
         size_px: width and height of the image.
         nms_iou: IoU above which two boxes are one vehicle.
+        length_over_width: proportions of the detector's boxes, for added vehicles.
 
     Returns:
         The detections with ``Detections.corrections``; the same ones without corrections.
@@ -190,7 +196,9 @@ def corrected(
         return detections
     n_detected = len(detections.boxes)
     _check_numbers(by_hand.drop, n_detected)
-    added, pointed_log_sds = _added_boxes(by_hand, frame, size_px)
+    added, pointed_log_sds = _added_boxes(
+        by_hand, frame, size_px=size_px, length_over_width=length_over_width
+    )
     n_added = len(added)
 
     numbers = np.arange(1, n_detected + 1)
@@ -239,7 +247,7 @@ def _check_numbers(drop: Sequence[int], n_detected: int) -> None:
 
 
 def _added_boxes(
-    by_hand: ByHand, frame: Frame, size_px: tuple[int, int]
+    by_hand: ByHand, frame: Frame, *, size_px: tuple[int, int], length_over_width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Convert the axes of added vehicles to boxes in pixels of the image.
 
@@ -255,7 +263,7 @@ def _added_boxes(
     ends = axes.reshape(-1, 2, 2) * unit
     along = ends[:, 1] - ends[:, 0]
     lengths = np.hypot(along[:, 0], along[:, 1])
-    widths = lengths / CAR_LENGTH_OVER_WIDTH
+    widths = lengths / length_over_width
     angles = np.arctan2(along[:, 1], along[:, 0]) % np.pi
     boxes = np.column_stack([ends.mean(axis=1), lengths, widths, angles])
     is_same = oriented_iou(boxes, boxes) > _SAME_VEHICLE_IOU

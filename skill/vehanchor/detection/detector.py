@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, assert_never
 
 import cv2
 import numpy as np
@@ -24,12 +24,13 @@ from vehanchor.detection.contracts import (
     vehicle_classes,
 )
 from vehanchor.detection.detections import Objects
+from vehanchor.detection.detector_errors import DetectorErrors, read_detector_errors
 from vehanchor.detection.verifier import Verifier
 from vehanchor.errors import ModelContractError
 from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import COURTS, SCENE_SCALE, auxiliary_model
+from vehanchor.models.zoo import BUNDLED_MODELS, auxiliary_model, errors_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,6 +52,10 @@ _MAX_ANGLE = 1e4
 # has one anchor for 12 px.
 _MIN_BOX_LIMIT = 4096
 _PX_PER_BOX = 8
+# Checksum of the bundled detector's errors when they still were constants. Checksums in journals of
+# that time leave them out, and stay valid as long as the numbers are the same. If another constant
+# moves into the file with its value, compute this anew.
+_FIRST_ERRORS_SHA256 = "ef1e67b13702519766c151b9577e5d4f24d2ddbe3fd56c5fe152444c4ba8b540"
 
 
 class TileDetections(NamedTuple):
@@ -91,6 +96,8 @@ class Detector(LoadedModel):
             detector's scores are used unchanged.
         chips: file of the chip network; by default the file beside the detector,
             ``<stem>.chips.onnx``. Without one, the detector's boxes are used unchanged.
+        errors: file of the errors; by default the file beside the detector,
+            ``<stem>.errors.toml``. Without one, the defaults of ``DetectorErrors`` are used.
         runtime: how to open the detector and its auxiliary models; None for the defaults.
 
     Attributes:
@@ -103,7 +110,8 @@ class Detector(LoadedModel):
 
     Raises:
         ModelNotFoundError: there is no such file.
-        ModelContractError: the file is not an oriented-box detector of a known layout.
+        ModelContractError: the file is not an oriented-box detector of a known layout, or the file
+            of its errors is invalid.
         ProviderUnavailableError: an execution provider is not installed.
         InvalidParameterError: bad ``classes``.
     """
@@ -115,6 +123,7 @@ class Detector(LoadedModel):
         classes: Sequence[str | int] | None = None,
         verifier: str | Path | None = None,
         chips: str | Path | None = None,
+        errors: str | Path | None = None,
         runtime: Runtime | None = None,
     ) -> None:
         self.path = Path(path)
@@ -129,6 +138,7 @@ class Detector(LoadedModel):
             metadata=self._session.get_modelmeta().custom_metadata_map,
             verifier=self.verifier.card if self.verifier else None,
             chips=self.chips.card if self.chips else None,
+            errors=self._read_errors(errors),
         )
         self._input = self._checked_input()
         self._dtype: type[np.floating[Any]] = np.float32
@@ -156,6 +166,13 @@ class Detector(LoadedModel):
         if path is None:
             return None
         return ChipNetwork(path, runtime=self.runtime)
+
+    def _read_errors(self, path: str | Path | None) -> DetectorErrors | None:
+        """Read the errors at a path, or by default beside the detector; None without any."""
+        path = path if path is not None else errors_file(self.path)
+        if path is None:
+            return None
+        return read_detector_errors(Path(path))
 
     def under(self, call: Runtime) -> Self:
         """Bind the detector and its auxiliary models to one call; see ``LoadedModel.under``."""
@@ -358,6 +375,7 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
         file,
         verifier=auxiliary_model(file, "verifier"),
         chips=auxiliary_model(file, "chips"),
+        errors=errors_file(file),
         runtime=runtime.idle,
     )
     return detector.under(runtime)
@@ -366,11 +384,24 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
 def networks_sha256(card: DetectorCard) -> str:
     """Compute the SHA-256 of the detector and of its auxiliary, scene-scale and court networks.
 
-    A result is stale once one of them has changed.
+    A result is stale once one of them, or one of the detector's errors, has changed.
     """
     digest = hashlib.sha256()
-    for checksum in (card.sha256, card.verifier_sha256, card.chips_sha256):
-        digest.update(f"{checksum}\n".encode())
-    for path in (SCENE_SCALE, COURTS):
-        digest.update(models_sha256(read_model(path)).encode())
+    for model in BUNDLED_MODELS:
+        match model.role:
+            case "detector":
+                digest.update(f"{card.sha256}\n".encode())
+            case "auxiliary":
+                # The card names the checksum of each auxiliary model that this detector has.
+                checksum = getattr(card, f"{model.name}_sha256")
+                digest.update(f"{checksum}\n".encode())
+            case "ruler":
+                digest.update(models_sha256(read_model(model.path)).encode())
+            case "segmenter":
+                # No scale depends on it.
+                pass
+            case _:
+                assert_never(model.role)
+    if card.errors.sha256 != _FIRST_ERRORS_SHA256:
+        digest.update(f"{card.errors.sha256}\n".encode())
     return digest.hexdigest()

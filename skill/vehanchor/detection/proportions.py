@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.chips import ChipNetwork
+    from vehanchor.detection.detector_errors import StretchLimits
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
@@ -35,24 +36,17 @@ _MAX_LOGIT = 6.0
 # Vehicles that the verifier judges, by falling score; more do not change the result.
 _MIN_VEHICLES = 5
 _MAX_VEHICLES = 32
-# Least standard deviation of the preferences of single vehicles.
-_SD_OF_ONE = 0.7
-# Standard deviation of the mean preference between images of true proportions, train split.
-_SD_OF_PLACES = 0.55
-# 0 of 243 images of true proportions have more; 87 of 100 of those stretched by 1.4.
-_LIMIT_SIGMAS = 2.75
 
 # Vehicles that the chip network judges if they are few.
 _MIN_OF_FEW = 2
 _MAX_OF_FEW = 5
 # Mean resultant length of the doubled headings from which vehicles count as parallel.
 _PARALLEL = 0.75
-# 1 of 172 images of true proportions has more; 176 of 294 stretched by 1.4.
-_LIMIT_PARALLEL = 0.7
-_LIMIT_CROSSED = 0.28
 
 
-def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> float | None:
+def stretch(
+    raster: Raster, boxes: NDArray[np.float64], network: Verifier, limits: StretchLimits
+) -> float | None:
     """Compute how clearly the vehicles prefer a narrower or a wider image.
 
     The measure is the mean difference of the logits over its standard deviation.
@@ -62,6 +56,7 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
         boxes: ``[n, 5]`` rows ``(x, y, length, width, angle)`` of the detector's vehicles in image
             pixels, centred inside the image, best first.
         network: scores their chips.
+        limits: limits of the network's preferences.
 
     Returns:
         The preference over its limit: above 1 if the image is too wide, below -1 if it is too high;
@@ -77,12 +72,12 @@ def stretch(raster: Raster, boxes: NDArray[np.float64], network: Verifier) -> fl
 
     gains = logits(1 / _FACTOR) - logits(_FACTOR)
     # Vehicles of one image share a place, whose error more vehicles do not reduce.
-    variance = (float(gains.var(ddof=1)) + _SD_OF_ONE**2) / len(gains) + _SD_OF_PLACES**2
-    return float(gains.mean()) / math.sqrt(variance) / _LIMIT_SIGMAS
+    variance = (float(gains.var(ddof=1)) + limits.vehicle_sd**2) / len(gains) + limits.image_sd**2
+    return float(gains.mean()) / math.sqrt(variance) / limits.limit_sds
 
 
 def stretch_of_few(
-    raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork
+    raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork, limits: StretchLimits
 ) -> float | None:
     """Compute how clearly a few vehicles prefer a narrower or a wider image, by the chip network.
 
@@ -95,6 +90,7 @@ def stretch_of_few(
         raster: the image.
         boxes: ``[n, 5]`` bodies of vehicles, as for ``stretch``.
         network: scores their chips.
+        limits: limits of the network's preferences.
 
     Returns:
         The preference over its limit, as for ``stretch``; None for a single vehicle, which shows
@@ -115,9 +111,9 @@ def stretch_of_few(
     too_wide = max(0.0, min(narrower - same, (narrower - wider) / 3))
     too_high = max(0.0, min(wider - same, (wider - narrower) / 3))
     # Doubled headings: cars that face each other are parallel, too.
-    limit = _LIMIT_CROSSED
+    limit = limits.few_crossed_limit
     if abs(np.exp(2j * best[:, 4]).mean()) >= _PARALLEL:
-        limit = _LIMIT_PARALLEL
+        limit = limits.few_parallel_limit
     return (too_wide - too_high) / limit
 
 

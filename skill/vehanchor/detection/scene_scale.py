@@ -24,7 +24,7 @@ from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import SCENE_SCALE
+from vehanchor.models.zoo import bundled_file
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, blurred, flat, shifted
 
@@ -266,7 +266,7 @@ _opened = file_cached(max_models=2)(SceneScaleNetwork)
 def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork:
     """Load the bundled network once for each runtime."""
     runtime = runtime or Runtime()
-    return _opened(SCENE_SCALE, runtime=runtime.idle).under(runtime)
+    return _opened(bundled_file("scene-scale"), runtime=runtime.idle).under(runtime)
 
 
 def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float64]:

@@ -358,7 +358,7 @@ class ImageSearch:
     @cached_property
     def _tile_priors(self) -> NDArray[np.float64]:
         """Probability that each cell of the image shows cars."""
-        return tile_prior_map(self._raster)
+        return tile_prior_map(self._raster, self._detector.card.errors.tile_prior)
 
     def _reading_order(self) -> list[int]:
         """List all tiles in the order in which the image is decoded fewest times.
@@ -451,10 +451,11 @@ class ImageSearch:
 
     def _stretch(self, boxes: NDArray[np.float64], *, are_few: bool) -> float | None:
         """Ask a network that scored the vehicles whether the image is stretched."""
+        limits = self._detector.card.errors.stretch
         if are_few and self._chips:
-            return stretch_of_few(self._raster, boxes, self._chips)
+            return stretch_of_few(self._raster, boxes, self._chips, limits)
         if self._verifier:
-            return stretch(self._raster, boxes, self._verifier)
+            return stretch(self._raster, boxes, self._verifier, limits)
         return None
 
 

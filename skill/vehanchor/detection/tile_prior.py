@@ -17,6 +17,7 @@ from vehanchor.imagery.tiles import read_preview
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from vehanchor.detection.detector_errors import TilePriorOdds
     from vehanchor.imagery.raster import Raster
 
 CELL_PX = 512
@@ -28,10 +29,6 @@ _PREVIEW_CELL_PX = CELL_PX // _PREVIEW_FACTOR
 # Side of the blocks in which the preview is read, pixels of it: 2048 px of the image.
 _BLOCK_PX = 4 * _PREVIEW_CELL_PX
 
-# Logistic regression of cars in a cell on the log of its mean gradient, fitted by
-# research/training/tile_prior/fit.py: the log odds at a gradient of 1, and their slope.
-_LOG_ODDS_AT_ONE = -7.2
-_LOG_ODDS_SLOPE = 3.08
 NOISE_GRADIENT = 0.5
 """Grey levels per pixel, the gradient of noise, added before the log is taken."""
 
@@ -52,11 +49,12 @@ def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(np.hypot(across, down) / 8, np.float32)
 
 
-def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
+def car_prior(coarse: NDArray[np.uint8], odds: TilePriorOdds) -> NDArray[np.float64]:
     """Compute the probability of cars in each cell of a preview from its mean gradient.
 
     Args:
         coarse: ``[h, w, 3]`` uint8 RGB at an eighth of the image's resolution.
+        odds: odds of cars by the gradient.
 
     Returns:
         ``[ceil(h / 64), ceil(w / 64)]`` in 0..1.
@@ -69,15 +67,16 @@ def car_prior(coarse: NDArray[np.uint8]) -> NDArray[np.float64]:
         [[slopes[y : y + side, x : x + side].mean() for x in lefts] for y in tops],
         dtype=np.float64,
     )
-    log_odds = _LOG_ODDS_AT_ONE + _LOG_ODDS_SLOPE * np.log(means + NOISE_GRADIENT)
+    log_odds = odds.log_odds_at_one + odds.log_odds_slope * np.log(means + NOISE_GRADIENT)
     return np.asarray(1 / (1 + np.exp(-log_odds)))
 
 
-def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
+def tile_prior_map(raster: Raster, odds: TilePriorOdds) -> NDArray[np.float64]:
     """Compute the probability of cars in each cell of an image.
 
     Args:
         raster: the image; at most 2048 x 2048 px of it are in memory.
+        odds: odds of cars by the gradient.
 
     Returns:
         ``[rows, columns]`` of cells of 512 px in 0..1; one cell of 0 for an image with a side below
@@ -95,7 +94,7 @@ def tile_prior_map(raster: Raster) -> NDArray[np.float64]:
             block_width = min(_BLOCK_PX, width - left)
             window = Window(left, top, width_px=block_width, height_px=block_height)
             preview = read_preview(raster, window, _PREVIEW_FACTOR)
-            blocks.append(car_prior(preview))
+            blocks.append(car_prior(preview, odds))
         rows.append(np.concatenate(blocks, axis=1))
     return np.concatenate(rows)
 

@@ -117,8 +117,8 @@ def file_cached(max_models: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
         max_models: maximum number of cached results; the least recently used is dropped first.
 
     Returns:
-        A decorator for a function whose arguments that are ``os.PathLike`` are ONNX files; it gets
-        their absolute paths. All its arguments must be hashable. Exceptions are not cached.
+        A decorator for a function whose arguments that are ``os.PathLike`` are a model's files; it
+        gets their absolute paths. All its arguments must be hashable. Exceptions are not cached.
     """
 
     def decorate(load: Callable[P, T]) -> Callable[P, T]:

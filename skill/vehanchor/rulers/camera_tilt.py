@@ -20,7 +20,6 @@ from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
 from vehanchor.records import Notice, TiltEstimate
 from vehanchor.records.notices import NoticeCode
-from vehanchor.scale.defaults import CAR_LENGTH_OVER_WIDTH
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detections import Detections
+    from vehanchor.detection.detector_errors import DetectorErrors
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate, KnownPlane
@@ -42,8 +42,6 @@ _USUAL_FOCAL_35MM = 26.0
 # Fit of the tilt to the sizes of cars.
 MIN_CARS = 12
 _MIN_SCORE = 0.5
-# Spread of the log of the square root of box areas within one fleet.
-_LOG_SD = 0.11
 # Largest ratio of a car's length to the median, in either direction.
 _MAX_RATIO = 4.0
 # Neighbours are alike: this share of the cars counts, and at most this number. A choice.
@@ -61,8 +59,6 @@ _SURE_SDS = 2.33
 _EXPONENT = 1.5
 
 # Lengths of cars under a tilt.
-# Proportions of bodies at nadir; medians of seven places go from 2.47 to 2.65.
-_BODY_LENGTH_OVER_WIDTH = 2.6
 # Share of the width in the log of a length; on the train split 0.2 to 0.3 do alike at 30 and 45
 # degrees.
 _WIDTH_SHARE = 0.25
@@ -197,7 +193,7 @@ def ground_plane(
 
 
 def suspected_tilt(
-    detections: Detections, width_px: int, height_px: int, focal_px: float
+    detections: Detections, width_px: int, height_px: int, *, focal_px: float, log_size_sd: float
 ) -> float | None:
     """Estimate the tilt from the trend of the cars' sizes over the image.
 
@@ -209,6 +205,7 @@ def suspected_tilt(
         width_px: width of the image.
         height_px: height of the image.
         focal_px: focal length, pixels.
+        log_size_sd: spread of the log of the square root of box areas within one fleet.
 
     Returns:
         The tilt that explains the trend, in degrees; None unless more than ten degrees are nearly
@@ -220,7 +217,7 @@ def suspected_tilt(
     # Log of the square root of a box's area, over its place in focal lengths from the centre.
     places = (boxes[:, :2] - [width_px / 2, height_px / 2]) / focal_px
     log_sizes = np.log(boxes[:, 2] * boxes[:, 3]) / 2
-    slopes, covariance = _fitted_slopes(places, log_sizes)
+    slopes, covariance = _fitted_slopes(places, log_sizes, log_size_sd)
 
     slope = float(np.hypot(*slopes))
     direction = np.array([1.0, 0.0])
@@ -235,13 +232,14 @@ def suspected_tilt(
 
 
 def _fitted_slopes(
-    places: NDArray[np.float64], log_sizes: NDArray[np.float64]
+    places: NDArray[np.float64], log_sizes: NDArray[np.float64], log_sd: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit log sizes by a plane over the image; Cauchy's loss makes it robust against lorries.
 
     Args:
         places: ``[n, 2]`` places of cars.
         log_sizes: ``[n]``.
+        log_sd: spread of the log sizes around the plane.
 
     Returns:
         ``[2]`` slopes of the plane, and their covariance ``[2, 2]``.
@@ -251,17 +249,17 @@ def _fitted_slopes(
     information = np.eye(3)
     # Iterated least squares: the weights of Cauchy's loss follow from the last fit.
     for _ in range(_N_STEPS):
-        deviations = (design @ plane - log_sizes) / _LOG_SD
+        deviations = (design @ plane - log_sizes) / log_sd
         weights = 1.0 / (1.0 + deviations**2)
         information = design.T @ (design * weights[:, None]) + _WEAK_INFORMATION
         plane = np.linalg.solve(information, design.T @ (weights * log_sizes))
     independent_share = min(_INDEPENDENT_SHARE, _MAX_INDEPENDENT / len(places))
-    covariance = _LOG_SD**2 / independent_share * np.linalg.inv(information)
+    covariance = log_sd**2 / independent_share * np.linalg.inv(information)
     return np.asarray(plane[1:]), np.asarray(covariance[1:, 1:])
 
 
 def tilt_notice(
-    image: ImageFacts, options: ScaleOptions, detections: Detections
+    image: ImageFacts, options: ScaleOptions, detections: Detections, *, log_size_sd: float
 ) -> tuple[Notice, ...]:
     """Warn of a tilt that the vehicles' sizes show, or that the metadata state for a crop.
 
@@ -269,6 +267,7 @@ def tilt_notice(
         image: size and metadata of the image.
         options: which metadata may be used.
         detections: vehicles in pixels of the image.
+        log_size_sd: as in ``suspected_tilt``.
 
     Returns:
         One notice, or none.
@@ -288,7 +287,11 @@ def tilt_notice(
         return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
     focal_px, _ = focal_length(image, options)
     tilt_deg = suspected_tilt(
-        detections, image.width_px, height_px=image.height_px, focal_px=focal_px
+        detections,
+        image.width_px,
+        image.height_px,
+        focal_px=focal_px,
+        log_size_sd=log_size_sd,
     )
     if tilt_deg is None:
         return ()
@@ -317,35 +320,36 @@ def _whole_cars(detections: Detections, width_px: int, height_px: int) -> NDArra
     return np.asarray(boxes[inside & likely])
 
 
-def rectified(detections: Detections, plane: GroundPlane) -> Detections:
+def rectified(detections: Detections, plane: GroundPlane, errors: DetectorErrors) -> Detections:
     """Rectify the lengths and widths of vehicles to nadir and to the scale of the image's centre.
 
     Args:
         detections: in pixels of the image; positions and angles are kept.
         plane: ground plane, with one metre per pixel at the image's centre.
+        errors: errors of the detector, with the proportions of its boxes.
     """
+    proportions = errors.length_over_width(of_bodies=detections.appearance is not None)
     long_axis, short_axis = box_axes(detections.boxes)
     lengths = plane.length(*long_axis)
     widths = plane.length(*short_axis)
     boxes = detections.boxes.copy()
-    boxes[:, 2] = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
-    boxes[:, 3] = boxes[:, 2] / CAR_LENGTH_OVER_WIDTH
+    boxes[:, 2] = length_off_nadir(lengths, widths, length_over_width=proportions)
+    boxes[:, 3] = boxes[:, 2] / errors.boxes.length_over_width
     return replace(detections, boxes=boxes)
 
 
 def length_off_nadir(
-    lengths: NDArray[np.float64], widths: NDArray[np.float64], *, bodies: bool
+    lengths: NDArray[np.float64], widths: NDArray[np.float64], *, length_over_width: float
 ) -> NDArray[np.float64]:
     """Combine lengths and widths on the ground to lengths that do not depend on the direction.
 
     Args:
         lengths: ``[n]`` lengths of boxes.
         widths: ``[n]`` widths of boxes.
-        bodies: whether these are the boxes of bodies, as the chip network measures them.
+        length_over_width: proportions of such boxes at nadir.
 
     Returns:
         ``[n]`` weighted geometric means of the lengths, and of the lengths that the widths imply.
     """
-    proportion = _BODY_LENGTH_OVER_WIDTH if bodies else CAR_LENGTH_OVER_WIDTH
-    implied = proportion * widths
+    implied = length_over_width * widths
     return np.asarray(lengths ** (1 - _WIDTH_SHARE) * implied**_WIDTH_SHARE)

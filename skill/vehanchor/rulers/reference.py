@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.countries import COUNTRY_CODES, COUNTRY_REGIONS, country_length
-from vehanchor.scale.reliability import APPEARANCE_LOG_MEAN, APPEARANCE_LOG_SD, KNOWN_REGION
+from vehanchor.scale.reliability import KNOWN_REGION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from vehanchor.detection.card import BodyLengths, DetectorCard
     from vehanchor.detection.detections import Appearance
+    from vehanchor.detection.detector_errors import AppearanceErrors
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
@@ -76,7 +77,9 @@ def reference_length(
         length_m = reference.reference_length_m
         return ReferenceLength(length_m, "given", _KNOWN_LENGTH * sd_m / length_m)
     if card.bodies is not None and appearance is not None:
-        return _by_appearance(card.bodies, appearance, reference.region)
+        return _by_appearance(
+            card.bodies, appearance, errors=card.errors.appearance, region=reference.region
+        )
     if reference.region is not None:
         lengths_m: dict[str, float] = {}
         if card.bodies is not None:
@@ -90,7 +93,7 @@ def reference_length(
 
 
 def _by_appearance(
-    bodies: BodyLengths, appearance: Appearance, region: str | None
+    bodies: BodyLengths, appearance: Appearance, *, errors: AppearanceErrors, region: str | None
 ) -> ReferenceLength:
     """Read the reference length from appearances, and move it towards that of a region."""
     log_length = float(appearance.log_lengths.mean())
@@ -98,8 +101,8 @@ def _by_appearance(
         return ReferenceLength(
             math.exp(log_length),
             "appearance",
-            log_sd=APPEARANCE_LOG_SD,
-            log_mean=APPEARANCE_LOG_MEAN,
+            log_sd=errors.log_sd,
+            log_mean=errors.log_mean,
             by_appearance=0.0,
         )
     # The region is about the whole fleet. Cars out of sight are taken to have the usual length, so
@@ -110,14 +113,14 @@ def _by_appearance(
 
     # Precision-weighted mean of both lengths: variances of the appearance and within the region.
     region_log_sd = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
-    region_share = APPEARANCE_LOG_SD**2 / (APPEARANCE_LOG_SD**2 + region_log_sd**2)
+    region_share = errors.log_sd**2 / (errors.log_sd**2 + region_log_sd**2)
     region_length = math.log(_region_length(region, bodies.region_lengths_m))
     moved = region_share * (region_length - fleet)
     return ReferenceLength(
         math.exp(log_length + moved),
         "region",
-        log_sd=math.sqrt(1 - region_share) * APPEARANCE_LOG_SD,
-        log_mean=(1 - region_share) * APPEARANCE_LOG_MEAN,
+        log_sd=math.sqrt(1 - region_share) * errors.log_sd,
+        log_mean=(1 - region_share) * errors.log_mean,
         by_appearance=moved,
     )
 

@@ -39,8 +39,7 @@ from vehanchor.scale.lengths import (
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import (
-    CAR_LOG_SD,
-    RELIABILITY,
+    CoarseErrors,
     appearance_error,
     uncalibrated_wrong,
     unresolved,
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detections import Appearance, Detections
+    from vehanchor.detection.detector_errors import LookAlikeLimits
     from vehanchor.options import Lengths
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
@@ -62,13 +62,6 @@ if TYPE_CHECKING:
 
 # Score of a car that is beyond doubt.
 _CLEAR_SCORE = 1.0
-# Look-alikes are judged from 20 vehicles on: then their spread is known to a sixth.
-_MIN_ALIKE = 20
-# Spread of log lengths below which vehicles are alike, as measured and by appearance. Of 204 fleets
-# 3 have less in one of the two, none in both.
-_EQUAL_LOG_SD = 0.045
-# Mean logit below which vehicles look unlike cars; 203 of 204 fleets have more.
-_MIN_MEAN_LOGIT = 2.0
 # Interquartile range of a normal distribution, in standard deviations.
 _QUARTILES_PER_SD = 1.349
 
@@ -278,12 +271,17 @@ class VehicleWitness(Witness):
         """
         detections = self.fleet.detections
         appearance = detections.appearance
+        errors = self.card.errors
         lengths_m = np.full(len(detections.boxes), self.reference.length_m)
-        log_sds = np.full(len(detections.boxes), CAR_LOG_SD)
+        log_sds = np.full(len(detections.boxes), errors.boxes.log_sd)
         if self.reference.by_appearance is not None and appearance is not None:
             n = len(appearance)
             lengths_m[:n] = np.exp(appearance.log_lengths + self.reference.by_appearance)
-            log_sds[:n] = appearance.log_sds * appearance_error(scores[:n])
+            log_sds[:n] = appearance.log_sds * appearance_error(
+                scores[:n],
+                fair_odds=errors.appearance.fair_odds,
+                doubt_power=errors.appearance.doubt_power,
+            )
         if detections.corrections is not None:
             # Lengths of added vehicles have the error of the caller's pointing, too.
             log_sds = np.hypot(log_sds, detections.corrections.pointed_log_sds)
@@ -301,9 +299,19 @@ class VehicleWitness(Witness):
         """Votes of the detector; a default if nobody has fitted any."""
         return self.card.votes or UNCALIBRATED
 
+    @property
+    def _coarse_errors(self) -> CoarseErrors:
+        """Errors of the vehicles in addition, if they are too coarse."""
+        errors = self.card.errors.vehicles
+        return unresolved(
+            self.coarseness,
+            log_sd_per_log=errors.coarse_log_sd,
+            chance_wrong_per_log=errors.coarse_chance_wrong,
+        )
+
     def _widened(self, likelihood: Density) -> Density:
         """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles."""
-        log_sd = math.hypot(self.reference.log_sd, unresolved(self.coarseness).log_sd)
+        log_sd = math.hypot(self.reference.log_sd, self._coarse_errors.log_sd)
         return blurred(likelihood, log_sd, self.reference.log_mean)
 
     @property
@@ -313,11 +321,11 @@ class VehicleWitness(Witness):
             likely = UNCALIBRATED.log_odds(self.fleet.scores) > 0
             chance = uncalibrated_wrong(int(likely.sum()))
         else:
-            chance = RELIABILITY["vehicles"].chance_wrong
+            chance = self.card.errors.vehicles.chance_wrong
         # The rival group is the fleet with these odds: its share of evidence, squared. A choice.
         rival_odds = self.fleet.rival_share**2
         chance = max(chance, rival_odds / (1.0 + rival_odds))
-        return 1.0 - (1.0 - chance) * (1.0 - unresolved(self.coarseness).chance_wrong)
+        return 1.0 - (1.0 - chance) * (1.0 - self._coarse_errors.chance_wrong)
 
     def _lacks(self, likelihood: Density) -> tuple[Lack, ...]:
         """Compute what the vehicles would be without each of their weaknesses.
@@ -338,6 +346,7 @@ class VehicleWitness(Witness):
             [_CLEAR_SCORE],
             lengths_m=self.reference.length_m,
             votes=self._votes,
+            log_sds=self.card.errors.boxes.log_sd,
         )
         # The fleet's reference length is known exactly.
         exact_length = self.reference._replace(log_sd=0.0, log_mean=0.0)
@@ -380,7 +389,7 @@ class Vehicles(Ruler):
         # In a tilted view, other rulers identify the cars; at nadir, the scene-scale prior.
         expected = view.expected
         if plane is not None:
-            detections = rectified(detections, plane)
+            detections = rectified(detections, plane, card.errors)
         elif view.prior is not None:
             expected = view.prior.density
         fleet = select(detections, view.options.lengths, expected)
@@ -410,7 +419,7 @@ class Vehicles(Ruler):
             notices=(
                 *vehicles.notices,
                 *_detail_missing(vehicles),
-                *_doubts(fleet, stretch),
+                *_doubts(fleet, stretch, card.errors.look_alikes),
             ),
         )
 
@@ -434,7 +443,7 @@ _LOOK_ALIKES = Notice(
 _DOUBT_CODES = (_STRETCHED.code, _LOOK_ALIKES.code)
 
 
-def _doubts(fleet: Fleet, stretch: float | None) -> tuple[Notice, ...]:
+def _doubts(fleet: Fleet, stretch: float | None, limits: LookAlikeLimits) -> tuple[Notice, ...]:
     """Doubt that the vehicles are cars of true proportions, after a search over scales.
 
     Without such a search, the vehicles were not chosen by their length, and no doubt arises. A
@@ -444,37 +453,39 @@ def _doubts(fleet: Fleet, stretch: float | None) -> tuple[Notice, ...]:
     Args:
         fleet: the vehicles.
         stretch: see ``vehanchor.detection.detections.Detections``; None if it is not doubted.
+        limits: of look-alikes.
     """
     if fleet.detections.reductions is None:
         return ()
     doubts = []
     if stretch is not None and abs(stretch) > 1.0:
         doubts.append(_STRETCHED)
-    if not fleet.is_stated and look_alikes(fleet.lengths, fleet.appearance):
+    if not fleet.is_stated and look_alikes(fleet.lengths, fleet.appearance, limits):
         doubts.append(_LOOK_ALIKES)
     return tuple(doubts)
 
 
-def look_alikes(lengths: ArrayLike, appearance: Appearance | None) -> bool:
+def look_alikes(lengths: ArrayLike, appearance: Appearance | None, limits: LookAlikeLimits) -> bool:
     """Test whether vehicles may be equal things, such as lorries, caravans or boats in rows.
 
-    One of two signs is enough, from 20 vehicles on. Either their lengths and their appearances
+    One of two signs is enough. Either their lengths and their appearances
     spread less than those of cars of different makes (interquartile range over 1.349), or they look
     less like cars than any fleet.
 
     Args:
         lengths: ``[n]`` pixels.
         appearance: appearance of the vehicles that have any; None without a chip network.
+        limits: the detector's limits, among them the least number of vehicles.
     """
     lengths_px = np.asarray(lengths, dtype=np.float64)
-    if len(lengths_px) < _MIN_ALIKE:
+    if len(lengths_px) < limits.min_vehicles:
         return False
-    equal_lengths = _spread(np.log(lengths_px)) < _EQUAL_LOG_SD
-    if appearance is None or len(appearance) < _MIN_ALIKE:
+    equal_lengths = _spread(np.log(lengths_px)) < limits.log_sd
+    if appearance is None or len(appearance) < limits.min_vehicles:
         return equal_lengths
-    if appearance.logits.mean() < _MIN_MEAN_LOGIT:
+    if appearance.logits.mean() < limits.min_mean_logit:
         return True
-    return equal_lengths and _spread(appearance.log_lengths) < _EQUAL_LOG_SD
+    return equal_lengths and _spread(appearance.log_lengths) < limits.log_sd
 
 
 def _spread(values: NDArray[np.float64]) -> float:

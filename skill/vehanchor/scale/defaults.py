@@ -35,9 +35,6 @@ CAR_LENGTH_M = 4.6
 It is used only to choose resolutions and to weigh sizes.
 """
 
-CAR_LENGTH_OVER_WIDTH = 2.21
-"""Proportions of the detector's boxes at nadir."""
-
 LEAST_GSD_M_PER_PX = 1e-4
 LARGEST_GSD_M_PER_PX = 1000.0
 """Limits of ground sampling distances from callers, metres per pixel."""

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from vehanchor.scale.lengths import Interval
-from vehanchor.scale.reliability import CAR_LOG_SD
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -182,7 +181,7 @@ def vehicle_likelihood(
     scores: ArrayLike,
     lengths_m: ArrayLike,
     votes: Votes,
-    log_sds: ArrayLike = CAR_LOG_SD,
+    log_sds: ArrayLike,
 ) -> Density:
     """Compute the density of the scale from the votes of all boxes.
 

@@ -1,7 +1,9 @@
 """Errors of each ruler: its spread, and how often it measures something else.
 
-All such numbers stand here, each with the number of finds behind it and its source. A measured
-chance of error is ``(false + 0.5) / (finds + 10)``. A number without data is a choice, and says so.
+The numbers of all rulers but the vehicles stand here, each with the number of finds behind it and
+its source. A measured chance of error is ``(false + 0.5) / (finds + 10)``. A number without data is
+a choice, and says so. The numbers of vehicles belong to a detector, and stand in a file beside it
+(``vehanchor.detection.detector_errors``); the functions here take them as arguments.
 """
 
 from __future__ import annotations
@@ -33,27 +35,6 @@ class Reliability(NamedTuple):
     source: str
 
 
-_PLACES = "photographs of 30 places that no network has learned from, November 2026"
-
-CAR_LOG_SD = 0.12
-"""Standard deviation of the log length of one car's box around its fleet, if its appearance is not
-used; 0.10 to 0.145 by place."""
-
-APPEARANCE_LOG_SD = 0.055
-"""Standard deviation, between places, of the log of a fleet's length by its appearance: 0.047
-between 13 places, of which the network has learned from six."""
-
-APPEARANCE_LOG_MEAN = -0.015
-"""Mean error of that log. Cars of 13 places are 2.8 % shorter than they look; half of it is taken
-off. Any mean of -0.03 to 0 and spread of 0.04 to 0.06 makes 1,089 to 1,099 of 1,255 photographs
-usable, 8 to 11 of them wrong; with a spread below 0.05 fewer than 95 of 100 intervals hold."""
-
-_FAIR_ODDS = 20.0
-_DOUBT_POWER = 0.125
-"""Odds of a car at which its appearance errs as stated, and the power of the error at other odds.
-Of 15,060 vehicles in photographs of known scale the rms error is 0.89 of the stated one for scores
-from 0.995 on, and 1.3 below 0.95."""
-
 KNOWN_REGION = 0.85
 """Share of the model's spread of reference lengths that remains within a region: with it, 95 of 100
 intervals hold on the held-out tenth of the train split."""
@@ -76,10 +57,6 @@ _EXACT = 0.01
 """Standard deviations of the log scale by a guess, and by tape, plan, survey or rule. Choices."""
 
 RELIABILITY: dict[str, Reliability] = {
-    "vehicles": Reliability(CAR_LOG_SD, 0.01, n=1191, source=_PLACES),
-    "vehicles, too coarse": Reliability(
-        0.5, 0.33, n=136, source="per log of coarseness; 70 photographs at 0.3 to 0.6 m/px"
-    ),
     "courts": Reliability(
         _EXACT, 0.08, n=8, source="1 of 8 finds in 1,006 random photographs is false; 30 known ones"
     ),
@@ -114,32 +91,51 @@ def uncalibrated_wrong(n_likely: int) -> float:
     return _NOT_MEASURED * (1 + n_lacking)
 
 
-def unresolved(coarseness: float) -> Reliability:
-    """Return the errors of vehicles that are too coarse for the resolution guard.
+class CoarseErrors(NamedTuple):
+    """Errors of vehicles that are too coarse for the resolution guard.
+
+    Attributes:
+        log_sd: standard deviation of the log of their scale.
+        chance_wrong: 0..1, chance that they do not show the scale.
+    """
+
+    log_sd: float
+    chance_wrong: float
+
+
+def unresolved(
+    coarseness: float, *, log_sd_per_log: float, chance_wrong_per_log: float
+) -> CoarseErrors:
+    """Compute the errors of vehicles that are too coarse for the resolution guard.
 
     Args:
         coarseness: ``P_thresh`` over the vehicles' length; up to 1 they are fine enough.
+        log_sd_per_log: standard deviation per log of the coarseness.
+        chance_wrong_per_log: chance that they are wrong per log of the coarseness.
     """
-    per_log = RELIABILITY["vehicles, too coarse"]
     log_coarseness = math.log(max(1.0, coarseness))
-    log_sd = per_log.log_sd * log_coarseness
-    chance_wrong = per_log.chance_wrong * log_coarseness
-    return per_log._replace(log_sd=log_sd, chance_wrong=min(1.0, chance_wrong))
+    log_sd = log_sd_per_log * log_coarseness
+    chance_wrong = chance_wrong_per_log * log_coarseness
+    return CoarseErrors(log_sd, min(1.0, chance_wrong))
 
 
-def appearance_error(scores: ArrayLike) -> NDArray[np.float64]:
+def appearance_error(
+    scores: ArrayLike, *, fair_odds: float, doubt_power: float
+) -> NDArray[np.float64]:
     """Compute the factor on the errors of lengths by appearance that the network states.
 
     The factor is smaller, the more certain it is that a box is a car.
 
     Args:
         scores: ``[n]`` detection scores.
+        fair_odds: odds of a car at which the factor is 1.
+        doubt_power: power of the factor at other odds.
 
     Returns:
-        ``[n]`` factors; 1 at odds of a car of 20.
+        ``[n]`` factors.
     """
     p_car = np.clip(scores, 1 - MAX_CHANCE, MAX_CHANCE)
-    return np.asarray((_FAIR_ODDS * (1 - p_car) / p_car) ** _DOUBT_POWER)
+    return np.asarray((fair_odds * (1 - p_car) / p_car) ** doubt_power)
 
 
 class Shared(NamedTuple):

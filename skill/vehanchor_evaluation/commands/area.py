@@ -55,8 +55,10 @@ class AreaRequest:
 
 
 @measuring_command(AreaRequest)
-def area(request: AreaRequest, chosen: ParsedOptions) -> None:
-    """Measure the error of areas on objects with true masks: the paper's Table II, split by source of error.
+def area(request: AreaRequest, parsed: ParsedOptions) -> None:
+    """Measure the error of areas on objects with true masks: the paper's Table II.
+
+    Separates the errors of masks and of scales.
 
     Writes area.csv (each object), area.json and area.md (the table), and area_left_out.csv.
     """
@@ -67,20 +69,24 @@ def area(request: AreaRequest, chosen: ParsedOptions) -> None:
     from vehanchor_evaluation.search import default_workers
 
     workers = request.workers or default_workers()
-    engine = open_shared(chosen, workers, request.segmenter)
-    with work_progress("objects") as tell:
-        reading = partial(tell, name="reading masks")
-        data = read_areas(request.segments, request.split, workers=workers, progress=reading)
+    engine = open_shared(parsed, workers, request.segmenter)
+    with work_progress("objects") as show_progress:
+        data = read_areas(
+            request.segments,
+            request.split,
+            workers=workers,
+            progress=partial(show_progress, name="reading masks"),
+        )
         run = measure_areas(
             data,
             checked_detector(engine.detector, engine.options),
             segmenter=engine.segmenter,
             options=engine.options,
             logs=request.out,
-            classes=chosen.classes,
+            classes=parsed.classes,
             limit=request.limit,
             workers=workers,
-            progress=lambda what: partial(tell, name=what),
+            progress=lambda step: partial(show_progress, name=step),
         )
     print_issues(run.issues)
     write_area_report(request.out, "area", report=run.report, records=run.trials, issues=run.issues)

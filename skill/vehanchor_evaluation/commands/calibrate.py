@@ -51,8 +51,7 @@ class CalibrateRequest(KnownScaleRequest):
         typer.Option(
             metavar="FILES",
             help="Photographs, or folders of them, with a scale from another ruler: the height "
-            "in their metadata, "
-            "courts, --known-lengths, or --height. Its uncertainty is included.",
+            "in their metadata, courts, --known-lengths, or --height. Its uncertainty is included.",
             show_default=False,
         ),
     ] = None
@@ -72,7 +71,7 @@ class CalibrateRequest(KnownScaleRequest):
 
 @calibrate.command("calibrate", cls=FilesCommand)
 @measuring_command(CalibrateRequest, without=("reference_length_m", "region", "calibration"))
-def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
+def calibrate_fleet(request: CalibrateRequest, parsed: ParsedOptions) -> None:
     """Measure the reference length of a region's fleet on images of known scale.
 
     With labels, this is the paper's method: the mode of length times scale over all labelled
@@ -82,10 +81,13 @@ def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
     are refused.
     """
     _check_outputs(request.out, request.plot)
-    boxes = request.boxes or (_Boxes.detector if request.dota is None else _Boxes.labels)
-    survey, calibration = (_from_labels if boxes is _Boxes.labels else _from_detections)(
-        request, chosen
-    )
+    boxes = request.boxes
+    if boxes is None:
+        boxes = _Boxes.detector if request.dota is None else _Boxes.labels
+    if boxes is _Boxes.labels:
+        survey, calibration = _from_labels(request, parsed)
+    else:
+        survey, calibration = _from_detections(request, parsed)
     write_record(request.out, calibration, indent=2)
     print_facts(str(request.out), _facts(calibration))
     if request.plot is not None:
@@ -98,18 +100,19 @@ def calibrate_fleet(request: CalibrateRequest, chosen: ParsedOptions) -> None:
 def _check_outputs(out: Path, plot: str | None) -> None:
     """Check folders, suffixes and matplotlib before the search."""
     check_output_path(out)
-    if plot is not None:
-        from vehanchor.pictures.plot import require_plots
-        from vehanchor.pictures.scale import check_picture_path
+    if plot is None:
+        return
+    from vehanchor.pictures.plot import require_plots
+    from vehanchor.pictures.scale import check_picture_path
 
-        require_plots()
-        if check_picture_path(plot).resolve() == out.resolve():
-            raise InvalidParameterError(
-                f"{plot!r} names both the plot and the calibration: choose another name"
-            )
+    require_plots()
+    if check_picture_path(plot).resolve() == out.resolve():
+        raise InvalidParameterError(
+            f"{plot!r} names both the plot and the calibration: choose another name"
+        )
 
 
-def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScaleSet:
+def _known_scale(request: CalibrateRequest, parsed: ParsedOptions) -> KnownScaleSet:
     """Find the images of known scale: by georeference, table, or another ruler."""
     if not request.photographs:
         if request.known_lengths is not None:
@@ -121,11 +124,11 @@ def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScale
         )
     from vehanchor_evaluation.photographs import survey_photographs
 
-    detector = open_shared(chosen, request.workers).detector
+    detector = open_shared(parsed, request.workers).detector
     data = survey_photographs(
-        request.photographs, detector, options=chosen.options(), known_lengths=request.lines
+        request.photographs, detector, options=parsed.options(), known_lengths=request.lines
     )
-    data = data.chosen(limit=request.limit)
+    data = data.select(limit=request.limit)
     if not data.images:
         print_issues(data.issues)
         raise InvalidParameterError(
@@ -135,52 +138,49 @@ def _known_scale(request: CalibrateRequest, chosen: ParsedOptions) -> KnownScale
 
 
 def _from_labels(
-    request: CalibrateRequest, chosen: ParsedOptions
+    request: CalibrateRequest, parsed: ParsedOptions
 ) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.dota import SMALL_VEHICLE
     from vehanchor_evaluation.fleet_survey import calibrate_labelled, labelled_vehicles
 
-    survey = labelled_vehicles(
-        _known_scale(request, chosen), request.label_classes or (SMALL_VEHICLE,)
-    )
+    data = _known_scale(request, parsed)
+    survey = labelled_vehicles(data, request.label_classes or (SMALL_VEHICLE,))
     print_issues(survey.issues)
-    card = None if chosen.detector is None else chosen.engine().detector.card
+    card = None
+    if parsed.detector is not None:
+        card = parsed.engine().detector.card
     return survey, calibrate_labelled(survey, card)
 
 
 def _from_detections(
-    request: CalibrateRequest, chosen: ParsedOptions
+    request: CalibrateRequest, parsed: ParsedOptions
 ) -> tuple[FleetSurvey, Calibration]:
     from vehanchor_evaluation.fleet_survey import calibrate_found, found_vehicles
 
-    options = chosen.options()
-    data = _known_scale(request, chosen)
-    detector = open_shared(chosen, request.workers).detector
-    found = request.search(data, detector, options, chosen, request.cache)
-    survey = found_vehicles(data, found, card=detector.card, options=options)
+    options = parsed.options()
+    data = _known_scale(request, parsed)
+    detector = open_shared(parsed, request.workers).detector
+    searched = request.search(data, detector, options, parsed=parsed, cache=request.cache)
+    survey = found_vehicles(data, searched, card=detector.card, options=options)
     print_issues(survey.issues)
     return survey, calibrate_found(survey, detector.card)
 
 
-def _facts(record: Calibration) -> list[tuple[str, str]]:
-    low = record.reference_length_ci95_low_m
-    high = record.reference_length_ci95_high_m
-    sha = (record.detector_sha256 or "")[:_SHORT_SHA]
+def _facts(calibration: Calibration) -> list[tuple[str, str]]:
+    length = f"{calibration.reference_length_m:.4g} m"
+    low = f"{calibration.reference_length_ci95_low_m:.4g}"
+    high = f"{calibration.reference_length_ci95_high_m:.4g}"
+    origin = "labelled" if calibration.source == "labels" else "found"
+    mode = f"{calibration.mode_length_px:.1f} px"
+    gsd = f"{calibration.median_gsd_m_per_px:.3g} m/px"
+    detector = "any whose boxes match these labels"
+    if calibration.detector is not None:
+        sha = (calibration.detector_sha256 or "")[:_SHORT_SHA]
+        detector = f"{calibration.detector} ({sha})"
     return [
-        (
-            "reference length",
-            f"{record.reference_length_m:.4g} m   (95 %: {low:.4g} to {high:.4g})",
-        ),
-        ("vehicles", f"{record.n_vehicles} {'labelled' if record.source == 'labels' else 'found'}"),
-        ("images", str(record.n_images)),
-        (
-            "modal length",
-            f"{record.mode_length_px:.1f} px, at a median of {record.median_gsd_m_per_px:.3g} m/px",
-        ),
-        (
-            "for detector",
-            "any whose boxes match these labels"
-            if record.detector is None
-            else f"{record.detector} ({sha})",
-        ),
+        ("reference length", f"{length}   (95 %: {low} to {high})"),
+        ("vehicles", f"{calibration.n_vehicles} {origin}"),
+        ("images", str(calibration.n_images)),
+        ("modal length", f"{mode}, at a median of {gsd}"),
+        ("for detector", detector),
     ]

@@ -1,4 +1,4 @@
-"""Commands ``vehanchor evaluate gsd | reliability | ablation | ...``: accuracy on data of known truth."""
+"""Commands ``vehanchor evaluate gsd | reliability | ...``: accuracy on data of known truth."""
 
 from __future__ import annotations
 
@@ -54,29 +54,31 @@ class ScaleRequest(KnownScaleRequest):
         Path, typer.Option(metavar="DIR", help="Folder of the results; created if missing.")
     ] = _OUT
 
-    def benchmark(self, chosen: ParsedOptions) -> ScaleBenchmark:
+    def benchmark(self, parsed: ParsedOptions) -> ScaleBenchmark:
         """Survey the data, search the images and create trials; issues go to stderr."""
         from vehanchor.options import Reference
         from vehanchor.rulers.known_length_table import with_lines_of
         from vehanchor_evaluation.dota import SMALL_VEHICLE
         from vehanchor_evaluation.gsd import benchmark_scale, check_options, with_regions
 
-        options = chosen.options()
+        options = parsed.options()
         options_of = with_regions(options, self._regions())
         data = self.survey()
-        detector = open_shared(chosen, self.workers).detector
+        detector = open_shared(parsed, self.workers).detector
         check_options(detector, data, options_of)
         lines = self.lines(image.path for image in data.images)
-        found = self.search(data, detector, options, chosen, self.cache or self.out / _CACHE_NAME)
-        by_labels = replace(options, reference=Reference(self.label_reference_length))
+        cache = self.cache or self.out / _CACHE_NAME
+        searched = self.search(data, detector, options, parsed=parsed, cache=cache)
+        label_options_of = options_of
+        if self.label_reference_length is not None:
+            label_options = replace(options, reference=Reference(self.label_reference_length))
+            label_options_of = with_regions(label_options, {})
         benchmark = benchmark_scale(
             data,
-            found,
+            searched,
             detector=detector.card,
             options_of=lambda image: with_lines_of(options_of(image), lines, image.path),
-            label_options_of=options_of
-            if self.label_reference_length is None
-            else lambda _: by_labels,
+            label_options_of=label_options_of,
             label_classes=self.label_classes or (SMALL_VEHICLE,),
         )
         print_issues(benchmark.issues)
@@ -102,7 +104,7 @@ def _print_written(paths: Sequence[Path]) -> None:
 
 @evaluate.command("gsd", cls=FilesCommand)
 @measuring_command(ScaleRequest)
-def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
+def evaluate_gsd(request: ScaleRequest, parsed: ParsedOptions) -> None:
     """Measure the error of the scale on images of known scale: the paper's Table I.
 
     Writes gsd.json, gsd.csv, gsd.md, images.csv (a line per image) and issues.csv (problems by
@@ -116,75 +118,64 @@ def evaluate_gsd(request: ScaleRequest, chosen: ParsedOptions) -> None:
         write_trials,
     )
 
-    benchmark = request.benchmark(chosen)
+    benchmark = request.benchmark(parsed)
     report = report_scale(benchmark)
     text = scale_markdown(report)
     print(printable(text, lines=True))
-    _print_written(
-        [
-            *write_results(
-                request.out,
-                "gsd",
-                record=report,
-                rows=[row.model_dump() for row in report.rows],
-                markdown=text,
-            ),
-            write_trials(request.out / "images.csv", benchmark),
-            write_issues(request.out / "issues.csv", benchmark.issues),
-        ]
-    )
+    rows = [row.model_dump() for row in report.rows]
+    written = write_results(request.out, "gsd", record=report, rows=rows, markdown=text)
+    written.append(write_trials(request.out / "images.csv", benchmark))
+    written.append(write_issues(request.out / "issues.csv", benchmark.issues))
+    _print_written(written)
 
 
 @evaluate.command("reliability", cls=FilesCommand)
 @measuring_command(ScaleRequest)
-def evaluate_reliability(request: ScaleRequest, chosen: ParsedOptions) -> None:
-    """Compare stated chances with outcomes on images of known scale, from the search of 'evaluate gsd'.
+def evaluate_reliability(request: ScaleRequest, parsed: ParsedOptions) -> None:
+    """Compare stated chances with outcomes on images of known scale.
 
-    Also the usable share and the errors by vehicles and by resolution, and the confidence from
-    which on 1 % are wrong. Writes reliability.json, reliability.csv (a line per group) and
-    reliability.md.
+    Uses the search of 'evaluate gsd'. Also gives the usable share and the errors by vehicles and by
+    resolution, and the confidence from which on 1 % are wrong. Writes reliability.json,
+    reliability.csv (a line per group) and reliability.md.
     """
     from vehanchor_evaluation.reliability import report_reliability
     from vehanchor_evaluation.report import reliability_markdown, write_results
 
-    benchmark = request.benchmark(chosen)
+    benchmark = request.benchmark(parsed)
     report = report_reliability(benchmark.data.source, benchmark.detector.name, benchmark.trials)
     text = reliability_markdown(report)
     print(printable(text, lines=True))
     groups = {"vehicles": (*report.by_vehicles, report.whole), "true m/px": report.by_resolution}
-    rows = [{"by": by, **row.model_dump()} for by, some in groups.items() for row in some]
-    _print_written(
-        write_results(request.out, "reliability", record=report, rows=rows, markdown=text)
-    )
+    rows = [
+        {"by": by, **row.model_dump()}
+        for by, rows_of_group in groups.items()
+        for row in rows_of_group
+    ]
+    written = write_results(request.out, "reliability", record=report, rows=rows, markdown=text)
+    _print_written(written)
 
 
 @evaluate.command("ablation", cls=FilesCommand)
 @measuring_command(ScaleRequest)
-def evaluate_ablation(request: ScaleRequest, chosen: ParsedOptions) -> None:
-    """Change one option of the method at a time: the paper's Table III, from the search of 'evaluate gsd'.
+def evaluate_ablation(request: ScaleRequest, parsed: ParsedOptions) -> None:
+    """Change one option of the method at a time: the paper's Table III.
 
-    Writes ablation.json, ablation.csv and ablation.md.
+    Uses the search of 'evaluate gsd'. Writes ablation.json, ablation.csv and ablation.md.
     """
     from vehanchor_evaluation.ablation import ablate
     from vehanchor_evaluation.report import ablation_markdown, write_results
 
-    report = ablate(request.benchmark(chosen))
+    report = ablate(request.benchmark(parsed))
     text = ablation_markdown(report)
     print(printable(text, lines=True))
-    _print_written(
-        write_results(
-            request.out,
-            "ablation",
-            record=report,
-            rows=[row.flat() for row in report.rows],
-            markdown=text,
-        )
-    )
+    rows = [row.flat() for row in report.rows]
+    written = write_results(request.out, "ablation", record=report, rows=rows, markdown=text)
+    _print_written(written)
 
 
 @evaluate.command("figures", cls=FilesCommand)
 @measuring_command(ScaleRequest)
-def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
+def evaluate_figures(request: ScaleRequest, parsed: ParsedOptions) -> None:
     """Draw the figures from the search of 'evaluate gsd'; needs the extra 'plots'.
 
     Writes predicted.png (predicted against true GSD, the 10 % band, the resolution guard),
@@ -195,16 +186,15 @@ def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
     from vehanchor.pictures.scale import write_picture
     from vehanchor_evaluation import figures
 
-    require_plots()  # before the search
-    benchmark = request.benchmark(chosen)
+    # A missing matplotlib is reported before the search, which can take hours.
+    require_plots()
+    benchmark = request.benchmark(parsed)
     trials = benchmark.trials
     if not any(trial.estimated for trial in trials):
         raise InvalidParameterError("no image has an estimate, so there is nothing to draw")
-    curves = (
-        {"detector": trials, "labels": benchmark.baseline}
-        if benchmark.baseline
-        else {"detector": trials}
-    )
+    curves = {"detector": trials}
+    if benchmark.baseline:
+        curves["labels"] = benchmark.baseline
     rows = [
         [figures.sheet_cell(trial) for trial in row]
         for row in figures.sheet_trials(trials).values()
@@ -215,14 +205,13 @@ def evaluate_figures(request: ScaleRequest, chosen: ParsedOptions) -> None:
         raise OutputError(
             f"cannot create the folder {str(request.out)!r}: {error.strerror or error}"
         ) from error
-    _print_written(
-        [
-            write_plot(request.out / "predicted.png", figures.plot_predicted(trials)),
-            write_plot(request.out / "cumulative.png", figures.plot_cumulative_error(curves)),
-            write_plot(request.out / "calibration.png", figures.plot_calibration(trials)),
-            write_picture(request.out / "sheet.png", figures.draw_sheet(rows)),
-        ]
-    )
+    written = [
+        write_plot(request.out / "predicted.png", figures.plot_predicted(trials)),
+        write_plot(request.out / "cumulative.png", figures.plot_cumulative_error(curves)),
+        write_plot(request.out / "calibration.png", figures.plot_calibration(trials)),
+        write_picture(request.out / "sheet.png", figures.draw_sheet(rows)),
+    ]
+    _print_written(written)
 
 
 evaluate.command("area")(area)

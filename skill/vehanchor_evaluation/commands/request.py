@@ -27,28 +27,30 @@ def measuring_command(
     Returns:
         A decorator for a function of the request and the parsed options; the result is for Typer.
     """
+    # Every image is searched in full, so options that stop a search early do not apply.
+    excluded = {*OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without}
 
     def decorate(command: Callable[[Request, ParsedOptions], None]) -> Callable[..., None]:
         def run(chosen: ParsedOptions, **typed: Any) -> None:
             command(request(**typed), chosen)
 
-        chosen = inspect.Parameter(
+        # scale_command passes the parsed options under this name.
+        parsed = inspect.Parameter(
             "chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions
         )
-        declared = with_signature(run, command, [*fields_of(request), chosen])
-        return scale_command(
-            without={*OF_ONE_IMAGE, "effort", "max_tiles", "max_seconds", *without}
-        )(declared)
+        with_fields = with_signature(run, command, [*fields_of(request), parsed])
+        add_scale_options = scale_command(without=excluded)
+        return add_scale_options(with_fields)
 
     return decorate
 
 
 def fields_of(request: type[Any]) -> list[inspect.Parameter]:
     """Return the fields of a dataclass as parameters for Typer."""
-    kinds = typing.get_type_hints(request, include_extras=True)
+    hints = typing.get_type_hints(request, include_extras=True)
     return [
-        each.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kinds[name])
-        for name, each in inspect.signature(request).parameters.items()
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name])
+        for name, parameter in inspect.signature(request).parameters.items()
     ]
 
 
@@ -60,5 +62,5 @@ def with_signature(
     run.__doc__ = command.__doc__
     run.__module__ = command.__module__
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run

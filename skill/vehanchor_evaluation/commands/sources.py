@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.known_scale import FileIssue, KnownScaleSet
     from vehanchor_evaluation.search import SearchedImage
 
-_SHOWN_ISSUES = 10
+# Issues of one reason that are printed; a count stands for the others.
+_MAX_SHOWN_ISSUES = 10
 
 WorkersOption = Annotated[
     int | None,
@@ -36,20 +37,23 @@ WorkersOption = Annotated[
 
 
 class FilesCommand(TyperCommand):
-    """Command whose ``--geotiff`` accepts a shell wildcard; Typer needs the option's name before each file."""
+    """Command whose ``--geotiff`` accepts several files, as a shell wildcard expands to."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the option's name before each file that follows it."""
-        spread: list[str] = []
-        files = False
+        """Put the option's name before each file that follows it, as Typer needs."""
+        expanded: list[str] = []
+        is_geotiff = False
         for arg in args:
-            if arg.startswith("-"):
-                files = arg == "--geotiff"
-                if not files:
-                    spread.append(arg)
+            if arg == "--geotiff":
+                is_geotiff = True
+            elif arg.startswith("-"):
+                is_geotiff = False
+                expanded.append(arg)
+            elif is_geotiff:
+                expanded += ["--geotiff", arg]
             else:
-                spread += ["--geotiff", arg] if files else [arg]
-        return super().parse_args(ctx, spread)
+                expanded.append(arg)
+        return super().parse_args(ctx, expanded)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,48 +151,51 @@ class KnownScaleRequest:
         data: KnownScaleSet,
         detector: Detector,
         options: ScaleOptions,
-        chosen: ParsedOptions,
+        *,
+        parsed: ParsedOptions,
         cache: Path | None,
     ) -> dict[Path, SearchedImage | FileIssue]:
         """Search the images that the cache lacks, with a progress bar."""
         from vehanchor_evaluation.search import search_known_scale
 
         n_done = 0
-        with work_progress("images") as show:
+        with work_progress("images") as show_progress:
 
-            def tell(done: int, total: int) -> None:
+            def count_progress(done: int, total: int) -> None:
                 nonlocal n_done
                 n_done = done
-                show(done, total)
+                show_progress(done, total)
 
             try:
                 return search_known_scale(
                     data,
                     detector,
                     options,
-                    classes=chosen.classes,
+                    classes=parsed.classes,
                     cache=cache,
                     workers=self.workers,
-                    progress=tell,
+                    progress=count_progress,
                 )
             except KeyboardInterrupt:
                 if cache is not None:
-                    about = f"stopped after {n_done} of {len(data.images)} images"
-                    print(f"{about}; the same command resumes", file=sys.stderr)
+                    message = f"stopped after {n_done} of {len(data.images)} images"
+                    print(f"{message}; the same command resumes", file=sys.stderr)
                 raise
 
 
 def open_shared(
-    chosen: ParsedOptions,
+    parsed: ParsedOptions,
     workers: int | None,
     segmenter: tuple[str | Path, str | Path] | None = None,
 ) -> Engine:
     """Open the engine of the options for parallel images, which share the cores."""
     from vehanchor_evaluation.search import default_workers
 
-    engine = chosen.engine(segmenter=segmenter)
-    share = max(1, (os.cpu_count() or 1) // (workers or default_workers()))
-    return engine.replace(runtime=replace(engine.runtime, threads=engine.runtime.threads or share))
+    engine = parsed.engine(segmenter=segmenter)
+    n_workers = workers or default_workers()
+    cores_per_worker = max(1, (os.cpu_count() or 1) // n_workers)
+    threads = engine.runtime.threads or cores_per_worker
+    return engine.replace(runtime=replace(engine.runtime, threads=threads))
 
 
 def print_issues(issues: Iterable[FileIssue]) -> None:
@@ -196,9 +203,12 @@ def print_issues(issues: Iterable[FileIssue]) -> None:
     by_reason: dict[str, list[FileIssue]] = {}
     for issue in issues:
         by_reason.setdefault(issue.reason, []).append(issue)
-    for reason, some in sorted(by_reason.items()):
-        for issue in some[:_SHOWN_ISSUES]:
-            about = "" if str(issue.file) in issue.message else f"{issue.file}: "
-            print(printable(f"warning[{reason}]: {about}{issue.message}"), file=sys.stderr)
-        if len(some) > _SHOWN_ISSUES:
-            print(f"warning[{reason}]: and {len(some) - _SHOWN_ISSUES} more files", file=sys.stderr)
+    for reason, alike in sorted(by_reason.items()):
+        for issue in alike[:_MAX_SHOWN_ISSUES]:
+            message = issue.message
+            if str(issue.file) not in message:
+                message = f"{issue.file}: {message}"
+            print(printable(f"warning[{reason}]: {message}"), file=sys.stderr)
+        n_more = len(alike) - _MAX_SHOWN_ISSUES
+        if n_more > 0:
+            print(f"warning[{reason}]: and {n_more} more files", file=sys.stderr)

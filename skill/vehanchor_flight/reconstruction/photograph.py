@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
+    from vehanchor.detection.detector_errors import DetectorErrors
     from vehanchor.options import KnownLength, ScaleOptions
     from vehanchor.scale.posterior import Witness
     from vehanchor_flight.reconstruction.ground import Plane
@@ -165,7 +166,9 @@ class SearchedPhotograph:
         """
         size = (stored.image.width_px, stored.image.height_px)
         above_ground = ShotAboveGround.of(shot, points, whole_plane, size)
-        detections, places = _project_boxes(stored.detections, above_ground, points)
+        detections, places = _project_boxes(
+            stored.detections, above_ground, points=points, errors=card.errors
+        )
         view = View(
             stored.image,
             detections,
@@ -315,7 +318,11 @@ def _measure_on_ground(view: View, above_ground: ShotAboveGround) -> tuple[Witne
 
 
 def _project_boxes(
-    detections: Detections, above_ground: ShotAboveGround, points: NDArray[np.float64]
+    detections: Detections,
+    above_ground: ShotAboveGround,
+    *,
+    points: NDArray[np.float64],
+    errors: DetectorErrors,
 ) -> tuple[Detections, NDArray[np.float64]]:
     """Project boxes to the ground; boxes whose rays are too flat are left out.
 
@@ -323,6 +330,7 @@ def _project_boxes(
         detections: in pixels of the photograph.
         above_ground: the shot above its ground.
         points: ``[n, 3]`` points of the model in its picture.
+        errors: errors of the detector, with the proportions of its boxes.
 
     Returns:
         Boxes with lengths and widths in pixels of the centre, and ``[m, 3]`` positions in model
@@ -342,7 +350,8 @@ def _project_boxes(
     lengths = lengths[kept]
     widths = widths[kept]
     if above_ground.tilted:
-        lengths = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
+        proportions = errors.length_over_width(of_bodies=detections.appearance is not None)
+        lengths = length_off_nadir(lengths, widths, length_over_width=proportions)
     rays = places[kept] - above_ground.shot.centre
     nearness = _nearness(rays, above_ground, points)
     measured = boxes.copy()

@@ -1,4 +1,4 @@
-"""A local service that speaks the Anthropic Messages API and the OpenAI Chat Completions API, for tests.
+"""Local service with the Anthropic Messages and OpenAI Chat Completions APIs, for tests.
 
 What the model says is a function of what it is shown: the picture as pixels, the text, and results
 of tools.
@@ -22,7 +22,7 @@ from tests.json_server import Answered, json_server
 
 
 @dataclass(frozen=True)
-class Asked:
+class ModelRequest:
     """What the model is shown."""
 
     system: str
@@ -62,7 +62,7 @@ class ModelService:
         requests: every request so far: path, headers (lower case) and payload.
     """
 
-    answer: Callable[[Asked], Answer] = lambda _: "AREA=100"
+    answer: Callable[[ModelRequest], Answer] = lambda _: "AREA=100"
     failures: list[tuple[int, dict[str, str]] | None] = field(default_factory=list)
     requests: list[tuple[str, dict[str, str], dict[str, Any]]] = field(default_factory=list)
     defects: list[BaseException] = field(default_factory=list)
@@ -104,7 +104,10 @@ def model_service(service: ModelService) -> Iterator[ModelService]:
 
 
 def red_rectangle(picture: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """The inside of the red rectangle: x1, y1, x2, y2, as the first and the first beyond pixels that are not red."""
+    """Find the inside of the red rectangle: x1, y1, x2, y2.
+
+    These are the first pixel, and the first one beyond, that is not red.
+    """
     red = (picture[:, :, 0] > 170) & (picture[:, :, 1] < 90) & (picture[:, :, 2] < 90)
     ys, xs = np.nonzero(red)
     x1 = xs.min()
@@ -130,7 +133,7 @@ def _decoded(data: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(bgr[:, :, ::-1]).astype(np.uint8)
 
 
-def _asked_anthropic(payload: dict[str, Any]) -> Asked:
+def _asked_anthropic(payload: dict[str, Any]) -> ModelRequest:
     image, text = payload["messages"][0]["content"]
     assert image["source"]["media_type"] == "image/jpeg"
     results = []
@@ -145,7 +148,7 @@ def _asked_anthropic(payload: dict[str, Any]) -> Asked:
     tools = [
         {"name": tool["name"], "schema": tool["input_schema"]} for tool in payload.get("tools", [])
     ]
-    return Asked(
+    return ModelRequest(
         payload["system"],
         text["text"],
         picture=_decoded(image["source"]["data"]),
@@ -154,7 +157,7 @@ def _asked_anthropic(payload: dict[str, Any]) -> Asked:
     )
 
 
-def _asked_openai(payload: dict[str, Any]) -> Asked:
+def _asked_openai(payload: dict[str, Any]) -> ModelRequest:
     system, user, *rest = payload["messages"]
     image, text = user["content"]
     head, _, data = image["image_url"]["url"].partition(",")
@@ -171,7 +174,7 @@ def _asked_openai(payload: dict[str, Any]) -> Asked:
         {"name": tool["function"]["name"], "schema": tool["function"]["parameters"]}
         for tool in payload.get("tools", [])
     ]
-    return Asked(
+    return ModelRequest(
         system["content"], text["text"], picture=_decoded(data), tools=tools, tool_results=results
     )
 

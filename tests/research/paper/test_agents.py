@@ -18,22 +18,28 @@ from research.paper.agents import AgentRun, agent_score, ask_agent, read_answer,
 from research.paper.question_set import TASKS, Direction, Task, question_set, task_of
 from research.paper.vlm_api import Budget, open_api, reply_journal
 from research.results.record import tables_of
-from tests.research.paper.model_service import Answer, Asked, ModelService, UseTool, model_service
+from tests.research.paper.model_service import (
+    Answer,
+    ModelRequest,
+    ModelService,
+    UseTool,
+    model_service,
+)
 
-RENDERED = [each for each in question_set() if each.scene is not None]
+RENDERED = [question for question in question_set() if question.scene is not None]
 
 
 @pytest.fixture(scope="module")
-def asked(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Task, Path]]:
+def tasks(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Task, Path]]:
     """Two questions with grey pictures of the size of theirs."""
     folder = tmp_path_factory.mktemp("pictures")
     picture = cv2.imencode(".jpg", np.full((640, 800, 3), 90, np.uint8))[1].tobytes()
     digest = {"sha256": hashlib.sha256(picture).hexdigest()}
-    for each in RENDERED[:2]:
-        (folder / each.file).write_bytes(picture)
+    for question in RENDERED[:2]:
+        (folder / question.file).write_bytes(picture)
     return [
-        (task_of(each.model_copy(update=digest), "distance"), folder / each.file)
-        for each in RENDERED[:2]
+        (task_of(question.model_copy(update=digest), "distance"), folder / question.file)
+        for question in RENDERED[:2]
     ]
 
 
@@ -58,13 +64,13 @@ class Tools:
         ), False
 
 
-def _careful(asked: Asked) -> Answer:
+def _careful(request: ModelRequest) -> Answer:
     """A model that measures, and abstains unless the status is ok."""
-    path = re.search(r"The file is (\S+)\. Measure", asked.text)
+    path = re.search(r"The file is (\S+)\. Measure", request.text)
     assert path is not None
-    if not asked.tool_results:
+    if not request.tool_results:
         return UseTool("measure_distance", {"image": {"kind": "path", "path": path[1]}})
-    record = json.loads(asked.tool_results[-1])
+    record = json.loads(request.tool_results[-1])
     return (
         f"ANSWER={record['low']:.3f} to {record['high']:.3f}"
         if record["status"] == "ok"
@@ -73,32 +79,34 @@ def _careful(asked: Asked) -> Answer:
 
 
 def _run(
-    asked: list[tuple[Task, Path]], folder: Path | None = None, **told: Any
+    tasks: list[tuple[Task, Path]], folder: Path | None = None, **behaviour: Any
 ) -> tuple[AgentRun, list[str]]:
-    truth = {path.name: task.truth_m(800, 640) for task, path in asked}
+    truth = {path.name: task.truth_m(800, 640) for task, path in tasks}
     with model_service(ModelService(answer=_careful)) as service:
         api = open_api(
             "openai-compatible", "m", reply_journal(folder), Budget(), base_url=f"{service.url}/v1"
         )
-        run = ask_agent(asked, api, Tools(truth, **told))
+        run = ask_agent(tasks, api, Tools(truth, **behaviour))
     return run, [path for path, _, _ in service.requests]
 
 
-def test_deeds_calls_and_tokens_are_counted(asked: list[tuple[Task, Path]]) -> None:
-    right, _ = _run(asked)
-    assert (
-        agent_score(
-            "m", "distance", answers=right.answers, calls=right.calls, tokens=right.tokens
-        ).acted_rightly
-        == 2
-    )
-    assert right.calls == 2
-    assert right.tokens > 0
-    wrong, _ = _run(asked, factor=1.5)
-    assert agent_score("m", "distance", wrong.answers).acted_wrongly == 2
-    low, _ = _run(asked, status="low_confidence")
-    counted = agent_score("m", "distance", low.answers)
-    needlessly = sum(task.expected == "act" for task, _ in asked)
+def test_right_answers_are_counted(tasks: list[tuple[Task, Path]]) -> None:
+    run, _ = _run(tasks)
+    counted = agent_score("m", "distance", answers=run.answers, calls=run.calls, tokens=run.tokens)
+    assert counted.acted_rightly == 2
+    assert run.calls == 2
+    assert run.tokens > 0
+
+
+def test_wrong_answers_are_counted(tasks: list[tuple[Task, Path]]) -> None:
+    run, _ = _run(tasks, factor=1.5)
+    assert agent_score("m", "distance", run.answers).acted_wrongly == 2
+
+
+def test_abstentions_are_counted(tasks: list[tuple[Task, Path]]) -> None:
+    run, _ = _run(tasks, status="low_confidence")
+    counted = agent_score("m", "distance", run.answers)
+    needlessly = sum(task.expected == "act" for task, _ in tasks)
     assert (counted.abstained_needlessly, counted.abstained_rightly) == (needlessly, 2 - needlessly)
 
 
@@ -128,16 +136,16 @@ def test_a_reply_is_read_for_its_task(kind: Any, text: str, reply: Any) -> None:
     ("kind", "words"), [("fit", "m long fit between (0.5, 0.2) and"), ("direction", "In which dir")]
 )
 def test_a_model_acts_in_tasks_of_fit_and_direction(
-    asked: list[tuple[Task, Path]], kind: Any, words: str
+    tasks: list[tuple[Task, Path]], kind: Any, words: str
 ) -> None:
-    (first, path) = asked[0]
+    first, path = tasks[0]
     task = task_of(first.question.model_copy(update={"expected": "act"}), kind)
     task = Task(task.question, kind, task.ends, 0.6 if kind == "fit" else 0.0)
     truth = task.truth_m(800, 640)
-    told = []
+    texts = []
 
-    def answering(shown: Asked) -> Answer:
-        told.append(shown.text)
+    def answering(shown: ModelRequest) -> Answer:
+        texts.append(shown.text)
         if kind == "fit":
             return "ANSWER=yes"
         return (
@@ -149,8 +157,8 @@ def test_a_model_acts_in_tasks_of_fit_and_direction(
             "openai-compatible", "m", reply_journal(None), Budget(), base_url=f"{service.url}/v1"
         )
         run = ask_agent([(task, path)], api, Tools({}))
-    assert words in told[0]
-    assert [each.deed for each in run.answers] == ["acted rightly"]
+    assert words in texts[0]
+    assert [answer.deed for answer in run.answers] == ["acted rightly"]
 
 
 @pytest.mark.slow

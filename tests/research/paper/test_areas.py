@@ -1,4 +1,4 @@
-"""The paper's benchmark of areas: written as iSAID and DOTA are, chosen, measured, and stated by a model."""
+"""The paper's benchmark of areas: written as iSAID and DOTA are, sampled, measured, stated."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def write_isaid_pictures(
     objects: Objects,
     first: int = 1,
 ) -> None:
-    """The instance and the category picture of an image of ``size`` (height, width); numbers are 3001 apart."""
+    """Draw instance and category picture of an image of ``size``; numbers are 3001 apart."""
     ids = np.zeros((*size, 3), np.uint8)
     colours = np.zeros((*size, 3), np.uint8)
     for index, (category, mask) in enumerate(objects):
@@ -137,9 +137,7 @@ def test_entries_have_the_masks_boxes_and_true_areas(
     assert np.array_equal(entry.mask, pool_mask(1)[200:296, 360:456])
 
 
-def test_the_first_entries_are_of_all_categories_and_of_many_images(
-    folders: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_the_first_entries_have_all_categories(folders: tuple[Path, Path], tmp_path: Path) -> None:
     build_benchmark([folders], tmp_path)
     entries = read_areas(tmp_path).entries
     assert {entry.category for entry in entries[:2]} == {"swimming-pool", "tennis-court"}
@@ -163,7 +161,7 @@ def test_no_object_of_a_category_is_an_error_that_lists_what_there_is(
         build_benchmark([folders], tmp_path, categories=("harbor",))
 
 
-def test_the_command_says_what_was_chosen_and_keeps_an_earlier_benchmark(
+def test_the_command_reports_the_choice_and_keeps_a_benchmark(
     folders: tuple[Path, Path], tmp_path: Path
 ) -> None:
     isaid, dota = map(str, folders)
@@ -177,7 +175,7 @@ def test_the_command_says_what_was_chosen_and_keeps_an_earlier_benchmark(
     assert "choose another folder" in again.stderr
 
 
-def test_an_image_that_lacks_something_is_reported_and_the_others_are_read(tmp_path: Path) -> None:
+def test_an_incomplete_image_is_reported(tmp_path: Path) -> None:
     blank = np.full((40, 60, 3), 90, np.uint8)
     mask = np.zeros((40, 60), bool)
     mask[10:30, 10:30] = True

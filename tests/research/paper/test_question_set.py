@@ -28,21 +28,21 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.standards import check_name
 
-RENDERED = [each for each in question_set() if each.scene is not None]
+RENDERED = [question for question in question_set() if question.scene is not None]
 
 
-class Told:
+class FixedTools:
     """Tools with one answer for every image."""
 
     def __init__(self, **record: Any) -> None:
         self.anthropic_tools: list[dict[str, Any]] = []
         self.openai_tools: list[dict[str, Any]] = []
         self._record = record
-        self.asked: list[dict[str, Any]] = []
+        self.calls: list[dict[str, Any]] = []
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
         assert name == "measure_distance"
-        self.asked.append(arguments)
+        self.calls.append(arguments)
         size = {"image_width_px": 800, "image_height_px": 640}
         return f"words\n{json.dumps({**size, **self._record})}", False
 
@@ -56,17 +56,17 @@ def _here(question: SetQuestion, folder: Path, kind: TaskKind = "distance") -> t
     ), path
 
 
-def test_there_are_forty_half_of_them_rendered_and_traps_among_them() -> None:
+def test_the_set_has_forty_pictures_with_traps() -> None:
     questions = question_set()
     assert (len(questions), len(RENDERED)) == (40, 20)
-    assert len({each.sha256 for each in questions}) == 40
-    assert sum(each.why.startswith("trap") for each in questions) >= 8
-    assert min(Counter(each.expected for each in questions).values()) >= 15
+    assert len({question.sha256 for question in questions}) == 40
+    assert sum(question.why.startswith("trap") for question in questions) >= 8
+    assert min(Counter(question.expected for question in questions).values()) >= 15
 
 
 def test_every_fact_is_a_line_inside_the_picture() -> None:
-    for each in question_set():
-        for fact in each.facts:
+    for question in question_set():
+        for fact in question.facts:
             assert all(0 <= fact[end] <= 1 for end in ("x1", "y1", "x2", "y2"))
             line = [*(fact[end] for end in ("x1", "y1", "x2", "y2")), fact["metres"]]
             ScaleOptions.of({"known_lengths": [line], "coordinates": "fraction"})
@@ -91,21 +91,21 @@ def test_every_fact_is_a_line_inside_the_picture() -> None:
         ),
     ],
 )
-def test_a_deed_is_judged_by_the_interval_and_by_what_was_known(
+def test_a_deed_is_judged_by_interval_and_expectation(
     record: dict[str, Any], expected: str, deed: str, tmp_path: Path
 ) -> None:
     question = RENDERED[0].model_copy(update={"expected": expected})
     truth = 0.8 * 800 * question.gsd_m_per_px
-    told = {
+    measured = {
         key: value * truth if isinstance(value, float) else value for key, value in record.items()
     }
     (answered,) = ask_set(
-        [_here(question, tmp_path)], Told(**told, distance_m=truth), catalogue=True
+        [_here(question, tmp_path)], FixedTools(**measured, distance_m=truth), catalogue=True
     )
     assert answered.deed == deed
 
 
-def test_the_bearing_is_that_of_the_picture_not_of_fractions_of_its_sides() -> None:
+def test_the_bearing_is_measured_in_pixels() -> None:
     def bearing(end: tuple[float, float], width_px: int = 400, height_px: int = 400) -> float:
         return Task(RENDERED[0], "direction", ((0.5, 0.5), end)).bearing_deg(width_px, height_px)
 
@@ -116,7 +116,7 @@ def test_the_bearing_is_that_of_the_picture_not_of_fractions_of_its_sides() -> N
     assert bearing((0.6, 0.4), 1600, 400) == pytest.approx(76, abs=0.1)
 
 
-def test_a_direction_is_right_within_five_degrees_and_with_a_right_interval() -> None:
+def test_a_direction_needs_five_degrees_and_a_right_interval() -> None:
     task = task_of(RENDERED[0].model_copy(update={"expected": "act"}), "direction")
     size = 800, 640
     bearing = task.bearing_deg(*size)
@@ -127,11 +127,11 @@ def test_a_direction_is_right_within_five_degrees_and_with_a_right_interval() ->
     assert task.deed(Direction((bearing + 6) % 360, around), *size) == "acted wrongly"
     assert task.deed(Direction(-bearing % 360, around), *size) == "acted wrongly"
     assert task.deed(Direction(bearing, (1.1 * truth, 1.3 * truth)), *size) == "acted wrongly"
-    assert task.deed(around, *size) == "acted wrongly", "an interval alone is no direction"
+    assert task.deed(around, *size) == "acted wrongly", "an interval alone is not a direction"
     assert task.deed(None, *size) == "abstained needlessly"
 
 
-def test_a_fit_is_right_by_the_lengths_and_nobody_can_decide_an_equal_one() -> None:
+def test_a_fit_is_judged_by_the_lengths() -> None:
     question = RENDERED[0].model_copy(update={"expected": "act"})
     ends = task_of(question, "fit").ends
     small, large, equal = (Task(question, "fit", ends, share) for share in (0.6, 1.6, 1.0))
@@ -152,11 +152,11 @@ def test_a_fit_is_right_by_the_lengths_and_nobody_can_decide_an_equal_one() -> N
 
 
 def test_without_the_catalogue_no_fact_is_given(tmp_path: Path) -> None:
-    question = next(each for each in RENDERED if each.facts)
+    question = next(question for question in RENDERED if question.facts)
     for catalogue in (True, False):
-        tools = Told(status="no_scale")
+        tools = FixedTools(status="no_scale")
         ask_set([_here(question, tmp_path)], tools, catalogue=catalogue)
-        assert ("known_lengths" in tools.asked[0]) == catalogue
+        assert ("known_lengths" in tools.calls[0]) == catalogue
 
 
 def test_a_missing_file_and_another_one_are_refused(tmp_path: Path) -> None:

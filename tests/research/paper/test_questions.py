@@ -31,12 +31,12 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def asked(table: Path) -> list[Question]:
+def photograph_questions(table: Path) -> list[Question]:
     return questions_of_photographs(survey_known_scale(table=table, split="val").images, 40)
 
 
 class Tools:
-    """Tools that measure by a scale they are told, and remember what they were asked."""
+    """Tools that measure with a known scale, and remember their calls."""
 
     anthropic_tools: list[dict[str, Any]] = []  # noqa: RUF012
     openai_tools: list[dict[str, Any]] = []  # noqa: RUF012
@@ -44,11 +44,11 @@ class Tools:
     def __init__(self, gsd: float | None, status: str = "ok") -> None:
         self.gsd = gsd
         self.status = status
-        self.asked: list[dict[str, Any]] = []
+        self.calls: list[dict[str, Any]] = []
 
     def call(self, name: str, arguments: dict[str, Any]) -> tuple[str, bool]:
         assert name == "measure_distance"
-        self.asked.append(arguments)
+        self.calls.append(arguments)
         if self.gsd is None:
             return "busy: later.", True
         gsd = self.gsd
@@ -76,34 +76,36 @@ def test_a_photograph_is_asked_how_far_and_whether_it_fits(table: Path) -> None:
     assert len(questions_of_photographs(images, 2)) == 2
 
 
-def test_right_tools_are_right_and_wrong_ones_wrong(asked: list[Question]) -> None:
+def test_the_answers_are_as_right_as_the_tools(photograph_questions: list[Question]) -> None:
     good = Tools(GSD)
-    told = score("tools", ask_with_tools(asked, good))
-    assert (told.right, told.wrong, told.no_answer) == (len(asked), 0, 0)
-    assert told.calls_per_right == 1
-    assert told.tokens_per_right
-    bad = score("tools", ask_with_tools(asked[:2], Tools(2 * GSD)))
+    counted = score("tools", ask_with_tools(photograph_questions, good))
+    assert (counted.right, counted.wrong, counted.no_answer) == (len(photograph_questions), 0, 0)
+    assert counted.calls_per_right == 1
+    assert counted.tokens_per_right
+    bad = score("tools", ask_with_tools(photograph_questions[:2], Tools(2 * GSD)))
     assert (bad.right, bad.wrong) == (0, 2)
 
 
 @pytest.mark.parametrize("tools", [Tools(GSD, "low_confidence"), Tools(None)])
-def test_a_low_confidence_or_an_error_is_no_answer(asked: list[Question], tools: Tools) -> None:
-    told = score("tools", ask_with_tools(asked, tools))
-    assert (told.no_answer, told.calls_per_right) == (len(asked), None)
+def test_a_low_confidence_or_an_error_is_no_answer(
+    photograph_questions: list[Question], tools: Tools
+) -> None:
+    counted = score("tools", ask_with_tools(photograph_questions, tools))
+    assert (counted.no_answer, counted.calls_per_right) == (len(photograph_questions), None)
 
 
-def test_at_low_confidence_a_person_is_asked_once_an_image_and_what_they_measured_answers(
-    asked: list[Question],
+def test_at_low_confidence_a_person_is_asked_once_an_image(
+    photograph_questions: list[Question],
 ) -> None:
     tools = Tools(GSD / 2, "low_confidence")
-    told = score("helped", ask_with_tools(asked[:2], tools, with_person=True))
-    assert (told.right, told.wrong) == (2, 0)
-    assert ["known_lengths" in arguments for arguments in tools.asked] == [False, True, True]
-    line = tools.asked[1]["known_lengths"][0]
+    counted = score("helped", ask_with_tools(photograph_questions[:2], tools, with_person=True))
+    assert (counted.right, counted.wrong) == (2, 0)
+    assert ["known_lengths" in arguments for arguments in tools.calls] == [False, True, True]
+    line = tools.calls[1]["known_lengths"][0]
     assert KnownLength(**line).basis == "measured"
 
 
-def test_without_tools_the_scale_is_guessed(asked: list[Question]) -> None:
-    told = score("blind", ask_blindly(asked))
-    assert told.calls_per_right in (0, None)
-    assert told.right + told.wrong + told.no_answer == told.questions
+def test_without_tools_the_scale_is_guessed(photograph_questions: list[Question]) -> None:
+    counted = score("blind", ask_blindly(photograph_questions))
+    assert counted.calls_per_right in (0, None)
+    assert counted.right + counted.wrong + counted.no_answer == counted.questions

@@ -6,7 +6,7 @@ import logging
 import re
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from research.paper.vlm_api import Budget, open_api, reply_journal
 from tests.conftest import ROOT
 from tests.models import blank_image, paint_vehicles, write_detector
 from tests.research.paper.model_service import (
-    Asked,
+    ModelRequest,
     ModelService,
     Refusal,
     UseTool,
@@ -78,7 +78,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModelService]:
 
 @pytest.fixture
 def run(data: Path, service: ModelService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Runs ``python -m research.paper vlm`` against the service, into ``out`` of an empty working folder."""
+    """Run ``python -m research.paper vlm`` against the service, into ``out`` of an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
@@ -99,15 +99,13 @@ def rows_of(name: str = "vlm") -> dict[str, dict[str, str]]:
         return {row["entry"]: row for row in csv.DictReader(handle)}
 
 
-def by_eye(asked: Asked) -> str:
-    """A model that measures the inside of the red rectangle and knows the scale."""
-    x1, y1, x2, y2 = red_rectangle(asked.picture)
+def by_eye(request: ModelRequest) -> str:
+    """Answer as a model that measures the red rectangle and knows the scale."""
+    x1, y1, x2, y2 = red_rectangle(request.picture)
     return f"I see a pool.\n\n**AREA={(x2 - x1) * (y2 - y1) * GSD**2:,.3f} m²**"
 
 
-# --- What is asked
-#
-# ---------------------------------------------------------------------------------------------------
+# --- The question
 
 
 NAMES_OF_CEILINGS = {
@@ -117,43 +115,71 @@ NAMES_OF_CEILINGS = {
 }
 
 
-@pytest.mark.parametrize("provider", PROVIDERS)
-def test_the_model_sees_the_target_in_a_red_rectangle_the_papers_question_and_the_key(
-    run: Any, service: ModelService, provider: str
-) -> None:
-    seen: list[Asked] = []
+class Exchange(NamedTuple):
+    """A run with a ceiling of 77 tokens, and the model's requests."""
 
-    def answer(asked: Asked) -> str:
-        seen.append(asked)
-        return by_eye(asked)
+    provider: str
+    result: Result
+    requests: list[ModelRequest]
+
+
+@pytest.fixture(params=PROVIDERS)
+def exchange(run: Any, service: ModelService, request: pytest.FixtureRequest) -> Exchange:
+    """Run each provider once; the model measures the red rectangle."""
+    requests: list[ModelRequest] = []
+
+    def answer(model_request: ModelRequest) -> str:
+        requests.append(model_request)
+        return by_eye(model_request)
 
     service.answer = answer
-    result = run("--max-output-tokens", 77, provider=provider)
+    result = run("--max-output-tokens", 77, provider=request.param)
     assert result.exit_code == 0, result.output
-    assert len(seen) == 3
-    assert {asked.system for asked in seen} == {SYSTEM}
-    assert {asked.text for asked in seen} == {QUESTION}
+    return Exchange(request.param, result, requests)
+
+
+def test_the_model_gets_the_papers_question(exchange: Exchange) -> None:
+    assert len(exchange.requests) == 3
+    assert {request.system for request in exchange.requests} == {SYSTEM}
+    assert {request.text for request in exchange.requests} == {QUESTION}
     assert "remote sensing image analysis expert" in SYSTEM
     assert "AREA=<number>" in QUESTION
     assert "red rectangle" in QUESTION
+
+
+def test_the_red_rectangle_shows_the_target(exchange: Exchange) -> None:
     for row in rows_of().values():
         assert float(row["stated_area_m2"]) == pytest.approx(float(row["true_area_m2"]), rel=0.08)
     report = json.loads(Path("out/vlm.json").read_text())
     assert report["rows"][0]["name"] == "m"
     assert report["rows"][0]["median"] < 0.08
-    assert report["run"]["provider"] == provider
-    _, headers, payload = service.requests[-1]
-    assert payload[NAMES_OF_CEILINGS[provider]] == 77
+    assert report["run"]["provider"] == exchange.provider
+
+
+def test_the_ceiling_of_tokens_has_the_providers_name(
+    exchange: Exchange, service: ModelService
+) -> None:
+    _, _, payload = service.requests[-1]
+    assert payload[NAMES_OF_CEILINGS[exchange.provider]] == 77
     assert len(set(NAMES_OF_CEILINGS.values()) & payload.keys()) == 1
+
+
+def test_the_key_goes_to_the_service_only(exchange: Exchange, service: ModelService) -> None:
+    _, headers, _ = service.requests[-1]
     assert KEY in (headers.get("x-api-key") or headers["authorization"])
-    assert KEY not in result.output
+    assert KEY not in exchange.result.output
     for path in Path("out").rglob("*"):
         assert path.is_dir() or KEY.encode() not in path.read_bytes()
 
 
 def test_the_hint_is_one_more_sentence(run: Any, service: ModelService) -> None:
     texts = []
-    service.answer = lambda asked: texts.append(asked.text) or "AREA=1"  # type: ignore[func-returns-value]
+
+    def answer(request: ModelRequest) -> str:
+        texts.append(request.text)
+        return "AREA=1"
+
+    service.answer = answer
     assert run("--hint", "--limit", 1).exit_code == 0
     assert texts == [f"{QUESTION} {HINT}"]
     assert (
@@ -170,18 +196,17 @@ def test_the_rectangle_is_just_outside_the_box_at_any_size(max_side: int, factor
     assert bgr is not None
     assert (question.width_px, question.height_px) == (640 * factor, 480 * factor)
     assert question.corners == pytest.approx([side * factor for side in (120, 200, 216, 296)])
-    found = red_rectangle(np.ascontiguousarray(bgr[:, :, ::-1]).astype(np.uint8))
-    assert found == pytest.approx(question.corners, abs=2)
-    assert not (image != 90).any()  # drawn into a copy
+    rectangle = red_rectangle(np.ascontiguousarray(bgr[:, :, ::-1]).astype(np.uint8))
+    assert rectangle == pytest.approx(question.corners, abs=2)
+    # The rectangle is drawn into a copy.
+    assert not (image != 90).any()
 
 
-# --- What is read
-#
-# ----------------------------------------------------------------------------------------------------
+# --- The reply
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)
-def test_refusals_count_as_an_error_of_100_percent_and_are_counted(
+def test_refusals_count_as_an_error_of_100_percent(
     run: Any, service: ModelService, provider: str
 ) -> None:
     answers: list[str | Refusal] = [Refusal(), "I would rather not say.", "AREA=1"]
@@ -196,13 +221,9 @@ def test_refusals_count_as_an_error_of_100_percent_and_are_counted(
 
 
 # --- The service
-#
-# -----------------------------------------------------------------------------------------------------
 
 
-def test_an_entry_whose_requests_all_fail_is_reported_and_the_others_are_asked(
-    run: Any, service: ModelService
-) -> None:
+def test_an_entry_whose_requests_all_fail_is_reported(run: Any, service: ModelService) -> None:
     service.failures = [(400, {}), (500, {"retry-after-ms": "1"}), (500, {"retry-after-ms": "1"})]
     result = run("--retries", 1)
     assert result.exit_code == 0, result.output
@@ -246,21 +267,32 @@ def test_a_service_that_is_down_ends_the_run(
     assert "5 requests in a row failed" in result.stderr
 
 
-def test_replies_are_kept_and_never_asked_for_twice(run: Any, service: ModelService) -> None:
+def test_a_reply_is_requested_once(run: Any, service: ModelService) -> None:
     service.answer = by_eye
-    first = run("--limit", 2)
+    assert run("--limit", 2).exit_code == 0
     assert len(service.requests) == 2
     second = run()
-    assert (first.exit_code, second.exit_code) == (0, 0)
+    assert second.exit_code == 0
     assert len(service.requests) == 3
     assert "this run: 1 requests, 1050 tokens" in second.stdout
+
+
+def test_a_hint_has_its_own_replies(run: Any, service: ModelService) -> None:
+    service.answer = by_eye
+    assert run().exit_code == 0
     assert run("--hint").exit_code == 0
     assert len(service.requests) == 6
-    whole = Path("out/vlm.csv").read_text()
     assert Path("out/replies.sqlite").exists()
+
+
+def test_a_repeated_run_writes_the_same_table(run: Any, service: ModelService) -> None:
+    service.answer = by_eye
+    assert run().exit_code == 0
+    assert run("--hint").exit_code == 0
+    table = Path("out/vlm.csv").read_text()
     assert run("--hint").exit_code == 0
     assert len(service.requests) == 6
-    assert Path("out/vlm.csv").read_text() == whole
+    assert Path("out/vlm.csv").read_text() == table
 
 
 def test_a_ceiling_of_requests_ends_the_run_with_what_it_has(
@@ -276,7 +308,7 @@ def test_a_ceiling_of_requests_ends_the_run_with_what_it_has(
     assert (len(rows_of()), len(service.requests)) == (3, 3)
 
 
-def test_a_message_that_quotes_the_key_is_told_without_it(
+def test_a_message_that_quotes_the_key_hides_it(
     run: Any, service: ModelService, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", "scripted")  # a word of the service's message
@@ -313,48 +345,46 @@ def test_an_address_with_a_secret_in_it_is_refused(tmp_path: Path, url: str) -> 
 def jpeg() -> str:
     import base64
 
-    return base64.b64encode(
-        cv2.imencode(".jpg", np.zeros((20, 20, 3), np.uint8))[1].tobytes()
-    ).decode()
+    _, encoded = cv2.imencode(".jpg", np.zeros((20, 20, 3), np.uint8))
+    return base64.b64encode(encoded.tobytes()).decode()
 
 
 # --- The agent
-#
-# -------------------------------------------------------------------------------------------------------
 
 
 def box_target(tools: list[dict[str, Any]], corners: list[float]) -> dict[str, Any]:
-    """A target of ``measure_area`` as its schema wants it."""
+    """Build a target of ``measure_area`` for its schema."""
     schema = next(tool["schema"] for tool in tools if tool["name"] == "measure_area")
     targets = schema["properties"]["targets"]
-    form = next(each for each in targets.get("anyOf", [targets]) if "items" in each)["items"]
-    box = form["properties"]["box"]
-    sides = next(each for each in box.get("anyOf", [box]) if "properties" in each)["properties"]
+    lists = [schema for schema in targets.get("anyOf", [targets]) if "items" in schema]
+    box = lists[0]["items"]["properties"]["box"]
+    objects = [schema for schema in box.get("anyOf", [box]) if "properties" in schema]
+    sides = objects[0]["properties"]
     return {"box": dict(zip(sides, corners, strict=True))}
 
 
 class Planner:
-    """A model that does as it is told: measures the rectangle's corners, and states what the tool said."""
+    """Act as a model that measures the rectangle's corners and states what the tool returned."""
 
     def __init__(self) -> None:
-        self.seen: list[Asked] = []
+        self.requests: list[ModelRequest] = []
 
-    def __call__(self, asked: Asked) -> str | UseTool:
-        self.seen.append(asked)
-        if asked.tool_results:
-            record = json.loads(asked.tool_results[-1].splitlines()[-1])
+    def __call__(self, request: ModelRequest) -> str | UseTool:
+        self.requests.append(request)
+        if request.tool_results:
+            record = json.loads(request.tool_results[-1].splitlines()[-1])
             return f"AREA={record['area_m2']:.3f}"
-        path = re.search(r"The file is (\S+)\. ", asked.text)
-        size = re.search(r"is (\d+) x (\d+) px", asked.text)
+        path = re.search(r"The file is (\S+)\. ", request.text)
+        size = re.search(r"is (\d+) x (\d+) px", request.text)
         corners = [
             float(number)
-            for number in re.findall(r"[\d.]+(?=[,)])", asked.text.partition("corners")[2])
+            for number in re.findall(r"[\d.]+(?=[,)])", request.text.partition("corners")[2])
         ]
         assert path
         assert size
         arguments = {
             "image": {"kind": "path", "path": path[1]},
-            "targets": [box_target(asked.tools, corners)],
+            "targets": [box_target(request.tools, corners)],
             "frame": {"width_px": int(size[1]), "height_px": int(size[2])},
         }
         return UseTool("measure_area", arguments)
@@ -364,32 +394,37 @@ def _arguments(tools: list[dict[str, Any]]) -> dict[str, set[str]]:
     return {tool["name"]: set(tool["input_schema"]["properties"]) for tool in tools}
 
 
-@pytest.mark.parametrize("provider", PROVIDERS[:2])
-def test_an_agent_states_what_the_tools_measure(
-    run: Any, data: Path, service: ModelService, provider: str, caplog: pytest.LogCaptureFixture
-) -> None:
+class AgentRun(NamedTuple):
+    """A run of an agent with tools, its words, and the model behind it."""
+
+    provider: str
+    words: list[Any]
+    result: Result
+    planner: Planner
+
+
+@pytest.fixture(params=PROVIDERS[:2])
+def agent_run(
+    run: Any,
+    data: Path,
+    service: ModelService,
+    request: pytest.FixtureRequest,
+    caplog: pytest.LogCaptureFixture,
+) -> AgentRun:
+    """Run an agent once with each provider, and keep its log."""
     planner = Planner()
     service.answer = planner
     words = ["--agent", "--max-side", 320, "--retries", 0, "--detector", data / "detector.onnx"]
     words += ["--segmenter", data / "encoder.onnx", data / "decoder.onnx"]
     with caplog.at_level(logging.INFO):
-        result = run(*words, provider=provider)
+        result = run(*words, provider=request.param)
     assert result.exit_code == 0, result.output
-    assert not [
-        record for record in caplog.records if record.name.startswith("vehanchor_server")
-    ], "nobody serves"
-    assert {tool["name"] for tool in planner.seen[0].tools} == {
-        "estimate_gsd",
-        "measure_area",
-        "measure_distance",
-        "view_image",
-    }
-    schemas = json.loads((ROOT / "schemas" / "anthropic.json").read_text())
-    if provider == "anthropic":
-        asked = service.requests[0][2]["tools"]  # its server has a root, so that images are paths
-        assert _arguments(asked) == _arguments(schemas)
+    return AgentRun(request.param, words, result, planner)
+
+
+def test_an_agent_states_what_the_tools_measure(agent_run: AgentRun, data: Path) -> None:
     rows = rows_of("vlm_tools")
-    assert len(rows) == 3, result.stderr
+    assert len(rows) == 3, agent_run.result.stderr
     for entry in read_areas(data).entries:
         row = rows[entry.name]
         measured = vehanchor.measure_area(
@@ -398,13 +433,41 @@ def test_an_agent_states_what_the_tools_measure(
             detector=str(data / "detector.onnx"),
             segmenter=(data / "encoder.onnx", data / "decoder.onnx"),
         )
-        # three digits
+        # Tools state three digits.
         assert float(row["stated_area_m2"]) == pytest.approx(measured.area_m2, rel=5e-3)
         assert (row["turns"], row["tool_calls"]) == ("2", "measure_area")
-    assert "outline" not in planner.seen[1].tool_results[0]
-    assert "tool calls: 3 measure_area; 6 turns" in result.stdout
+    assert "tool calls: 3 measure_area; 6 turns" in agent_run.result.stdout
+
+
+def test_an_agent_has_the_servers_tools(agent_run: AgentRun, service: ModelService) -> None:
+    assert {tool["name"] for tool in agent_run.planner.requests[0].tools} == {
+        "estimate_gsd",
+        "measure_area",
+        "measure_distance",
+        "view_image",
+    }
+    schemas = json.loads((ROOT / "schemas" / "anthropic.json").read_text())
+    if agent_run.provider == "anthropic":
+        # The agent's server has a root, so images are paths.
+        tools = service.requests[0][2]["tools"]
+        assert _arguments(tools) == _arguments(schemas)
+
+
+def test_an_agent_gets_results_without_outlines(agent_run: AgentRun) -> None:
+    assert "outline" not in agent_run.planner.requests[1].tool_results[0]
+
+
+@pytest.mark.usefixtures("agent_run")
+def test_an_agent_logs_nothing_of_a_server(caplog: pytest.LogCaptureFixture) -> None:
+    records = caplog.get_records("setup")
+    assert not [record for record in records if record.name.startswith("vehanchor_server")]
+
+
+def test_each_turn_of_an_agent_is_kept(
+    agent_run: AgentRun, run: Any, service: ModelService
+) -> None:
     n_requests = len(service.requests)
-    assert run(*words, provider=provider).exit_code == 0  # each turn is kept
+    assert run(*agent_run.words, provider=agent_run.provider).exit_code == 0
     assert len(service.requests) == n_requests
 
 
@@ -422,27 +485,24 @@ def test_an_agent_that_never_answers_is_stopped(
 
 
 @pytest.mark.parametrize("provider", PROVIDERS[:2])
-def test_what_a_tool_refuses_is_told_to_the_model(
+def test_the_model_gets_the_errors_of_tools(
     run: Any, data: Path, service: ModelService, provider: str
 ) -> None:
     results: list[str] = []
 
-    def answer(asked: Asked) -> str | UseTool:
-        results.extend(asked.tool_results[len(results) :])
+    def answer(request: ModelRequest) -> str | UseTool:
+        n_results = len(request.tool_results)
+        results.extend(request.tool_results[len(results) :])
         calls = [
             UseTool("estimate_gsd", {"image": {"kind": "path", "path": "/etc/passwd"}}),
             UseTool("estimate_gsd", {"picture": 1}),
             UseTool("no_such_tool", {}),
         ]
-        return calls[len(asked.tool_results)] if len(asked.tool_results) < len(calls) else "AREA=5"
+        return calls[n_results] if n_results < len(calls) else "AREA=5"
 
     service.answer = answer
-    assert (
-        run(
-            "--agent", "--limit", 1, "--detector", data / "detector.onnx", provider=provider
-        ).exit_code
-        == 0
-    )
+    words = ["--agent", "--limit", 1, "--detector", data / "detector.onnx"]
+    assert run(*words, provider=provider).exit_code == 0
     assert len(results) == 3
     assert "/etc/passwd" in results[0] or "not" in results[0]
     assert all(results)

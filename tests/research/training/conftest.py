@@ -1,4 +1,4 @@
-"""One thread for PyTorch: more wait for each other by spinning, which beside other tests takes six times as long."""
+"""PyTorch with one thread: several wait for each other, which takes six times as long here."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when PyTorch is loaded, af
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out what needs PyTorch where slow tests are left out: all of it is slow, and importing it takes seconds."""
+    """Skip files that need PyTorch where slow tests are left out: all of them are slow."""
     left_out = "not slow" in config.option.markexpr and collection_path.suffix == ".py"
     return (
         True

@@ -48,12 +48,12 @@ def test_moved_edges_touch_the_moved_body(seed: int) -> None:
     along = np.array([np.cos(turn), np.sin(turn)])
     across = np.array([-np.sin(turn), np.cos(turn)])
     corners = np.array([a * along + b * across for a in edges[:2] for b in edges[2:]])
-    seen = (corners - move.shift) @ np.linalg.inv(move.matrix).T
+    moved_corners = (corners - move.shift) @ np.linalg.inv(move.matrix).T
     moved, turned = moved_edges(edges, turn, move)
-    lengthwise = seen @ [np.cos(turned), np.sin(turned)]
-    sideways = seen @ [-np.sin(turned), np.cos(turned)]
-    wanted = [lengthwise.min(), lengthwise.max(), sideways.min(), sideways.max()]
-    np.testing.assert_allclose(moved, wanted, atol=1e-6)
+    lengthwise = moved_corners @ [np.cos(turned), np.sin(turned)]
+    sideways = moved_corners @ [-np.sin(turned), np.cos(turned)]
+    expected = [lengthwise.min(), lengthwise.max(), sideways.min(), sideways.max()]
+    np.testing.assert_allclose(moved, expected, atol=1e-6)
     assert abs(turned) < 0.5
 
 
@@ -66,40 +66,57 @@ def _rows(set_name: str, car: int, kind: int) -> Rows:
     )
 
 
-def test_only_exact_boxes_teach_edges_and_other_things_are_no_kind_of_car() -> None:
-    unknown = Bodies(np.full((1, 2), np.nan, np.float32), np.zeros((1, 2), np.float32))
-    rendered = target_of_row(_rows("pasted", 1, 3), unknown, 0)
+UNMEASURED = Bodies(np.full((1, 2), np.nan, np.float32), np.zeros((1, 2), np.float32))
+
+
+def test_an_exact_box_teaches_edges() -> None:
+    rendered = target_of_row(_rows("pasted", 1, 3), UNMEASURED, 0)
     assert rendered.edge_weight > 0
     assert np.exp(rendered.log_metres) == pytest.approx([4.4, 0.42 * 4.4], rel=1e-3)
-    labelled = target_of_row(_rows("ucm", 1, -1), unknown, 0)
+
+
+def test_a_labelled_box_teaches_no_edges() -> None:
+    labelled = target_of_row(_rows("ucm", 1, -1), UNMEASURED, 0)
     assert labelled.edge_weight == labelled.metres_weight[1] == 0
+
+
+def test_a_measured_body_teaches_its_metres() -> None:
     measured = Bodies(np.log(np.array([[4.2, 1.7]], np.float32)), np.full((1, 2), 0.5, np.float32))
-    assert np.exp(target_of_row(_rows("ucm", 1, -1), measured, 0).log_metres) == pytest.approx(
-        [4.2, 1.7], rel=1e-3
-    )
-    assert target_of_row(_rows("ucm", 0, KINDS.index("other")), unknown, 0).kind == NOT_A_CAR
-    assert target_of_row(
-        _rows("lorry_ucm", 0, KINDS.index("lorry")), unknown, 0
-    ).kind == KINDS.index("lorry")
+    target = target_of_row(_rows("ucm", 1, -1), measured, 0)
+    assert np.exp(target.log_metres) == pytest.approx([4.2, 1.7], rel=1e-3)
+
+
+def test_an_object_that_is_not_a_car_has_no_kind_of_car() -> None:
+    other = _rows("ucm", 0, KINDS.index("other"))
+    lorry = _rows("lorry_ucm", 0, KINDS.index("lorry"))
+    assert target_of_row(other, UNMEASURED, 0).kind == NOT_A_CAR
+    assert target_of_row(lorry, UNMEASURED, 0).kind == KINDS.index("lorry")
 
 
 def _batch(n: int) -> Batch:
-    nothing = torch.full((n, 4), torch.nan)
     return Batch(
-        torch.zeros(n, 3, CHIP_ROWS, CHIP_COLUMNS, dtype=torch.uint8), torch.full((n,), torch.nan),
-        torch.full((n,), -1), torch.ones(n), nothing, torch.zeros(n), torch.zeros(n), nothing[:, :2],
-        torch.zeros(n, 2),
-    )  # fmt: skip
+        chip=torch.zeros(n, 3, CHIP_ROWS, CHIP_COLUMNS, dtype=torch.uint8),
+        car=torch.full((n,), torch.nan),
+        kind=torch.full((n,), -1),
+        kind_weight=torch.ones(n),
+        edges=torch.full((n, 4), torch.nan),
+        turn=torch.zeros(n),
+        edge_weight=torch.zeros(n),
+        log_metres=torch.full((n, 2), torch.nan),
+        metres_weight=torch.zeros(n, 2),
+    )
 
 
-def test_what_nobody_knows_costs_nothing_and_what_is_known_pulls() -> None:
-    network = ChipNet().eval()
-    parts = losses(network, _batch(2), torch.device("cpu"))
+def test_unknown_targets_have_no_loss() -> None:
+    parts = losses(ChipNet().eval(), _batch(2), torch.device("cpu"))
     assert all(part.item() == 0 for part in parts.values())
-    known = _batch(2)._replace(
+
+
+def test_known_targets_have_a_loss() -> None:
+    batch = _batch(2)._replace(
         car=torch.ones(2), edges=torch.zeros(2, 4), edge_weight=torch.ones(2)
     )
-    parts = losses(network, known, torch.device("cpu"))
+    parts = losses(ChipNet().eval(), batch, torch.device("cpu"))
     assert min(parts[name].item() for name in ("car", "edges", "width")) > 0
 
 
@@ -110,7 +127,7 @@ def _rectangle(side: int, box: NDArray[np.float64]) -> NDArray[np.uint8]:
     return image
 
 
-def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
+def test_boxes_that_fit_in_part_teach_nothing() -> None:
     car = np.array([[60.0, 60.0, 30.0, 12.0, 0.0]])
     sample = TrainImage(
         "estonia",
@@ -123,16 +140,16 @@ def test_boxes_that_fit_are_cars_and_boxes_between_teach_nothing() -> None:
     beside = car + np.array([0, 18, 0, 0, 0])
     doubtful = car + np.array([12, 0, 0, 0, 0])
     boxes = np.concatenate([car + np.array([1, 0, 0, 0, 0]), beside, doubtful])
-    rows, known = rows_of(
+    rows, can_train = rows_of(
         Named(sample, "a.jpg", set="estonia", labels=None), boxes, np.full(3, 0.5), np.full(3, 0.5)
     )
     assert rows.car.tolist()[:2] == [1, 0]
-    assert known.tolist() == [True, True, False]
+    assert can_train.tolist() == [True, True, False]
     assert rows.log_length_m[0] == pytest.approx(np.log(30 * 4.5 / 22.5), abs=1e-5)
     assert KINDS[rows.type[1]] == "other"
 
 
-def test_of_chia_odd_numbers_train_and_cars_seen_there_are_cars(tmp_path: Path) -> None:
+def test_odd_numbers_of_chia_train_with_their_cars(tmp_path: Path) -> None:
     crops = tmp_path / "chia" / "crops"
     crops.mkdir(parents=True)
     for number in (16, 17):
@@ -142,15 +159,18 @@ def test_of_chia_odd_numbers_train_and_cars_seen_there_are_cars(tmp_path: Path) 
     (only,) = chia_images(tmp_path)
     assert only.file == "DJI_0017.jpg"
     assert not len(only.sample.boxes)
-    where = [
+    # A car, a part of it, and ground.
+    boxes = [
         [636.6, 540.1, 250.0, 110.0, 0.3],
         [636.6, 540.1, 120.0, 50.0, 0.3],
         [100.0, 900.0, 110.0, 50.0, 0.3],
     ]
-    # a car, a part of it, and ground
-    rows, known = rows_of(only, np.array(where), np.ones(3), np.ones(3))
-    assert known.tolist() == [True, False, True]
-    assert (rows.car[known].tolist(), rows.sets[known].tolist()) == ([1, 0], ["seen", "chia"])
+    rows, can_train = rows_of(only, np.array(boxes), np.ones(3), np.ones(3))
+    assert can_train.tolist() == [True, False, True]
+    assert (rows.car[can_train].tolist(), rows.sets[can_train].tolist()) == (
+        [1, 0],
+        ["seen", "chia"],
+    )
 
 
 def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
@@ -166,36 +186,34 @@ def test_pasted_cars_have_exact_boxes_and_lookalikes_none() -> None:
         ),
         0.1,
     )
-    made = [
-        one
-        for one in (pasted(rng, ground, Fleet(4.6, rng, "mixed")) for _ in range(60))
-        if one is not None
-    ]
-    cars = [one for one in made if one.car]
+    drawn = [pasted(rng, ground, Fleet(4.6, rng, "mixed")) for _ in range(60)]
+    chips = [chip for chip in drawn if chip is not None]
+    cars = [chip for chip in chips if chip.car]
     assert 15 < len(cars) < 45
-    assert all(one.box is None for one in made if not one.car)
-    for one in cars[:12]:
-        assert one.box is not None
-        x, y, length, width, turn = one.box.astype(np.float64)
+    assert all(chip.box is None for chip in chips if not chip.car)
+    for chip in cars[:12]:
+        assert chip.box is not None
+        x, y, length, width, turn = chip.box.astype(np.float64)
         box = np.array([72 + 36 * x, 72 + 36 * y, 36 * np.exp(length), 36 * np.exp(width), turn])
         inside = _rectangle(STORED_PX, box)[:, :, 0] > 127
-        # something stands there
-        assert np.abs(one.chip.astype(float) - 120).mean(axis=2)[inside].mean() > 8
+        # The car differs from the flat ground.
+        assert np.abs(chip.chip.astype(float) - 120).mean(axis=2)[inside].mean() > 8
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
-def test_the_file_answers_as_the_network_and_takes_half_of_its_space(tmp_path: Path) -> None:
+def test_the_file_answers_as_the_network_in_half_of_its_space(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = ChipNet().eval()
     export(network, tmp_path / "chips.onnx")
     numbers = sum(values.numel() for values in network.parameters())
     assert (tmp_path / "chips.onnx").stat().st_size < 2.4 * numbers
     chips = np.random.default_rng(0).integers(0, 255, (3, CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)
-    said = ChipNetwork(tmp_path / "chips.onnx", runtime=Runtime(threads=1)).answers(chips, views=1)
+    exported = ChipNetwork(tmp_path / "chips.onnx", runtime=Runtime(threads=1))
+    answers = exported.answers(chips, views=1)
     with torch.no_grad():
-        wanted = network(torch.from_numpy(chips.transpose(0, 3, 1, 2).copy()).float() / 255)
-    np.testing.assert_allclose(said.edges, wanted.edges.numpy(), atol=2e-3)
-    np.testing.assert_allclose(said.logit, wanted.logit.numpy(), atol=2e-2)
+        expected = network(torch.from_numpy(chips.transpose(0, 3, 1, 2).copy()).float() / 255)
+    np.testing.assert_allclose(answers.edges, expected.edges.numpy(), atol=2e-3)
+    np.testing.assert_allclose(answers.logit, expected.logit.numpy(), atol=2e-2)
 
 
 def test_training_begins_from_the_bundled_file() -> None:
@@ -206,7 +224,7 @@ def test_training_begins_from_the_bundled_file() -> None:
     planes = torch.from_numpy(chips.transpose(0, 3, 1, 2).copy()).float() / 255
     load_exported(network, path, planes)
     with torch.no_grad():
-        begun = network.eval()(planes)
-    said = ChipNetwork(path, runtime=Runtime(threads=1)).answers(chips, views=1)
-    np.testing.assert_allclose(begun.edges.numpy(), said.edges, atol=1e-4)
-    np.testing.assert_allclose(begun.logit.numpy(), said.logit, atol=1e-3)
+        outputs = network.eval()(planes)
+    answers = ChipNetwork(path, runtime=Runtime(threads=1)).answers(chips, views=1)
+    np.testing.assert_allclose(outputs.edges.numpy(), answers.edges, atol=1e-4)
+    np.testing.assert_allclose(outputs.logit.numpy(), answers.logit, atol=1e-3)

@@ -1,4 +1,4 @@
-"""The training code of the network that proposes courts, where PyTorch is installed (extra ``train``)."""
+"""Training code of the network that proposes courts, where PyTorch is installed."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def test_a_crop_tells_where_its_court_is_and_how_it_lies() -> None:
         torch.equal(one, two) for one, two in zip((pixels, targets, weights), again, strict=True)
     )
     with_court = [stream[k][1] for k in range(12)]
-    assert any(each[0].max() > 0.5 for each in with_court)
-    assert all(each[1].max() == 0 for each in with_court)  # none of them is of basketball
+    assert any(example[0].max() > 0.5 for example in with_court)
+    assert all(example[1].max() == 0 for example in with_court)  # none of them is of basketball
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the TorchScript exporter
@@ -51,8 +51,8 @@ def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> Non
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 4e-3, total_steps=180)
     for step in range(180):
         parts = [
-            torch.stack(each)
-            for each in zip(*(stream[step * 6 + k] for k in range(6)), strict=True)
+            torch.stack(column)
+            for column in zip(*(stream[step * 6 + k] for k in range(6)), strict=True)
         ]
         loss = torch.stack(
             [*losses(network, (parts[0], parts[1], parts[2]), torch.device("cpu")).values()]
@@ -64,6 +64,6 @@ def test_a_network_that_has_learned_one_court_proposes_it(tmp_path: Path) -> Non
     export(network.eval(), tmp_path / "courts.onnx")
     with open_raster(draw_court(TENNIS, 0.3, degrees=20.0)) as raster:
         proposals = CourtNetwork(tmp_path / "courts.onnx").propose(raster, 2)
-    best = max(proposals, key=lambda each: each.share)
+    best = max(proposals, key=lambda column: column.share)
     assert best.which == 0
     assert math.hypot(best.pose.x - 127.5, best.pose.y - 127.5) < 24

@@ -10,13 +10,18 @@ import pytest
 torch = pytest.importorskip("torch")
 onnxruntime = pytest.importorskip("onnxruntime")
 
-from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402 - PyTorch may be missing
+# PyTorch may be missing, so these follow importorskip.
+from research.training.detector.calibrate import LengthPairs, length_correction  # noqa: E402
 from research.training.detector.data import (  # noqa: E402 - PyTorch may be missing
     CROP_PX,
     TrainImage,
     draw_crop,
 )
-from research.training.detector.export import LengthCorrection, UltralyticsLayout, export  # noqa: E402
+from research.training.detector.export import (  # noqa: E402
+    LengthCorrection,
+    UltralyticsLayout,
+    export,
+)
 from research.training.detector.network import VehicleNet  # noqa: E402
 from research.training.warm_start import load_exported  # noqa: E402
 from vehanchor.detection.detector import Detector  # noqa: E402
@@ -45,7 +50,7 @@ def test_crops_move_picture_and_boxes_alike() -> None:
     from vehanchor.detection.boxes import box_corners
 
     rng = np.random.default_rng(0)
-    seen = 0
+    n_boxes = 0
     for _ in range(40):
         crop = draw_crop(rng, _sample())
         lit = crop.image[:, :, 0] > 100
@@ -66,11 +71,11 @@ def test_crops_move_picture_and_boxes_alike() -> None:
             )
             assert lit[inside].mean() > 0.97
             assert lit[ring].mean() < 0.2
-            seen += 1
-    assert seen > 15
+            n_boxes += 1
+    assert n_boxes > 15
 
 
-# of the TorchScript exporter, which needs no onnxscript
+# The TorchScript exporter, which needs no onnxscript, warns.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: Path) -> None:
     torch.manual_seed(0)
@@ -86,13 +91,13 @@ def test_an_exported_network_gives_the_detector_what_the_network_saw(tmp_path: P
             torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].float() / 255
         )
         columns = UltralyticsLayout(network)(tensor)[0].numpy()
-    found = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
-    np.testing.assert_allclose(found[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
-    seen = detector.detect_tile(detector.prepared(image), 1e-6).vehicles
-    boxes = seen.boxes
-    scores = seen.scores
-    # untrained: near ties
-    assert len(boxes) == (found[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)
+    output = onnxruntime.InferenceSession(path).run(None, {"images": tensor.numpy()})[0][0]
+    np.testing.assert_allclose(output[[0, 1, 2, 3, 5]], columns[[0, 1, 2, 3, 5]], atol=1e-3)
+    vehicles = detector.detect_tile(detector.prepared(image), 1e-6).vehicles
+    boxes = vehicles.boxes
+    scores = vehicles.scores
+    # An untrained network has near ties.
+    assert len(boxes) == (output[4] > 0).sum() == pytest.approx((columns[4] > 0).sum(), abs=5)
     assert scores.max() == pytest.approx(columns[4].max(), abs=1e-5)
 
 
@@ -110,14 +115,14 @@ def test_lengths_are_corrected_between_the_knots_and_beyond_them() -> None:
 def test_the_correction_is_the_inverse_of_the_bias() -> None:
     rng = np.random.default_rng(0)
     labelled = np.exp(rng.uniform(np.log(9), np.log(70), 20_000))
-    found = labelled * np.where(labelled < 20, 0.95, 1.02) * np.exp(rng.normal(0, 0.02, 20_000))
-    factors = dict(length_correction(LengthPairs(found, labelled, np.full(20_000, "cannes"))))
+    detected = labelled * np.where(labelled < 20, 0.95, 1.02) * np.exp(rng.normal(0, 0.02, 20_000))
+    factors = dict(length_correction(LengthPairs(detected, labelled, np.full(20_000, "cannes"))))
     assert factors[min(factors)] == pytest.approx(1 / 0.95, abs=0.01)
     assert factors[max(factors)] == pytest.approx(1 / 1.02, abs=0.01)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_network_started_from_an_exported_file_computes_what_the_file_computes(
+def test_a_network_started_from_a_file_computes_the_same(
     tmp_path: Path,
 ) -> None:
     torch.manual_seed(1)

@@ -78,7 +78,10 @@ def test_its_answers_stay_and_its_last_layer_keeps_its_weights(
         "vehanchor.name": "small",
         "license": "Apache-2.0",
     }
-    kept = {each.name: numpy_helper.to_array(each) for each in onnx.load(out).graph.initializer}
-    (eight,) = (value for value in kept.values() if value.dtype == np.int8 and value.ndim == 4)
+    arrays = {
+        initializer.name: numpy_helper.to_array(initializer)
+        for initializer in onnx.load(out).graph.initializer
+    }
+    (eight,) = (value for value in arrays.values() if value.dtype == np.int8 and value.ndim == 4)
     assert 0 < np.abs(eight).max() <= 64
-    assert kept["last_w"].dtype == np.float32
+    assert arrays["last_w"].dtype == np.float32

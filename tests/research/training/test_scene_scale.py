@@ -1,4 +1,4 @@
-"""The training code of the scene-scale network, where PyTorch is installed (extra ``train``), and its density."""
+"""Training code of the scene-scale network and its density, where PyTorch is installed."""
 
 from __future__ import annotations
 
@@ -92,10 +92,10 @@ def test_what_trains_is_of_no_val_split_and_not_for_evaluation_only(
     real_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("research.training.scene_scale.data._load", lambda source: source)
-    found = sources(real_data)
-    names = [source.path.name for source in found]
-    assert len(found) > 1700
-    assert len({source.path for source in found}) == len(found)
+    images = sources(real_data)
+    names = [source.path.name for source in images]
+    assert len(images) > 1700
+    assert len({source.path for source in images}) == len(images)
     for word in ("harlem", "drashti", "crossings", "minsk_", "ucas", "dota", "DJI_0010"):
         assert not [name for name in names if word in name]
     reported: Any = load_val_images(real_data, without={"building"})
@@ -109,8 +109,8 @@ def test_training_goes_on_from_the_bundled_files_answers() -> None:
     network = SceneScaleNet()
     begin_with_exported(network, bundled, tiles.float() / 255)
     with torch.no_grad():
-        found = np.exp(network.eval()(tiles.float() / 255).numpy())
+        expected = np.exp(network.eval()(tiles.float() / 255).numpy())
     session = onnxruntime.InferenceSession(bundled, providers=["CPUExecutionProvider"])
     np.testing.assert_allclose(
-        found, np.exp(session.run(["log_probs"], {"tiles": tiles.numpy()})[0]), atol=1e-5
+        expected, np.exp(session.run(["log_probs"], {"tiles": tiles.numpy()})[0]), atol=1e-5
     )

@@ -97,32 +97,32 @@ def test_an_exported_segmenter_gives_the_library_what_the_network_saw(tmp_path: 
     torch.save({"averaged": network.state_dict()}, tmp_path / "checkpoint.pt")
     offset = 0.25
     smoothing = 0.7
-    said: dict[str, object] = {
+    calibration: dict[str, object] = {
         "min_score": 0.6,
         "mask_area_log_sd": 0.08,
         "mask_offset": offset,
         "mask_smoothing": smoothing,
     }
-    encoder, decoder = export(tmp_path, tmp_path, said)
+    encoder, decoder = export(tmp_path, tmp_path, calibration)
     assert encoder.stat().st_size + decoder.stat().st_size < 12e6
     segmenter = OnnxSegmenter(encoder, decoder)
     assert segmenter.card.name == "vehanchor-segmenter"
     image = np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8)
     with open_raster(image) as raster:
-        found = segmenter.segment(raster, UserPrompt(box=(60.0, 70.0, 180.0, 190.0)))
+        segmentation = segmenter.segment(raster, UserPrompt(box=(60.0, 70.0, 180.0, 190.0)))
     pixels = torch.from_numpy(image.transpose(2, 0, 1).copy())[None].float() / 255
     with torch.no_grad():
-        seen = network(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))
+        output = network(pixels, _prompt([(60, 70), (180, 190)], [TOP_LEFT, BOTTOM_RIGHT], 256))
         blurred = cv2.GaussianBlur(
-            seen.mask[0, 0].numpy(), (5, 5), smoothing, borderType=cv2.BORDER_REPLICATE
+            output.mask[0, 0].numpy(), (5, 5), smoothing, borderType=cv2.BORDER_REPLICATE
         )
-        assert np.abs(smoothed(seen.mask, smoothing)[0, 0].numpy() - blurred).max() < 1e-3
+        assert np.abs(smoothed(output.mask, smoothing)[0, 0].numpy() - blurred).max() < 1e-3
     large = cv2.resize(blurred, (256, 256), interpolation=cv2.INTER_LINEAR)
-    assert found.score == pytest.approx(float(seen.iou), abs=1e-4)
-    assert ((large + offset > 0) == found.mask).mean() > 0.999
+    assert segmentation.score == pytest.approx(float(output.iou), abs=1e-4)
+    assert ((large + offset > 0) == segmentation.mask).mean() > 0.999
     (tmp_path / "bare").mkdir()
     bare = [open_session(path) for path in export(tmp_path, tmp_path / "bare", {})]
     target = Target("roof", "a", image, np.ones((256, 256), bool), (60.0, 70.0, 180.0, 190.0))
     view = see(recognise_contract(bare[0], bare[1], INPUT_PX), target)
-    # what the calibration judges
-    assert (finished(view, smoothing, offset)(target)[0] == found.mask).mean() > 0.999
+    # The mask that the calibration judges.
+    assert (finished(view, smoothing, offset)(target)[0] == segmentation.mask).mean() > 0.999

@@ -57,18 +57,18 @@ def test_the_file_says_what_the_network_says(tmp_path: Path) -> None:
 
 
 def test_the_combination_trusts_whoever_knows() -> None:
-    found = _candidates()
+    candidates = _candidates()
     rng = np.random.default_rng(0)
-    telling = np.where(found.car, 1.5, -1.5) + rng.normal(0, 1, 60)
+    telling = np.where(candidates.car, 1.5, -1.5) + rng.normal(0, 1, 60)
     combination = fitted(
-        telling, found._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60))
+        telling, candidates._replace(scores=np.full(60, 0.5) + rng.uniform(-0.1, 0.1, 60))
     )
     assert combination.verifier > 0.5
     assert Weights(1.0, 0.0, 0.0).score([0.2, 0.9], [5.0, -5.0]).tolist() == pytest.approx(
         [0.2, 0.9]
     )
-    same = rescaled(combination, telling, found)
+    same = rescaled(combination, telling, candidates)
     assert same.detector / same.verifier == pytest.approx(
         combination.detector / combination.verifier
     )
-    assert any("AUC" in line for line in report(found.car, found.sets, telling))
+    assert any("AUC" in line for line in report(candidates.car, candidates.sets, telling))

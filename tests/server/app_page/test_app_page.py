@@ -194,6 +194,13 @@ def test_lines_are_drawn_with_their_length(drawn: CallToolResult) -> None:
     assert {"points": [[20, 30], [420, 30]], "label": "400 m", "closed": False} in lines
 
 
+def test_the_page_gets_the_proportions_of_the_detectors_boxes(drawn: CallToolResult) -> None:
+    ratio = panel_of(drawn)["drawing"]["length_over_width"]
+    *_, added = panel_of(drawn)["drawing"]["vehicles"]
+    _, _, length, width, *_ = added
+    assert length / width == pytest.approx(ratio, abs=0.02)
+
+
 def test_vehicles_have_the_numbers_of_drop(drawn: CallToolResult) -> None:
     vehicles = panel_of(drawn)["drawing"]["vehicles"]
     numbers = [(number, added) for *_, number, added in vehicles]

@@ -71,7 +71,9 @@ def test_a_message_arrives_as_it_was_sent(
 
 
 def test_an_answer_arrives_with_its_pictures(pipe: tuple[Connection, Connection]) -> None:
-    drawing = Drawing(vehicles=((1.5, 2, 3, 4, 5, 1, 1, 0),), vehicles_left_out=0, lines=())
+    drawing = Drawing(
+        vehicles=((1.5, 2, 3, 4, 5, 1, 1, 0),), vehicles_left_out=0, lines=(), length_over_width=2.2
+    )
     reply = Reply((Value(value=1), Value(value="two")), b"\xff\xd8picture", drawing)
     send_reply(pipe[1], reply)
     header = receive(pipe[0])
@@ -181,7 +183,14 @@ def test_limits_are_at_most_twice_the_largest_honest_message(
 ) -> None:
     rows = tuple((12345.5, 12345.5, 1234.5, 1234.5, -179.5, 1, i, 2) for i in range(MAX_VEHICLES))
     court = DrawnLine(points=((12345.5, 12345.5),) * 5, label="10.97 m, tennis court", closed=True)
-    drawing = size_of(Drawing(vehicles=rows, vehicles_left_out=12345, lines=(court,) * MAX_LINES))
+    drawing = size_of(
+        Drawing(
+            vehicles=rows,
+            vehicles_left_out=12345,
+            lines=(court,) * MAX_LINES,
+            length_over_width=None,
+        )
+    )
     record = size_of(largest_record(images))
     for honest, limit in ((drawing, DRAWING), (record, RECORD)):
         for most, allowed in zip(honest, limit, strict=True):

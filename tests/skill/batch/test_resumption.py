@@ -124,3 +124,16 @@ def test_rows_of_other_options_are_not_mixed_in(
     )
     assert again.n_resumed == 0
     assert {row["reference_length_m"] for row in read_rows(table)} == {4.3, None}
+
+
+def test_rows_of_other_errors_of_the_detector_are_not_mixed_in(
+    analysed: list[str], detector: Path, table: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own.onnx"
+    own.write_bytes(detector.read_bytes())
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(["."], table, detector=own, workers=1)
+    (tmp_path / "own.errors.toml").write_text("[boxes]\nlog_sd = 0.2\n")
+    with pytest.raises(InvalidParameterError, match="networks_sha256"):
+        run_batch(["."], table, detector=own, workers=1)
+    assert len(analysed) == 3

@@ -381,13 +381,15 @@ def test_the_progress_bar_leaves_stdout_alone(folder: Path) -> None:
 
 @pytest.fixture
 def bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of bundled models that has a default detector alone."""
+    """A folder of bundled models that has a segmenter, and another default detector."""
     metadata = {
         "vehanchor.reference_length_m": "4.65",
         "vehanchor.min_score": "0.3",
         "license": "Apache-2.0",
     }
     write_detector(tmp_path / f"{model_zoo.DEFAULT_DETECTOR}.onnx", metadata=metadata)
+    for path in model_zoo.resolve_segmenter():
+        (tmp_path / path.name).symlink_to(path)
     monkeypatch.setattr(model_zoo, "_BUNDLED", tmp_path)
     return tmp_path
 
@@ -414,6 +416,21 @@ def test_models_info_shows_the_metadata_of_a_model(run: Any) -> None:
     assert result.exit_code == 0
     for fact in ("small vehicle", "CC0-1.0", "europe 4.5 m, north_america 5.5 m", "5.045 m", "any"):
         assert fact in result.stdout
+
+
+def test_models_info_shows_defaults_for_errors_without_a_file(run: Any) -> None:
+    assert "defaults; one car's box 14.5 %" in run("models", "info", "detector.onnx").stdout
+
+
+def test_models_info_shows_the_file_of_the_errors(run: Any) -> None:
+    result = run("models", "info", model_zoo.DEFAULT_DETECTOR)
+    assert "vehicles.errors.toml; one car's box 12 %" in result.stdout
+
+
+def test_models_info_has_the_errors_as_json(run: Any) -> None:
+    (card,) = _lines(run("models", "info", "detector.onnx", "--json"))
+    assert card["errors_file"] is None
+    assert card["errors"]["boxes"]["log_sd"] == 0.145
 
 
 def test_models_info_has_the_metadata_as_json(run: Any) -> None:

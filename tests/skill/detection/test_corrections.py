@@ -60,6 +60,7 @@ def _corrected(detections: Detections, **keywords: Any) -> Detections:
         frame=options.frame,
         size_px=(_SIDE, _SIDE),
         nms_iou=options.search.nms_iou,
+        length_over_width=2.21,
     )
 
 

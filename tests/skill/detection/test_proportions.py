@@ -12,6 +12,11 @@ from numpy.typing import NDArray
 from research.scenes.render import render_scene
 from tests.conftest import ROOT
 from vehanchor import estimate_gsd
+from vehanchor.detection.detector import load_detector
+from vehanchor.detection.detector_errors import StretchLimits
+from vehanchor.detection.proportions import stretch_of_few
+from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.models.zoo import resolve_model
 
 _GSD = 0.1
 _BARREL = 0.35  # share of the squared distance from the centre, in half sides
@@ -123,3 +128,24 @@ def test_an_unusual_image_is_refused_or_right(photograph: _Image, condition: str
     estimate = estimate_gsd(CONDITIONS[condition](photograph))
     true = _GSD * (_mean_scale_of_fisheye() if condition == "fisheye" else 1)
     assert estimate.status != "ok" or estimate.gsd_m_per_px == pytest.approx(true, rel=0.2)
+
+
+def _few_stretch(limits: StretchLimits, headings: list[float]) -> float | None:
+    """Stretch by three vehicles at the places of cars, in an image that is too wide."""
+    boxes = np.array([[60.0 + 60 * k, 130.0, 40.0, 16.0, at] for k, at in enumerate(headings)])
+    chips = load_detector(resolve_model()).chips
+    assert chips is not None
+    with open_raster(_resized(_few_cars(), 1.5, 1.0)) as raster:
+        return stretch_of_few(raster, boxes, chips, limits)
+
+
+@pytest.mark.parametrize(
+    ("limit", "headings"),
+    [("few_parallel_limit", [0.1, 0.1, 0.1]), ("few_crossed_limit", [0.1, 1.6, 0.1, 1.6])],
+)
+def test_the_limits_of_few_cars_are_the_detectors(limit: str, headings: list[float]) -> None:
+    limits = StretchLimits()
+    twice = limits.model_copy(update={limit: 2 * getattr(limits, limit)})
+    share = _few_stretch(limits, headings)
+    assert share
+    assert _few_stretch(twice, headings) == pytest.approx(share / 2)

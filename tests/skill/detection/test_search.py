@@ -18,6 +18,7 @@ from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.detector_errors import TilePriorOdds
 from vehanchor.detection.levels import MIN_LEVEL_SIDE_PX, level_shares, search_levels
 from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.detection.scheduler import TileScheduler
@@ -425,7 +426,7 @@ def test_every_cell_of_a_town_has_a_higher_tile_prior_than_fields() -> None:
     for x, y, grey in roofs:
         image[y : y + 24, x : x + 32] = grey
     with open_raster(image) as raster:
-        cells = tile_prior_map(raster)
+        cells = tile_prior_map(raster, TilePriorOdds())
     assert cells.shape == (3, 6)
     town = cells[:2, 2:4]
     fields = cells[:, [0, 1, 4, 5]]

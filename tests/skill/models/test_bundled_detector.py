@@ -7,11 +7,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
 import pytest
+from onnx import helper
 
 from tests.conftest import ROOT
 from vehanchor import estimate_gsd
 from vehanchor.detection.detector import Detector
+from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import (
     DEFAULT_DETECTOR,
@@ -67,6 +70,22 @@ def test_resampling_scales_the_answer_within_3_percent(
     assert estimate.gsd_m_per_px is not None
     after = _estimate(resampled, detector).gsd_m_per_px
     assert after == pytest.approx(estimate.gsd_m_per_px / factor, rel=0.03)
+
+
+def test_an_export_of_ultralytics_measures_a_car_park(tmp_path: Path) -> None:
+    """It has neither our metadata nor auxiliary models nor a file of its errors."""
+    model = onnx.load(str(resolve_model()))
+    official = {entry.key: entry.value for entry in model.metadata_props}
+    del model.metadata_props[:]
+    helper.set_model_props(
+        model, {key: official[key] for key in ("task", "stride", "imgsz", "names")}
+    )
+    path = tmp_path / "yolo11n-obb.onnx"
+    onnx.save(model, str(path))
+    stranger = Detector(path)
+    assert (stranger.verifier, stranger.chips, stranger.card.votes) == (None, None, None)
+    assert stranger.card.errors == DetectorErrors()
+    assert estimate_gsd(ROOT / "examples/car_park.jpg", detector=stranger).status == "ok"
 
 
 def test_a_scene_without_vehicles_never_gets_a_confident_answer(detector: Detector) -> None:

@@ -10,12 +10,19 @@ import pytest
 from onnx import helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
+from tests.models import write_detector, write_other_model
 from tests.sam_models import keep_weights_beside, write_sam2
+from vehanchor import Engine, engine
+from vehanchor.detection import detector as detector_module
+from vehanchor.detection.detector import load_detector, networks_sha256
 from vehanchor.errors import ModelNotFoundError
 from vehanchor.models import zoo
 from vehanchor.models.files import external_locations, file_cached, models_sha256, read_model
+from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import (
+    BUNDLED_MODELS,
     DEFAULT_DETECTOR,
+    BundledModel,
     auxiliary_model,
     bundled_models,
     resolve_model,
@@ -234,3 +241,54 @@ def test_a_segmenter_is_found_by_both_its_paths(tmp_path: Path) -> None:
         resolve_segmenter((encoder, decoder))
     decoder.touch()
     assert resolve_segmenter((str(encoder), decoder)) == (encoder, decoder)
+
+
+def test_every_bundled_file_is_in_the_list() -> None:
+    (folder,) = {model.path.parent for model in BUNDLED_MODELS}
+    assert {model.file for model in BUNDLED_MODELS} == {path.name for path in folder.glob("*.onnx")}
+
+
+# --- A model that is added to the list
+
+LOADED: list[Runtime] = []
+"""Runtimes for which the added model was loaded."""
+
+
+def load_added(runtime: Runtime) -> None:
+    LOADED.append(runtime)
+
+
+@pytest.fixture
+def added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BundledModel:
+    """A network of a ruler that is added to the list of bundled models."""
+    path = write_other_model(tmp_path / "added.onnx")
+    loader = f"{__name__}:load_added"
+    # An absolute path replaces the folder of bundled models.
+    model = BundledModel(name="added", file=str(path), role="ruler", loader=loader)
+    for module in (zoo, engine, detector_module):
+        monkeypatch.setattr(module, "BUNDLED_MODELS", (*BUNDLED_MODELS, model))
+    LOADED.clear()
+    return model
+
+
+def test_an_added_model_has_a_file(added: BundledModel) -> None:
+    assert zoo.bundled_file("added") == added.path
+
+
+def test_an_added_model_is_loaded_by_an_engine(added: BundledModel) -> None:
+    one_thread = Runtime(threads=1)
+    Engine(runtime=one_thread).load()
+    assert [one_thread] == LOADED
+
+
+def test_an_added_model_makes_results_stale(tmp_path: Path, added: BundledModel) -> None:
+    card = load_detector(write_detector(tmp_path / "m.onnx")).card
+    before = networks_sha256(card)
+    write_other_model(added.path, metadata={"version": "2"})
+    assert networks_sha256(card) != before
+
+
+def test_results_of_the_first_release_are_not_stale() -> None:
+    assert networks_sha256(load_detector(resolve_model()).card) == (
+        "6b6d4a0d2fecdcbe3f55cce2d4c2cf72d21c7bd0675124240455e5348fcc720d"
+    )

@@ -11,6 +11,7 @@ from tests.analyses import made_card, measured, with_tilt
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import NOT_SEARCHED, Detections
+from vehanchor.detection.detector_errors import BoxErrors, DetectorErrors
 from vehanchor.errors import TooObliqueError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
@@ -60,7 +61,8 @@ def test_cars_are_of_one_length_on_the_plane() -> None:
     tilt = CameraTilt(35.0, 20.0, focal_length_px=FOCAL, source="metadata")
     seen = _cars(tilt)
     assert seen.boxes[:, 2].max() > 1.6 * seen.boxes[:, 2].min()
-    assert rectified(seen, tilt.plane(FACTS)).boxes[:, 2] == pytest.approx(CAR_M / GSD, rel=0.01)
+    lengths = rectified(seen, tilt.plane(FACTS), DetectorErrors()).boxes[:, 2]
+    assert lengths == pytest.approx(CAR_M / GSD, rel=0.01)
 
 
 def test_boxes_with_the_proportions_of_nadir_have_one_length_on_the_plane() -> None:
@@ -74,7 +76,7 @@ def test_boxes_with_the_proportions_of_nadir_have_one_length_on_the_plane() -> N
     across = [WIDTH / 2, HEIGHT / 2, 0.89 * CAR_M / step[0], 1.25 * CAR_WIDTH_M / step[1], 0.0]
     away = [WIDTH / 2, HEIGHT / 2, 1.05 * CAR_M / step[1], 0.88 * CAR_WIDTH_M / step[0], np.pi / 2]
     detections = Detections(np.array([across, away]), np.ones(2))
-    lengths = rectified(detections, tilt.plane(FACTS)).boxes[:, 2]
+    lengths = rectified(detections, tilt.plane(FACTS), DetectorErrors()).boxes[:, 2]
     assert lengths == pytest.approx([CAR_M / GSD] * 2, rel=0.04)
 
 
@@ -318,3 +320,13 @@ def test_a_journal_keeps_the_witnesses_of_a_tilted_view() -> None:
     assert again == analysis.estimate
     assert again.tilt is not None
     assert again.tilt.tilt_deg == 30.0
+
+
+def test_the_proportions_of_boxes_are_the_detectors() -> None:
+    tilt = CameraTilt(35.0, 20.0, focal_length_px=FOCAL, source="metadata")
+    errors = DetectorErrors(boxes=BoxErrors(length_over_width=2 * 2.21))
+    before = rectified(_cars(tilt), tilt.plane(FACTS), DetectorErrors()).boxes
+    after = rectified(_cars(tilt), tilt.plane(FACTS), errors).boxes
+    # A quarter of the log length is that which the width implies.
+    assert after[:, 2] == pytest.approx(2**0.25 * before[:, 2])
+    assert after[:, 2] / after[:, 3] == pytest.approx(2 * 2.21)

@@ -42,14 +42,20 @@ def _cars(
     return Detections(boxes, np.full(n, 0.9))
 
 
-def _suspected(detections: Detections) -> float | None:
-    return suspected_tilt(detections, WIDTH, height_px=HEIGHT, focal_px=FOCAL_PX)
+def _suspected(detections: Detections, log_size_sd: float = 0.11) -> float | None:
+    return suspected_tilt(detections, WIDTH, HEIGHT, focal_px=FOCAL_PX, log_size_sd=log_size_sd)
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 100.0, 190.0])
 @pytest.mark.parametrize("tilt_deg", [30.0, 40.0])
 def test_cars_that_grow_to_one_side_tell_the_tilt(tilt_deg: float, roll_deg: float) -> None:
     assert _suspected(_cars(tilt_deg, roll_deg=roll_deg)) == pytest.approx(tilt_deg, abs=5)
+
+
+def test_a_detector_with_uneven_boxes_shows_no_tilt() -> None:
+    detections = _cars(30.0)
+    assert _suspected(detections) is not None
+    assert _suspected(detections, log_size_sd=1.0) is None
 
 
 def test_at_nadir_no_fleet_seems_tilted() -> None:

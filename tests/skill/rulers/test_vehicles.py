@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.analyses import made_card
+from tests.analyses import log_sd, made_card
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Appearance, Detections
 from vehanchor.detection.detector import load_detector
@@ -22,8 +22,8 @@ from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, REGIONS, country_length
+from vehanchor.scale.density import Votes
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.reliability import APPEARANCE_LOG_SD
 
 _LENGTHS = [40.0, 41.0, 42.0, 40.0, 41.0, 90.0]
 
@@ -180,7 +180,8 @@ CARS_OF_4_4_M = Appearance(np.full(30, math.log(4.4)), np.full(30, 0.07), np.ful
 
 def test_without_a_region_the_appearance_gives_the_length(card: DetectorCard) -> None:
     reference = reference_length(card, Reference(), CARS_OF_4_4_M)
-    assert (reference.source, reference.log_sd) == ("appearance", APPEARANCE_LOG_SD)
+    assert reference.source == "appearance"
+    assert reference.log_sd == card.errors.appearance.log_sd
     assert reference.length_m == pytest.approx(4.4)
 
 
@@ -209,3 +210,76 @@ def test_of_two_cars_the_more_certain_one_counts_more(card: DetectorCard) -> Non
     shorter = gsd(0.99, 0.9)
     longer = gsd(0.9, 0.99)
     assert 1.02 * shorter < longer < 1.08 * shorter
+
+
+# --- The detector's own numbers
+
+
+def _with_errors(view: View, group: str, **numbers: Any) -> View:
+    """A view whose detector has other errors."""
+    errors = view.card.errors
+    changed = getattr(errors, group).model_copy(update=numbers)
+    update = {"errors": errors.model_copy(update={group: changed})}
+    return replace(view, card=view.card.model_copy(update=update))
+
+
+def test_a_wider_spread_of_boxes_widens_the_interval() -> None:
+    view = _view(_LENGTHS)
+    narrow = Vehicles().measure(_with_errors(view, "boxes", log_sd=0.1))
+    wide = Vehicles().measure(_with_errors(view, "boxes", log_sd=0.3))
+    assert log_sd(wide) > 1.1 * log_sd(narrow)
+
+
+def test_the_chance_of_wrong_vehicles_is_the_detectors() -> None:
+    view = _view(_fleet(30))
+    calibrated = view.card.model_copy(update={"votes": Votes(-13.0, 17.0)})
+    often_wrong = _with_errors(replace(view, card=calibrated), "vehicles", chance_wrong=0.2)
+    assert Vehicles().measure(often_wrong).chance_wrong == pytest.approx(0.2)
+
+
+def test_the_errors_of_coarse_vehicles_are_the_detectors() -> None:
+    view = _view(_fleet(30, mean_px=6.0))
+    exact = _with_errors(view, "vehicles", coarse_log_sd=0.0, coarse_chance_wrong=0.0)
+    assert Vehicles().measure(view).coarseness > 1.0
+    assert log_sd(Vehicles().measure(view)) > log_sd(Vehicles().measure(exact))
+    assert Vehicles().measure(view).chance_wrong > Vehicles().measure(exact).chance_wrong
+
+
+@pytest.mark.parametrize("limits", [{"min_vehicles": 40}, {"log_sd": 0.001}])
+def test_the_limits_of_look_alikes_are_the_detectors(limits: dict[str, Any]) -> None:
+    alike = list(40.0 * np.exp(0.02 * np.linspace(-1.7, 1.7, 30)))
+    view = _searched(_view(alike))
+    assert _doubts(view)[0] == ["look_alikes"]
+    assert _doubts(_with_errors(view, "look_alikes", **limits))[0] == []
+
+
+def test_the_least_logit_of_cars_is_the_detectors() -> None:
+    view = _searched(_view(_fleet(30)), appearance=CARS_OF_4_4_M)
+    assert _doubts(view)[0] == []
+    assert _doubts(_with_errors(view, "look_alikes", min_mean_logit=5.0))[0] == ["look_alikes"]
+
+
+@pytest.mark.parametrize("region", [None, "NP"])
+def test_the_errors_of_the_appearance_are_the_detectors(
+    card: DetectorCard, region: str | None
+) -> None:
+    appearance = card.errors.appearance.model_copy(update={"log_sd": 0.11, "log_mean": 0.0})
+    errors = card.errors.model_copy(update={"appearance": appearance})
+    other = card.model_copy(update={"errors": errors})
+    before = reference_length(card, Reference(region=region), CARS_OF_4_4_M)
+    after = reference_length(other, Reference(region=region), CARS_OF_4_4_M)
+    assert after.log_sd > 1.2 * before.log_sd
+    assert after.log_mean == 0.0
+
+
+@pytest.mark.parametrize(
+    "numbers", [{"fair_odds": 2000.0, "doubt_power": 0.5}, {"doubt_power": 1.0}]
+)
+def test_the_doubt_of_an_appearance_is_the_detectors(
+    card: DetectorCard, numbers: dict[str, float]
+) -> None:
+    view = replace(_view(_fleet(30)), card=card)
+    view = replace(view, detections=replace(view.detections, appearance=CARS_OF_4_4_M))
+    before = log_sd(Vehicles().measure(view))
+    after = log_sd(Vehicles().measure(_with_errors(view, "appearance", **numbers)))
+    assert after > before

@@ -29,7 +29,7 @@ def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
     likelihood = np.prod(1 + odds[:, None] * normal, axis=0)
     expected = likelihood / likelihood.sum()
     np.testing.assert_allclose(
-        vehicle_likelihood(lengths, scores, lengths_m=4.5, votes=_VOTES),
+        vehicle_likelihood(lengths, scores, lengths_m=4.5, votes=_VOTES, log_sds=0.12),
         expected,
         atol=0.03 * expected.max(),
     )
@@ -37,8 +37,8 @@ def test_the_binned_votes_are_the_product_of_the_boxes_likelihoods() -> None:
 
 def test_a_box_of_a_low_score_says_less_than_one_of_a_high_score() -> None:
     votes = Votes(-13.76, 17.4)
-    low = vehicle_likelihood([30.0], [0.6], lengths_m=4.5, votes=votes)
-    high = vehicle_likelihood([30.0], [0.95], lengths_m=4.5, votes=votes)
+    low = vehicle_likelihood([30.0], [0.6], lengths_m=4.5, votes=votes, log_sds=0.12)
+    high = vehicle_likelihood([30.0], [0.95], lengths_m=4.5, votes=votes, log_sds=0.12)
     assert low.max() < high.max()
     assert low.max() < 1.5 * low.min()
 

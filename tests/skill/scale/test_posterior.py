@@ -19,7 +19,7 @@ from vehanchor.scale.density import (
     vehicle_likelihood,
 )
 from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judge
-from vehanchor.scale.reliability import APPEARANCE_LOG_MEAN, APPEARANCE_LOG_SD, CALLER, Shared
+from vehanchor.scale.reliability import CALLER, Shared
 
 VOTES = Votes(-13.76, 17.4)
 LENS = Shared("lens", 0.03)
@@ -37,11 +37,11 @@ def _cars(n: int, gsd: float = 0.12, *, spread: float = 0.1, score: float = 0.95
     if n > 1:
         log_offsets = spread * np.linspace(-1, 1, n)
     lengths = 4.5 / gsd * np.exp(log_offsets)
-    votes = vehicle_likelihood(lengths, np.full(n, score), lengths_m=4.5, votes=VOTES)
+    votes = vehicle_likelihood(lengths, np.full(n, score), lengths_m=4.5, votes=VOTES, log_sds=0.12)
     return Witness(
         "vehicles",
         gsd,
-        right=blurred(votes, APPEARANCE_LOG_SD, APPEARANCE_LOG_MEAN),
+        right=blurred(votes, 0.055, -0.015),
         chance_wrong=0.01,
     )
 

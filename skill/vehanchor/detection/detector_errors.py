@@ -1,0 +1,198 @@
+"""Errors of a detector and of its auxiliary models, measured on images of known scale.
+
+They stand in ``<stem>.errors.toml`` beside the detector's file. Numbers that this file does not
+state have the defaults of the classes below. These are the numbers of the bundled detector, each a
+choice for any other one, except for the spread of one car's box: nobody has measured it, so that
+the default is the upper end of the bundled detector's range by place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from vehanchor.errors import ModelContractError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MAX_FILE_BYTES = 1 << 20
+# The smallest spread: its square must not vanish in a denominator.
+_MIN_SD = 0.001
+
+_Spread = Annotated[float, Field(ge=_MIN_SD, le=2.0)]
+_Chance = Annotated[float, Field(ge=0.0, le=1.0)]
+_Ratio = Annotated[float, Field(ge=1.0, le=10.0)]
+_LogOdds = Annotated[float, Field(ge=-50.0, le=50.0)]
+# Limit or spread of differences of logits.
+_Difference = Annotated[float, Field(ge=_MIN_SD, le=50.0)]
+
+
+class _Errors(BaseModel):
+    """Frozen record of finite numbers; a field that does not exist is refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class BoxErrors(_Errors):
+    """Errors of the detector's boxes.
+
+    Attributes:
+        length_over_width: proportions of boxes at nadir.
+        log_sd: standard deviation of the log length of one car's box around its fleet, if its
+            appearance is not used.
+        log_size_sd: standard deviation of the log of the square root of box areas within one fleet.
+    """
+
+    length_over_width: _Ratio = 2.21
+    log_sd: _Spread = 0.145
+    log_size_sd: _Spread = 0.11
+
+
+class VehicleErrors(_Errors):
+    """Errors of all vehicles of an image as a ruler.
+
+    Attributes:
+        chance_wrong: chance that the vehicles do not show the scale; used with calibrated votes.
+        coarse_log_sd: standard deviation of the log scale of too coarse vehicles, per log of their
+            coarseness.
+        coarse_chance_wrong: chance that their scale is wrong, per log of their coarseness.
+    """
+
+    chance_wrong: _Chance = 0.01
+    coarse_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.5
+    coarse_chance_wrong: _Chance = 0.33
+
+
+class AppearanceErrors(_Errors):
+    """Errors of the chip network.
+
+    Attributes:
+        length_over_width: proportions of bodies at nadir.
+        log_sd: standard deviation, between places, of the log of a fleet's length by its
+            appearance.
+        log_mean: mean error of that log.
+        fair_odds: odds of a car at which its length by appearance errs as the network states.
+        doubt_power: power of that error at other odds.
+    """
+
+    length_over_width: _Ratio = 2.6
+    log_sd: _Spread = 0.055
+    log_mean: Annotated[float, Field(ge=-1.0, le=1.0)] = -0.015
+    fair_odds: Annotated[float, Field(ge=0.001, le=1e6)] = 20.0
+    doubt_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.125
+
+
+class LookAlikeLimits(_Errors):
+    """Limits from which vehicles may be equal things that are not cars.
+
+    Attributes:
+        min_vehicles: number of vehicles from which they are judged.
+        log_sd: spread of log lengths below which vehicles are alike.
+        min_mean_logit: mean logit of the chip network below which vehicles look unlike cars.
+    """
+
+    min_vehicles: Annotated[int, Field(ge=2, le=100_000)] = 20
+    log_sd: _Spread = 0.045
+    min_mean_logit: _LogOdds = 2.0
+
+
+class StretchLimits(_Errors):
+    """Limits from which the networks' preference for other proportions shows a stretched image.
+
+    Attributes:
+        vehicle_sd: least standard deviation of the verifier's preferences of single vehicles.
+        image_sd: standard deviation of their mean between images of true proportions.
+        limit_sds: standard deviations of the mean from which an image is stretched.
+        few_parallel_limit: preference of the chip network from which an image with few parallel
+            vehicles is stretched.
+        few_crossed_limit: the same for vehicles that are not parallel.
+    """
+
+    vehicle_sd: _Difference = 0.7
+    image_sd: _Difference = 0.55
+    limit_sds: _Difference = 2.75
+    few_parallel_limit: _Difference = 0.7
+    few_crossed_limit: _Difference = 0.28
+
+
+class TilePriorOdds(_Errors):
+    """Odds that a part of an image shows cars, by its edges; the search begins where they are high.
+
+    Attributes:
+        log_odds_at_one: log odds at a mean gradient of 1 grey level per pixel.
+        log_odds_slope: their slope over the log of the gradient.
+    """
+
+    log_odds_at_one: _LogOdds = -7.2
+    log_odds_slope: _LogOdds = 3.08
+
+
+class DetectorErrors(_Errors):
+    """Errors of a detector and of its auxiliary models.
+
+    Attributes:
+        boxes: errors of the detector's boxes.
+        vehicles: errors of all vehicles of an image as a ruler.
+        appearance: errors of the chip network.
+        look_alikes: limits from which vehicles may be equal things that are not cars.
+        stretch: limits from which the networks show a stretched image.
+        tile_prior: odds that a part of an image shows cars.
+    """
+
+    boxes: BoxErrors = BoxErrors()
+    vehicles: VehicleErrors = VehicleErrors()
+    appearance: AppearanceErrors = AppearanceErrors()
+    look_alikes: LookAlikeLimits = LookAlikeLimits()
+    stretch: StretchLimits = StretchLimits()
+    tile_prior: TilePriorOdds = TilePriorOdds()
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the numbers, whatever file states them."""
+        numbers = json.dumps(self.model_dump(), sort_keys=True)
+        return hashlib.sha256(numbers.encode()).hexdigest()
+
+    def length_over_width(self, *, of_bodies: bool) -> float:
+        """Return the proportions of the boxes of bodies, or of the detector's own boxes."""
+        if of_bodies:
+            return self.appearance.length_over_width
+        return self.boxes.length_over_width
+
+
+def read_detector_errors(path: Path) -> DetectorErrors:
+    """Read a file of errors; numbers that it does not state have their defaults.
+
+    Raises:
+        ModelContractError: the file cannot be read, or a number is invalid; the message names it.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(_MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise _refusal(path, f"it cannot be read ({error.strerror})") from None
+    if len(content) > _MAX_FILE_BYTES:
+        raise _refusal(path, f"it is larger than {_MAX_FILE_BYTES} bytes")
+    try:
+        table = tomllib.loads(content.decode())
+    # Too many brackets raise the last one; the others are ValueErrors.
+    except (ValueError, RecursionError) as error:
+        raise _refusal(path, f"it is not TOML ({error})") from None
+    try:
+        return DetectorErrors.model_validate(table)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(map(str, first["loc"]))
+        raise _refusal(path, f"{field}: {first['msg']}") from None
+
+
+def _refusal(path: Path, problem: str) -> ModelContractError:
+    """Create the error of a file that does not state a detector's errors."""
+    return ModelContractError(
+        f"the detector's errors in {path} cannot be used: {problem}. Correct the file, or remove "
+        "it to use the defaults"
+    )
