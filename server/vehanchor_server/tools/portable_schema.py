@@ -75,9 +75,10 @@ def listed(
 ) -> dict[str, Any]:
     """Reduce a portable schema to the names, types and required fields that a model needs.
 
-    Fields that their declaration marks as unlisted are left out, at any depth. Optional arguments lose their null type. A
-    union of an object and a text becomes the text, which every host passes unchanged. The server
-    still checks the limits that are dropped here. A value of the listed shape has a valid shape.
+    Fields that their declaration marks as unlisted are left out, at any depth. Optional arguments
+    lose their null type. A union of an object and a text becomes the text, which every host passes
+    unchanged. The server still checks the limits that are dropped here. A value of the listed shape
+    has a valid shape.
 
     Args:
         node: the portable schema.
