@@ -40,6 +40,7 @@ class Camera(Ruler):
     kind = "camera"
     label = "camera metadata"
     plural = True
+    help = "height above take-off and focal length in the file"
     colour = "#E69F00"
     pooling_gain = 0.0  # one camera and one take-off: one error
     reads_metadata = True

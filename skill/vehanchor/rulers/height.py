@@ -30,6 +30,7 @@ class GivenHeight(Ruler):
 
     kind = "height"
     label = "given height"
+    help = "the height above the ground that you give, and a focal length"
     colour = "#CC79A7"
     pooling_gain = 0.0  # one height: one error
     fact = "height_m"

@@ -41,6 +41,7 @@ class KnownLengths(Ruler):
 
     kind = "known_length"
     label = "known length"
+    help = "lines that you draw, and their metres or what they measure"
     colour = "#009E73"
     fact = "known_lengths"
     uses_plane = True

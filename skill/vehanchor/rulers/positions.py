@@ -41,6 +41,7 @@ class Positions(Ruler):
     kind = "positions"
     label = "positions"
     plural = True
+    help = "photographs of a flight with positions in their metadata"
     colour = "#56B4E9"
     reads_metadata = True
     uses_plane = True

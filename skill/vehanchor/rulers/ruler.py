@@ -88,6 +88,7 @@ class Ruler:
         kind: name in options and records.
         label: name in messages and pictures, as a noun.
         plural: whether the label is a plural.
+        help: what the ruler needs, in a few words.
         colour: colour of its curve in plots, ``#rrggbb``.
         pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same
             error, 1 if their errors are independent. None: the ruler measures the boxes of all
@@ -104,6 +105,7 @@ class Ruler:
 
     kind: ClassVar[str]
     label: ClassVar[str]
+    help: ClassVar[str]
     plural: ClassVar[bool] = False
     colour: ClassVar[str] = "#8C6D31"
     pooling_gain: ClassVar[float | None] = 0.5

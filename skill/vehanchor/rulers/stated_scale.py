@@ -19,6 +19,7 @@ class StatedScale(Ruler):
 
     kind = "stated_scale"
     label = "stated scale"
+    help = "a scale from elsewhere, such as a map or a sister photograph"
     colour = "#56B4E9"
     pooling_gain = 0.0  # one statement: one error
     fact = "stated_scale"

@@ -371,6 +371,7 @@ class Vehicles(Ruler):
     kind = "vehicles"
     label = "vehicles"
     plural = True
+    help = "cars"
     colour = "#0072B2"
     pooling_gain = None
     needs_search = True
