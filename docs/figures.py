@@ -1,14 +1,17 @@
 """Draw the icons and the figures of the documentation from real runs.
 
-Run ``python -m docs.figures`` in the root of the repository.
+Run ``python -m docs.figures`` in the root of the repository; ``python -m docs.figures
+image_to_number`` draws one of them.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -21,12 +24,14 @@ from research.scenes import Scene, SceneVehicle, render_scene
 from vehanchor import analyse_scale
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners, oriented_iou
+from vehanchor.records.text import significant
 from vehanchor.scale.lengths import modal_density
 
 ROOT = Path(__file__).parent.parent
 IMAGE = ROOT / "examples" / "car_park.jpg"
 PAGE_IMAGE = ROOT / "examples" / "scenes" / "safe.jpg"
 IMAGES = ROOT / "docs" / "images"
+METHOD_FIGURE = IMAGES / "image_to_number.png"
 # What the page measures: tool, start and end in pixels of the image.
 MEASURED = (
     ("Area", (255, 160), (535, 470)),
@@ -39,7 +44,6 @@ ICONS = {
 }
 # Rows and columns of the image that the first panel shows.
 CROP = (slice(250, 510), slice(380, 760))
-TRUE_GSD = 0.12
 HIT_IOU = 0.5
 # A detection that overlaps a difficult vehicle at least so much is neither a hit nor a false alarm.
 EXCUSED_IOU = 0.1
@@ -63,6 +67,15 @@ def draw(analysis: ScaleAnalysis, pixels: np.ndarray) -> Figure:
     return figure
 
 
+def drawn_texts(figure: Figure) -> list[str]:
+    """List the titles and texts of the panels, as they are drawn."""
+    texts = []
+    for axes in figure.axes:
+        texts.append(axes.get_title(loc="left"))
+        texts += [text.get_text() for text in axes.texts]
+    return texts
+
+
 def _draw_boxes(axes: Axes, analysis: ScaleAnalysis, pixels: np.ndarray) -> None:
     rows, columns = CROP
     extent = (columns.start, columns.stop, rows.stop, rows.start)
@@ -82,6 +95,7 @@ def _outline(axes: Axes, corners: np.ndarray, colour: str, width: float) -> None
 def _draw_lengths(axes: Axes, analysis: ScaleAnalysis) -> None:
     estimate = analysis.estimate
     assert estimate.mode_length_px is not None
+    assert estimate.details.aggregation is not None
     kept = analysis.detections.boxes[analysis.kept, 2]
     scores = analysis.detections.scores[analysis.kept]
     grid = np.linspace(kept.min() * 0.9, kept.max() * 1.1, 400)
@@ -99,16 +113,23 @@ def _write_scale(axes: Axes, analysis: ScaleAnalysis) -> None:
     estimate = analysis.estimate
     assert estimate.gsd_m_per_px is not None
     assert estimate.mode_length_px is not None
-    low = estimate.gsd_ci95_low_m_per_px
-    high = estimate.gsd_ci95_high_m_per_px
+    assert estimate.gsd_ci95_low_m_per_px is not None
+    assert estimate.gsd_ci95_high_m_per_px is not None
+    assert estimate.details.reference_length_m is not None
     by_vehicles = next(ruler.gsd_m_per_px for ruler in estimate.rulers if ruler.kind == "vehicles")
+    assert by_vehicles is not None
+    scene = json.loads(IMAGE.with_suffix(".json").read_text())
+    # The command prints the same digits.
+    length_m = significant(estimate.details.reference_length_m, 4)
+    low = significant(estimate.gsd_ci95_low_m_per_px, 4)
+    high = significant(estimate.gsd_ci95_high_m_per_px, 4)
     lines = (
-        f"{estimate.details.reference_length_m:.2f} m  /  {estimate.mode_length_px:.1f} px",
-        f"= {by_vehicles:.3f} m/px",
-        f"with the other rulers: {estimate.gsd_m_per_px:.3f}",
-        f"95 %: {low:.3f} to {high:.3f}",
+        f"{length_m} m  /  {estimate.mode_length_px:.1f} px",
+        f"= {significant(by_vehicles, 4)} m/px",
+        f"with the other rulers: {significant(estimate.gsd_m_per_px, 4)}",
+        f"95 %: {low} to {high}",
         f"confidence {estimate.confidence:.2f}",
-        f"true scale: {TRUE_GSD:.3f}",
+        f"true scale: {significant(scene['gsd_m_per_px'], 4)}",
     )
     for i, line in enumerate(lines):
         size = 15 if i < 2 else 11
@@ -230,19 +251,46 @@ def _draw_block(
             cv2.circle(icon, (x, y), radius, colour, -1)
 
 
-def main() -> None:
-    """Write the icons of server and bundle, and the images of ``docs/images``."""
+def write_icons() -> None:
+    """Write the icons of server and bundle."""
     for icon, side_px in ICONS.items():
         cv2.imwrite(str(icon), draw_icon(side_px), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def write_image_to_number() -> None:
+    """Write the figure of the method; its description has the texts, for a test to compare."""
     pixels = cv2.imread(str(IMAGE))
     assert pixels is not None
     figure = draw(analyse_scale(IMAGE), pixels[:, :, ::-1])
-    figure.savefig(IMAGES / "image_to_number.png")
+    description = "\n".join(drawn_texts(figure))
+    figure.savefig(METHOD_FIGURE, metadata={"Description": description})
+
+
+def write_hits_and_misses() -> None:
+    """Write the figure of hits and misses."""
     scene = render_scene(0.15, width_px=800, height_px=800, seed=5, layout="urban")
     figure = draw_hits_and_misses(scene)
     figure.savefig(IMAGES / "hits_and_misses.jpg", pil_kwargs={"quality": 88})
+
+
+def write_page() -> None:
+    """Write the screenshot of the page."""
     photograph_page(PAGE_IMAGE, IMAGES / "page.jpg")
 
 
+WRITERS = {
+    "icons": write_icons,
+    "image_to_number": write_image_to_number,
+    "hits_and_misses": write_hits_and_misses,
+    "page": write_page,
+}
+
+
+def main(names: Sequence[str]) -> None:
+    """Write the named icons and figures; all of them without a name."""
+    for name in names or WRITERS:
+        WRITERS[name]()
+
+
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

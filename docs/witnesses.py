@@ -207,6 +207,11 @@ def draw(analysis: ScaleAnalysis, pixels: NDArray[np.uint8], true_gsd_m_per_px: 
     return figure
 
 
+def picture_of(example: Example) -> Path:
+    """Return the path of the picture of a scene."""
+    return IMAGES / f"witnesses_{example.name}.jpg"
+
+
 def main() -> None:
     """Write ``docs/images/witnesses_*.jpg``, and print the records."""
     engine = Engine()
@@ -214,8 +219,9 @@ def main() -> None:
         analysis = engine.analyse_scale(example.image, **example.options)
         print(f"{example.name}: {sentence(analysis)}")
         figure = draw(analysis, pixels_of(example.image), example.true_gsd_m_per_px)
-        path = IMAGES / f"witnesses_{example.name}.jpg"
-        figure.savefig(path, pil_kwargs={"quality": 82, "optimize": True})
+        # A test compares the comment with the answer of the present version.
+        options = {"quality": 82, "optimize": True, "comment": sentence(analysis)}
+        figure.savefig(picture_of(example), pil_kwargs=options)
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ def with_tilt(view: View) -> View:
     return replace(view, tilt=metadata_tilt(view.image, view.options))
 
 
-def told(witness: Witness | None) -> Witness:
+def found_witness(witness: Witness | None) -> Witness:
     """Return a witness; fail for a ruler that has nothing to report."""
     assert witness is not None
     return witness
@@ -87,7 +87,7 @@ def told(witness: Witness | None) -> Witness:
 
 def measured(ruler: Ruler, view: View) -> Witness:
     """Measure with a ruler that has something to report."""
-    return told(ruler.measure(view))
+    return found_witness(ruler.measure(view))
 
 
 def log_sd(witness: Witness) -> float:

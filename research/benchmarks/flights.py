@@ -29,8 +29,8 @@ from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.photograph import (
     Photograph,
     StoredPhotograph,
-    chief_member,
     per_photograph_witnesses,
+    reference_member,
 )
 from vehanchor_flight.record import Failure, conclude_flight
 from vehanchor_flight.records import FlightEstimate
@@ -104,7 +104,7 @@ def searched_photographs(
 
 def pooled_flight(photographs: Sequence[Photograph], detector: Detector) -> FlightEstimate:
     """Make the record of photographs of one scale."""
-    component = single_component(range(len(photographs)), chief_member(photographs))
+    component = single_component(range(len(photographs)), reference_member(photographs))
     return conclude_flight(photographs, [component], detector.card, same_scale=True)
 
 

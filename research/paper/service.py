@@ -12,7 +12,7 @@ import typer
 from research.paper.vlm_api import Budget, Provider, open_api, reply_journal
 from vehanchor.cli.terminal import exit_on_error
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.commands.request import fields_of, with_signature
+from vehanchor_evaluation.commands.request import as_command, fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,7 +49,7 @@ def plain_command(
             with exit_on_error():
                 command(request(**typed))
 
-        return with_signature(run, command, fields_of(request))
+        return as_command(run, command, fields_of(request))
 
     return decorate
 

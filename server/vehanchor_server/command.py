@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vehanchor.cli.terminal import exit_on_error
+from vehanchor.options.signature import set_signature
 from vehanchor_server.settings import Settings
 
 if TYPE_CHECKING:
@@ -43,9 +44,7 @@ def _with_settings(
             panel = _PANELS.get(setting.name, panel)
             if names is None or setting.name in names:
                 parameters.append(_parameter(setting.name, setting.default, panel))
-        # Typer reads these two.
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        set_signature(command, parameters)
         return command
 
     return decorate

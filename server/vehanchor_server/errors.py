@@ -22,7 +22,12 @@ The library's codes (``vehanchor.errors``) pass through unchanged. The server ad
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from vehanchor.records.escaping import on_one_line
+
+if TYPE_CHECKING:
+    from vehanchor.errors import VehAnchorError
 
 WORKER_KILLED = "worker_killed"
 _SHOWN_CHARS = 80
@@ -52,3 +57,16 @@ class CallError(Exception):
     def explanation(self) -> str:
         """The message without the code."""
         return str(self).removeprefix(f"{self.code}: ")
+
+    @classmethod
+    def of(cls, error: VehAnchorError, message: str = "") -> CallError:
+        """Convert an error of the library: its code, and its message as one line.
+
+        Args:
+            error: the error.
+            message: replaces its message; empty for its own.
+        """
+        text = on_one_line(message or str(error))
+        if not text.endswith("."):
+            text += "."
+        return cls(error.code, text)

@@ -29,7 +29,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
-from vehanchor.measure.scale_source import given_scale
+from vehanchor.measure.scale_source import read_scale_argument
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
@@ -69,8 +69,8 @@ class Engine:
             ``Detector``, which keeps its own threads and providers; None for the bundled one.
         segmenter: paths of encoder and decoder, or a loaded ``Segmenter``; None for the bundled
             one.
-        classes: the detector's classes, by name or index, that count as vehicles; None for the
-            model's own.
+        classes: the detector's classes, by name or index, that count as vehicles, whichever
+            detector the engine or a call uses; None for the detector's own.
         options: default options of the method; keywords of a call replace single fields.
         runtime: threads and providers of the models; None for the CPU and all cores.
 
@@ -104,6 +104,7 @@ class Engine:
 
         Raises:
             ModelError: the detector cannot be used.
+            InvalidParameterError: the detector lacks one of the engine's classes.
         """
         return self._detector().under(self.runtime)
 
@@ -199,6 +200,8 @@ class Engine:
             CancelledError: the call was cancelled (``concurrent.futures``).
         """
         engine, call_options = self.for_call(options, keywords)
+        if isinstance(image, list | tuple):
+            call_options.check_for_several_images()
         detector = checked_detector(engine.detector, call_options)
         if isinstance(image, list | tuple):
             return estimate_each(image, detector, call_options)
@@ -371,7 +374,7 @@ class Engine:
         options: ScaleOptions,
     ) -> ScaleInput:
         """Return the caller's scale, or the analysis that estimates one if there is none."""
-        caller_scale = given_scale(gsd_m_per_px, scale, options)
+        caller_scale = read_scale_argument(gsd_m_per_px, scale, options)
         if caller_scale is not None:
             return caller_scale
         detector = checked_detector(self.detector, options)
@@ -396,16 +399,22 @@ def open_detector(
 ) -> Detector:
     """Open a detector.
 
+    Args:
+        source: a bundled model's name, a path, or a loaded detector, which keeps its runtime; None
+            for the bundled one.
+        classes: classes that count as vehicles, also of a loaded detector; None or empty keeps the
+            detector's own.
+        runtime: how to open it.
+
     Raises:
         ModelError: it cannot be used.
+        InvalidParameterError: the model lacks a class.
     """
     if isinstance(source, Detector):
-        return source
+        return source.with_classes(classes) if classes else source
     name = None if source is None else str(source)
     path = resolve_model(name)
-    if classes:
-        return Detector(path, classes=classes, runtime=runtime)
-    return load_detector(path, runtime)
+    return load_detector(path, runtime, classes=classes or None)
 
 
 def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.records.text import count
 from vehanchor_evaluation.area import area_trials, open_mask_log, segment_entries, summarise_area
 from vehanchor_evaluation.area_report import area_report
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from vehanchor.detection.detector import Detector
+    from vehanchor.engine import Engine
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
     from vehanchor.segmentation.segmenter import Segmenter
@@ -45,12 +47,9 @@ class AreaRun:
 
 def measure_areas(
     data: AreaSet,
-    detector: Detector,
-    segmenter: Segmenter,
-    options: ScaleOptions,
+    engine: Engine,
     *,
     logs: Path | None = None,
-    classes: Sequence[str | int] | None = None,
     limit: int | None = None,
     workers: int | None = None,
     progress: Callable[[str], Callable[[int, int], None] | None] | None = None,
@@ -59,19 +58,20 @@ def measure_areas(
 
     Args:
         data: the objects.
-        detector: finds the vehicles.
-        segmenter: finds the objects.
-        options: options of the estimate.
+        engine: finds the vehicles and the objects, with its options of the estimate.
         logs: folder for logs that let a later run resume; None keeps no logs.
-        classes: detector classes that count as vehicles, as when the detector was opened.
         limit: measure only the first entries; categories alternate.
         workers: images in parallel, each held in memory; None chooses a number.
         progress: takes the name of the next step; returns a function of (done, total), or None.
 
     Raises:
-        InvalidParameterError: a file is not a log.
+        ModelError: a model cannot be used.
+        InvalidParameterError: a file is not a log, or the detector lacks the region.
         OutputError: a log cannot be written.
     """
+    options = engine.options
+    detector = checked_detector(engine.detector, options)
+    segmenter = engine.segmenter
     entries = data.entries[:limit]
     n_workers = workers or default_workers()
     step = progress or (lambda _: None)
@@ -95,7 +95,6 @@ def measure_areas(
         KnownScaleSet(str(data.source), tuple(images.values())),
         detector,
         options,
-        classes=classes,
         cache=detections_file,
         workers=n_workers,
         progress=step(count(len(images), "image")),

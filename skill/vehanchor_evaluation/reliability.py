@@ -56,7 +56,7 @@ class _Row(BaseModel):
 class ChanceRow(_Row):
     """Estimates with chances in one range: the mean of the chances against the outcome."""
 
-    low: float = Field(description="Least stated chance of an error below 20 %.")
+    low: float = Field(description="Smallest stated chance of an error below 20 %.")
     high: float = Field(description="Largest stated chance.")
     images: int = Field(ge=0, description="Estimates with such a chance.")
     stated: float | None = Field(description="Mean of their chances; null without any.")
@@ -98,8 +98,8 @@ class ReliabilityReport(_Row):
     by_vehicles: tuple[GroupRow, ...] = Field(description="By the number of vehicles found.")
     by_resolution: tuple[GroupRow, ...] = Field(description="By the true metres per pixel.")
     threshold: float | None = Field(
-        description="Least confidence from which on at most 1 % of at least 100 estimates are "
-        "wrong; null without one."
+        description="Smallest confidence at or above which at most 1 % of at least 100 estimates "
+        "are wrong; null without one."
     )
     threshold_images: int = Field(ge=0, description="Estimates with at least this confidence.")
     threshold_wrong: int = Field(ge=0, description="The wrong ones of these.")

@@ -111,10 +111,7 @@ _FORM = 5
 
 
 def open_detection_log(
-    path: Path | None,
-    detector: Detector,
-    options: ScaleOptions,
-    classes: Sequence[str | int] | None = None,
+    path: Path | None, detector: Detector, options: ScaleOptions
 ) -> DetectionLog:
     """Open the log of earlier searches with the same detector and options.
 
@@ -122,7 +119,6 @@ def open_detection_log(
         path: path of the file; None keeps results in memory only.
         detector: the detector.
         options: options of the search; options of the later stages are ignored.
-        classes: detector classes that count as vehicles; None for its default.
 
     Raises:
         InvalidParameterError: the file is not a log of this search.
@@ -133,7 +129,7 @@ def open_detection_log(
         "vehanchor": version("vehanchor"),
         "form": _FORM,
         "networks_sha256": networks_sha256(detector.card),
-        "classes": classes,
+        "classes": detector.classes,
         "search": search_options,
         "bands": options.reading.bands,
     }
@@ -219,7 +215,6 @@ def search_known_scale(
     detector: Detector,
     options: ScaleOptions,
     *,
-    classes: Sequence[str | int] | None = None,
     cache: Path | None = None,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -231,7 +226,6 @@ def search_known_scale(
             apply.
         detector: the detector.
         options: options of the search.
-        classes: detector classes that count as vehicles, as when the detector was opened.
         cache: log of the search, which lets a later run resume; None keeps no log.
         workers: images in parallel; None chooses a number.
         progress: called with (images done, total).
@@ -245,7 +239,7 @@ def search_known_scale(
         [image.path for image in data.images],
         detector,
         options,
-        log=open_detection_log(cache, detector, options=options, classes=classes),
+        log=open_detection_log(cache, detector, options),
         workers=workers or default_workers(),
         progress=progress,
     )

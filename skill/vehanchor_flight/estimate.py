@@ -26,7 +26,12 @@ from vehanchor_flight.components import single_component
 from vehanchor_flight.features import find_features
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.linking import link_photographs
-from vehanchor_flight.photograph import Photograph, StoredPhotograph, chief_member, photograph_codec
+from vehanchor_flight.photograph import (
+    Photograph,
+    StoredPhotograph,
+    photograph_codec,
+    reference_member,
+)
 from vehanchor_flight.record import Failure, conclude_flight
 
 if TYPE_CHECKING:
@@ -56,7 +61,7 @@ def conclude(
     indices = [index for index, result in enumerate(results) if isinstance(result, Photograph)]
     members = [result for result in results if isinstance(result, Photograph)]
     if same_scale:
-        component = single_component(indices, chief_member(members))
+        component = single_component(indices, reference_member(members))
         return conclude_flight(results, [component], card, same_scale=True)
     features = [member.features for member in members if member.features is not None]
     linked, links = link_photographs(members, features)
@@ -94,7 +99,7 @@ def search_flight(
     Raises:
         ImageError: no photograph is given, or none can be used.
     """
-    report_progress = detector.runtime.tell
+    report_progress = detector.runtime.report_progress
     silent_detector = detector.under(replace(detector.runtime, progress=None))
     results: list[Photograph | Failure] = []
     n_photographs = len(inputs) if isinstance(inputs, Sized) else 0
@@ -218,11 +223,7 @@ def check_options(options: ScaleOptions) -> None:
     """
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: leave it out for a flight")
-    if options.rulers.known_lengths:
-        raise InvalidParameterError(
-            "a line of known length belongs to one image: estimate that image by itself"
-        )
-    options.by_hand.check_single()
+    options.check_for_several_images()
 
 
 def journal_key(photograph: InputPhotograph) -> Key | None:
@@ -273,6 +274,9 @@ def resumable_journal(
         **asdict(options),
     }
     del settings["frame"]
+    # Journals of runs with the model's own classes have no such setting.
+    if detector.classes is not None:
+        settings["classes"] = detector.classes
     if lines:
         settings["lines_of"] = {
             photograph: [asdict(line) for line in own_lines]

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.rulers.active import uses
-from vehanchor.rulers.positions import Positions, baseline, places_of
+from vehanchor.rulers.positions import Positions, baseline, camera_positions_m
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.components import Component
 from vehanchor_flight.graph import Link, Unary, solve, tilt_share
 from vehanchor_flight.layout import lay_out
 from vehanchor_flight.matching import Overlap, match
 from vehanchor_flight.pairs import candidate_pairs
-from vehanchor_flight.photograph import chief_member
+from vehanchor_flight.photograph import reference_member
 from vehanchor_flight.records import FlightLink
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def _positions(photographs: Sequence[Photograph]) -> NDArray[np.float64] | None:
     rulers = photographs[0].view.options.rulers
     if not uses(rulers, Positions.kind):
         return None
-    return places_of([photograph.view.image for photograph in photographs])
+    return camera_positions_m([photograph.view.image for photograph in photographs])
 
 
 def _match_candidates(
@@ -231,7 +231,7 @@ def _component(
         number, in diagonals of a photograph.
     """
     members = [photographs[index] for index in subgraph.members]
-    reference = chief_member(members)
+    reference = reference_member(members)
     # The layout counts the members, and overlaps count all photographs.
     index_in_component = {index: k for k, index in enumerate(subgraph.members.tolist())}
     own_overlaps = {

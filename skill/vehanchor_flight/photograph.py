@@ -128,7 +128,7 @@ def constant_detail_share(share: float) -> Callable[[NDArray[np.float64], float]
     return detail_share
 
 
-def chief_member(members: Sequence[Photograph]) -> int:
+def reference_member(members: Sequence[Photograph]) -> int:
     """Find the index of the photograph with the most vehicles; the first of equals."""
     return int(np.argmax([member.analysis.estimate.n_vehicles or 0 for member in members]))
 

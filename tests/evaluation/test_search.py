@@ -129,7 +129,7 @@ def test_a_log_belongs_to_the_vehicle_classes(tmp_path: Path, detector: Path) ->
     plain = ScaleOptions()
     _search_one(file, model, options=plain, log=log)
     assert len(open_detection_log(log, model, plain)) == 1
-    assert len(open_detection_log(log, model, options=plain, classes=["car"])) == 0
+    assert len(open_detection_log(log, model.with_classes([0]), plain)) == 0
 
 
 def test_a_changed_file_is_searched_again(tmp_path: Path, detector: Path) -> None:

@@ -168,6 +168,8 @@ def test_each_frame_is_one_line_of_json(live: Any) -> None:
         (".", "--hold", "0"),
         (".", "--every", "nan"),
         (".", "--idle", "-1"),
+        ("100", "--idle", "0.2"),
+        ("9" * 5000, "--idle", "0.2"),
     ],
 )
 def test_a_wrong_argument_is_refused_before_the_work(live: Any, arguments: tuple[str, ...]) -> None:

@@ -166,15 +166,28 @@ def test_a_journal_of_other_options_is_refused(
         estimate_flight(flight, same_scale=True, detector=detector, journal=journal, alpha=2.0)
 
 
+def _journal_of_an_interrupted_run(flight: list[str], detector: Detector, journal: Path) -> Path:
+    with pytest.raises(KeyboardInterrupt):
+        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=_stop)
+    return journal
+
+
 def test_a_journal_of_other_errors_of_the_detector_is_refused(
     flight: list[str], detector: Detector, tmp_path: Path
 ) -> None:
-    journal = tmp_path / "flight.journal"
-    with pytest.raises(KeyboardInterrupt):
-        estimate_flight(flight, same_scale=True, detector=detector, journal=journal, progress=_stop)
+    journal = _journal_of_an_interrupted_run(flight, detector, tmp_path / "flight.journal")
     errors = tmp_path / "errors.toml"
     errors.write_text("[boxes]\nlog_sd = 0.2\n")
     other = Detector(detector.path, errors=errors)
+    with pytest.raises(InvalidParameterError, match="unfinished run"):
+        estimate_flight(flight, same_scale=True, detector=other, journal=journal)
+
+
+def test_a_journal_of_other_classes_is_refused(
+    flight: list[str], detector: Detector, tmp_path: Path
+) -> None:
+    journal = _journal_of_an_interrupted_run(flight, detector, tmp_path / "flight.journal")
+    other = detector.with_classes([0])
     with pytest.raises(InvalidParameterError, match="unfinished run"):
         estimate_flight(flight, same_scale=True, detector=other, journal=journal)
 

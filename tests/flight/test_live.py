@@ -160,6 +160,15 @@ def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
+def test_an_error_of_the_camera_reaches_the_caller() -> None:
+    def open_camera() -> Film:
+        raise RuntimeError("the driver failed")
+
+    frames = camera_frames(open_camera, "camera 0", idle_s=5, tell=lambda _: None)
+    with pytest.raises(RuntimeError, match="the driver failed"):
+        next(frames)
+
+
 def test_a_video_gives_every_interval_in_its_own_time(tmp_path: Path) -> None:
     images = [np.full((48, 64, 3), 5 * level, np.uint8) for level in range(30)]
     path = write_film(tmp_path / "film.avi", images)

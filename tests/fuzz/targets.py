@@ -245,6 +245,7 @@ def _images() -> list[bytes]:
     images += _geotiffs(rgb)
     images += _images_with_holes(rgb)
     images += _raw_files()
+    images.append(blocks.HEIC)
     return images
 
 

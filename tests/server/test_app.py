@@ -82,7 +82,7 @@ async def test_a_hostile_name_reaches_a_model_on_one_line(
 
 
 CHARACTERS_A_TOKEN = 4
-LISTED = 2450
+LISTED = 2800
 # of text and structured content
 ESTIMATE = (80, 160)
 AREA = (130, 220)

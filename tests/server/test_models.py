@@ -151,6 +151,20 @@ def test_the_errors_of_an_own_detector_may_be_read_by_workers(
     assert errors in Models(Settings(detector=str(own))).files()
 
 
+def test_a_missing_detector_has_no_networks_beside_the_segmenter(
+    segmenter_paths: SamFiles, tmp_path: Path
+) -> None:
+    encoder, decoder = (tmp_path / Path(path).name for path in segmenter_paths)
+    for path, copy in zip(segmenter_paths, (encoder, decoder), strict=True):
+        copy.write_bytes(Path(path).read_bytes())
+    stranger = write_chip_network(encoder)
+    files = Models(
+        Settings(detector=str(tmp_path / "none.onnx"), segmenter=(encoder, decoder))
+    ).files()
+    assert encoder in files
+    assert stranger not in files
+
+
 def test_workers_do_without_the_sdk() -> None:
     modules = ["vehanchor_server.calls.worker_process", "vehanchor_server.resources", *SLOW_IMPORTS]
     script = f"import sys\nfor name in {modules}: __import__(name)\nprint('mcp' in sys.modules)"

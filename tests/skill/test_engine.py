@@ -315,3 +315,47 @@ def test_load_fails_for_a_missing_model(tmp_path: Path) -> None:
 def test_an_invalid_number_of_threads_is_refused(image: np.ndarray, threads: Any) -> None:
     with pytest.raises(InvalidParameterError, match="whole number from 1 to 256"):
         vehanchor.estimate_gsd(image, threads=threads)
+
+
+@pytest.fixture(scope="module")
+def ships(tmp_path_factory: pytest.TempPathFactory) -> Detector:
+    """A loaded detector that finds painted cars under the name of another class."""
+    path = tmp_path_factory.mktemp("ships") / "m.onnx"
+    return Detector(write_detector(path, names={0: "small vehicle", 1: "ship"}))
+
+
+def test_classes_hold_for_a_loaded_detector(ships: Detector, image: np.ndarray) -> None:
+    options = ScaleOptions.of(ALONE)
+    assert Engine(ships, options=options).estimate(image).status == "ok"
+    assert Engine(ships, options=options, classes=["ship"]).estimate(image).n_vehicles == 0
+
+
+def test_classes_hold_for_the_detector_of_a_call(
+    ships: Detector, files: Path, image: np.ndarray
+) -> None:
+    engine = Engine(files / "m.onnx", options=ScaleOptions.of(ALONE), classes=[0])
+    assert engine.replace(detector=ships).detector.classes == (0,)
+    assert engine.estimate(image, detector=ships).status == "ok"
+
+
+def test_a_loaded_detector_without_a_class_is_refused(ships: Detector, image: np.ndarray) -> None:
+    with pytest.raises(InvalidParameterError, match="tank"):
+        Engine(ships, classes=["tank"]).estimate(image)
+
+
+def test_a_detector_with_other_classes_shares_the_model(
+    ships: Detector, opened: list[type]
+) -> None:
+    ship = Engine(ships, classes=["ship"]).detector
+    assert ship.classes == ("ship",)
+    assert ships.classes is None
+    assert opened == []
+
+
+def test_a_detector_with_classes_is_loaded_once(
+    tmp_path: Path, image: np.ndarray, opened: list[type]
+) -> None:
+    path = write_detector(tmp_path / "m.onnx")
+    for _ in range(2):
+        Engine(path, options=ScaleOptions.of(ALONE), classes=["small vehicle"]).estimate(image)
+    assert opened == [Detector]

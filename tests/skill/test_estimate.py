@@ -120,9 +120,24 @@ def test_the_aggregation_can_be_the_mean(detector: Detector) -> None:
     assert estimate.mode_length_px == pytest.approx(np.mean([*fleet(30), 70.0]), abs=0.01)
 
 
-def test_the_reference_length_can_be_given(detector: Detector) -> None:
-    estimate = _estimate_with(detector, reference_length_m=4.0)
-    assert estimate.gsd_m_per_px == pytest.approx(4 / 30, rel=0.01)
+def test_a_given_reference_length_near_the_models_moves_the_scale(detector: Detector) -> None:
+    without = _estimate_with(detector)
+    guess = _estimate_with(detector, reference_length_m=4.8)
+    assert without.gsd_m_per_px is not None
+    assert guess.gsd_m_per_px is not None
+    assert 4.8 / 30 < guess.gsd_m_per_px < without.gsd_m_per_px
+
+
+def test_a_given_reference_length_that_no_car_has_is_named(detector: Detector) -> None:
+    without = _estimate_with(detector)
+    guess = _estimate_with(detector, reference_length_m=9.0)
+    assert guess.gsd_m_per_px == pytest.approx(without.gsd_m_per_px, rel=0.01)
+    assert "reference_length_unlikely" in [warning.code for warning in guess.warnings]
+
+
+def test_the_paper_takes_a_given_reference_length(detector: Detector) -> None:
+    estimate = _estimate_with(detector, preset="paper")
+    assert estimate.gsd_m_per_px == pytest.approx(5.045 / 30, rel=0.01)
 
 
 def test_the_region_gives_the_reference_length(detector: Detector) -> None:

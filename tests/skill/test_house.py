@@ -38,7 +38,7 @@ class Shape(NamedTuple):
 
 
 SHAPES = {
-    "vehanchor": Shape(floors=13, arrows=112, root_modules=3),
+    "vehanchor": Shape(floors=14, arrows=112, root_modules=3),
     "vehanchor_server": Shape(floors=9, arrows=48, root_modules=10),
 }
 # The rooms of the server, from the ground up: a room imports only rooms of lower floors.

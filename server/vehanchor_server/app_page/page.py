@@ -9,8 +9,10 @@ import base64
 import hashlib
 from functools import cache
 from importlib.resources import files
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
+from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.options import declared_options
 from vehanchor.rulers.standards import standards
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
@@ -102,6 +104,12 @@ def _options(names: Iterable[str]) -> str:
     return "".join(entries)
 
 
+def _accepted_files() -> str:
+    """Return what the browser's dialog offers: all images, and those that it may not know."""
+    suffixes = chain.from_iterable(IMAGE_FORMATS.values())
+    return ",".join(["image/*", *suffixes])
+
+
 def _assembled(
     styles: tuple[str, ...],
     scripts: tuple[str, ...],
@@ -131,6 +139,7 @@ def _assembled(
     page = _part("page.html")
     values = {
         "list": photograph_list,
+        "suffixes": _accepted_files(),
         "scale_arguments": " ".join(scale_arguments()),
         "regions": _options((*REGIONS, *COUNTRY_LENGTHS_M)),
         "known_sizes": _options(standards()),

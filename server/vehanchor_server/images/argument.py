@@ -40,7 +40,7 @@ ImageArgument = Annotated[
     AnyImage,
     Field(
         discriminator="kind",
-        description="The uncropped image; path: absolute, or below the root.",
+        description="The uncropped image. A path is absolute, or relative to an allowed folder.",
         examples=[{"kind": "path", "path": EXAMPLE_PATH}],
     ),
 ]

@@ -17,6 +17,8 @@ from urllib.parse import SplitResult, urljoin, urlsplit
 import anyio
 import httpcore2 as httpcore
 
+from vehanchor.errors import ImageTooLargeError
+from vehanchor.imagery.limits import check_bytes
 from vehanchor_server.errors import CallError, shortened
 
 if TYPE_CHECKING:
@@ -183,17 +185,15 @@ class Fetcher:
     async def _body(self, response: httpcore.Response) -> bytes:
         """Read the body; refuse one above the limit, at once if it declares its length."""
         declared = _header(response, b"content-length")
-        too_large = CallError(
-            "image_too_large",
-            f"the image has more than {self.max_bytes} bytes. Send a smaller one.",
-        )
-        if declared.isdigit() and int(declared) > self.max_bytes:
-            raise too_large
         body = bytearray()
-        async for chunk in response.aiter_stream():
-            body += chunk
-            if len(body) > self.max_bytes:
-                raise too_large
+        try:
+            if declared.isdigit():
+                check_bytes(int(declared), self.max_bytes)
+            async for chunk in response.aiter_stream():
+                body += chunk
+                check_bytes(len(body), self.max_bytes)
+        except ImageTooLargeError as error:
+            raise CallError.of(error) from None
         return bytes(body)
 
 

@@ -273,10 +273,14 @@ class PathAccess:
         if not stat.S_ISREG(resolved.stat().st_mode):
             raise _no_image(str(path))
         descriptor = os.open(resolved, _FILE_FLAGS)
-        is_same_path = resolved.resolve(strict=True) == resolved
-        if not is_same_path or not os.path.samestat(os.fstat(descriptor), resolved.stat()):
+        try:
+            # The file may be gone: then this raises.
+            is_same_path = resolved.resolve(strict=True) == resolved
+            if not is_same_path or not os.path.samestat(os.fstat(descriptor), resolved.stat()):
+                raise OSError("the path changed while it was opened")
+        except BaseException:
             os.close(descriptor)
-            raise OSError("the path changed while it was opened")
+            raise
         return _regular(descriptor, str(path))
 
 

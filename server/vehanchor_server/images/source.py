@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
-from vehanchor.errors import VehAnchorError
-from vehanchor.records.escaping import on_one_line
+from vehanchor.errors import ImageTooLargeError, VehAnchorError
+from vehanchor.imagery.limits import check_bytes
 from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import AnyImage, Base64Image, PathImage, UrlImage
 
@@ -100,11 +100,11 @@ class ImageSources:
                 )
             text = text[head.end() :]
         # Four characters hold three bytes; up to two of them are padding.
-        if len(text) * 3 // 4 > self.fetcher.max_bytes + 2:
-            raise CallError(
-                "image_too_large",
-                f"the image has more than {self.fetcher.max_bytes} bytes. Send a smaller one.",
-            )
+        min_bytes = len(text) * 3 // 4 - 2
+        try:
+            check_bytes(min_bytes, self.fetcher.max_bytes)
+        except ImageTooLargeError as error:
+            raise CallError.of(error) from None
         try:
             return base64.b64decode("".join(text.split()), validate=True)
         except (binascii.Error, ValueError) as error:
@@ -126,6 +126,4 @@ def library_errors(source: OpenedImage) -> Iterator[None]:
         message = str(error)
         if isinstance(source, str):
             message = message.replace(repr(source), "image").replace(source, "image")
-        if not message.endswith("."):
-            message += "."
-        raise CallError(error.code, on_one_line(message)) from error
+        raise CallError.of(error, message) from error

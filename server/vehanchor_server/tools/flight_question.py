@@ -42,7 +42,9 @@ MoreImagesArgument: TypeAlias = Annotated[
 ]
 SameScaleArgument: TypeAlias = Annotated[
     Flag,
-    Field(description="With more_images: all have one scale; otherwise their overlaps link them."),
+    Field(
+        description="Whether image and more_images all have one scale; if not, overlaps link them."
+    ),
 ]
 
 

@@ -39,8 +39,8 @@ _DESCRIPTION = (
     "Measures the area (square metres) and size of objects in a near-nadir aerial or satellite "
     "image: roof, pool, field, landing site. Give a tight box around each whole object; never "
     "estimate an area by eye. Also returns length, width, and inscribed_diameter_m, the largest "
-    "circle inside, for landings. ok needs a usable scale and a reliable mask; a 20 % error in "
-    f"scale is a 44 % error in area. {STATUS_RULES}"
+    "circle inside, for landings. Status ok requires a usable scale and a reliable mask. A 20 % "
+    f"error in scale is a 44 % error in area. {STATUS_RULES}"
 )
 
 _EXAMPLE = [{"box": {"x_min": 255, "y_min": 160, "x_max": 535, "y_max": 470}}]
@@ -58,7 +58,7 @@ def measure_area_tool(services: Services) -> "StrictTool":
             Field(
                 min_length=1,
                 max_length=MAX_TARGETS,
-                description="Box or points of each.",
+                description="Objects to measure: a box around each, or points on it.",
                 examples=[_EXAMPLE],
             ),
         ],

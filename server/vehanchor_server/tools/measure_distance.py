@@ -74,7 +74,7 @@ def measure_distance_tool(services: Services) -> "StrictTool":
             Field(
                 min_length=1,
                 max_length=MAX_TARGETS,
-                description="Each is measured separately.",
+                description="Lines to measure, each separately.",
                 examples=[_EXAMPLE],
             ),
         ],

@@ -17,16 +17,15 @@ if TYPE_CHECKING:
 
 POLICY = (
     "Act on the scale only if status is ok: it is right within 20 % in at least 9 of 10 such "
-    "photographs. "
-    "Otherwise use another ruler. no_scale: no ruler was found, gsd_m_per_px is null, never a "
-    "guess."
+    "photographs. Otherwise use another ruler. no_scale: no ruler was found, and gsd_m_per_px is "
+    "null, never a guess."
 )
 """The rule for planners in the description of ``estimate_gsd``."""
 
 STATUS_RULES = (
-    "status ok: use it, but compare the interval's low end with what you need. low_confidence: "
-    "do not act on it. "
-    "no_scale: only pixels. Scale arguments: see estimate_gsd."
+    "Status ok: use the value, but compare the low end of its interval with what you need. "
+    "low_confidence: do not act on the value. no_scale: the result is in pixels only. "
+    "estimate_gsd explains the scale arguments."
 )
 """The meaning of ``status`` in the descriptions of the measuring tools."""
 

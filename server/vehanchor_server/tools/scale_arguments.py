@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
 from vehanchor.options.option import UNLISTED, Option
 from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
+from vehanchor.options.signature import set_signature
 from vehanchor_server.calls.reply import Detail, PictureRequest
 
 if TYPE_CHECKING:
@@ -68,7 +69,6 @@ def with_options(
 
     def decorate(tool: Callable[..., Any]) -> Callable[..., Any]:
         annotations = _option_annotations(kind)
-        signature = _published_signature(tool, annotations)
 
         @functools.wraps(tool)
         async def with_caller_options(
@@ -82,11 +82,9 @@ def with_options(
                 picture = PictureRequest("plain" if shows_page else "")
             return await tool(**arguments, ctx=ctx, caller_options=given, picture=picture)
 
-        # The SDK derives the tool's schema from these two.
-        with_caller_options.__signature__ = signature  # type: ignore[attr-defined]
-        with_caller_options.__annotations__ = {
-            parameter.name: parameter.annotation for parameter in signature.parameters.values()
-        }
+        parameters = _published_parameters(tool, annotations)
+        returns = inspect.signature(tool).return_annotation
+        set_signature(with_caller_options, parameters, returns=returns)
         return with_caller_options
 
     return decorate
@@ -103,22 +101,21 @@ def _option_annotations(kind: str) -> dict[str, Any]:
     return annotations
 
 
-def _published_signature(
+def _published_parameters(
     tool: Callable[..., Any], annotations: Mapping[str, Any]
-) -> inspect.Signature:
-    """Return a tool's signature with the options in place of ``caller_options`` and ``picture``."""
-    signature = inspect.signature(tool)
+) -> list[inspect.Parameter]:
+    """List a tool's parameters with the options instead of ``caller_options`` and ``picture``."""
     parameters = []
-    for name, parameter in signature.parameters.items():
+    for name, parameter in inspect.signature(tool).parameters.items():
         if name not in ("caller_options", "picture"):
-            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+            parameters.append(parameter)
     for name, annotation in annotations.items():
         parameters.append(
             inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
             )
         )
-    return signature.replace(parameters=parameters)
+    return parameters
 
 
 def _optional(annotation: Any, option: Option) -> Any:
@@ -174,11 +171,11 @@ def resolve_source(
         VehAnchorError: the arguments contradict each other.
     """
     from vehanchor.analysis.pipeline import checked_detector
-    from vehanchor.measure.scale_source import given_scale
+    from vehanchor.measure.scale_source import read_scale_argument
 
     if caller_options.get("gsd_basis") == "measured":
         options = scale_options(caller_options, resources.settings, models=None)
-        scale = given_scale(options.rulers.gsd_m_per_px, None, options)
+        scale = read_scale_argument(options.rulers.gsd_m_per_px, None, options)
         assert scale is not None
         return options, scale
     options = scale_options(caller_options, resources.settings, models=resources.models)

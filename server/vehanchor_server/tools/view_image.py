@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from vehanchor_server.tools.strict_tool import CallToolResult, StrictTool
 
 _DESCRIPTION = (
-    "Shows an image, or a part of it, with a grid of pixel coordinates. View it before you give "
-    "coordinates, and a part for precise ones. With of, shows what a call of another tool saw: "
-    "numbered vehicles, masks, lines. Without both, lists the images."
+    "Shows an image, or a part of it, with a grid of pixel coordinates. View the image before you "
+    "give coordinates, and a part of it for precise ones. With of, it shows what a call of another "
+    "tool saw: numbered vehicles, masks, lines. Without image and of, it lists the images."
 )
 _MIN_SIDE_PX = 256
 _USUAL_SIDE_PX = 1024
@@ -48,7 +48,8 @@ _EXAMPLE_PART = {"x_min": 200, "y_min": 100, "x_max": 600, "y_max": 400}
 _IMAGES_PER_PAGE = 50
 
 _Part = Annotated[
-    Box | None, Field(description="Part to show; default all.", examples=[_EXAMPLE_PART])
+    Box | None,
+    Field(description="Part of the image to show. Default: all of it.", examples=[_EXAMPLE_PART]),
 ]
 _Side = Annotated[int, Limits(_MIN_SIDE_PX, _MAX_SIDE_PX, whole=True)]
 _Page = Annotated[int, Limits(1, whole=True), Field(description="Page of the list.")]
@@ -105,7 +106,8 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         ctx: Context[Any, Any],
         image: ImageArgument | None = None,
         of: Annotated[
-            PastCall | None, Field(description="Call to show, with its arguments.")
+            PastCall | None,
+            Field(description="Call of another tool, with its arguments, to show what it saw."),
         ] = None,
         part: _Part = None,
         coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",

@@ -25,8 +25,8 @@ from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse
 from starlette.routing import Route
 
-from vehanchor.errors import VehAnchorError
-from vehanchor.imagery.limits import read_checked_header
+from vehanchor.errors import ImageTooLargeError, VehAnchorError
+from vehanchor.imagery.file_check import check_file
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page.page import view_html
 from vehanchor_server.services import create_services
@@ -205,18 +205,18 @@ async def _store_dropped(request: Request, folder: Path, limits: ImageLimits) ->
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
+        # The rest of a file that is too large is not received.
         if len(data) > limits.max_bytes:
-            return PlainTextResponse(
-                f"{name} has more than {limits.max_bytes >> 20} MiB: reduce it", 413
-            )
+            break
 
     def read_at(offset: int, count: int) -> bytes:
         return bytes(data[offset : offset + count])
 
     try:
-        read_checked_header(read_at, limits)
+        check_file(read_at, len(data), name, limits=limits, on_disk=False)
     except VehAnchorError as error:
-        return PlainTextResponse(f"{name} is not a photograph to measure: {error}", 415)
+        status = 413 if isinstance(error, ImageTooLargeError) else 415
+        return PlainTextResponse(f"{name} cannot be measured: {error}", status)
     content_folder = folder / hashlib.sha256(data).hexdigest()[:16]
     is_full = len(list(folder.iterdir())) >= _MAX_DROPPED
     if is_full and not content_folder.exists():

@@ -42,7 +42,7 @@ from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.stated_scale import StatedScale
-from vehanchor.rulers.vehicles import measured_vehicles
+from vehanchor.rulers.vehicles import vehicle_witness
 from vehanchor.rulers.witnesses import disagreements, measure_all, with_doubts
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
@@ -225,7 +225,7 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
         CalibrationMismatchError: the calibration was made for another model.
     """
     witnesses = measure_all(view, earlier)
-    vehicles = measured_vehicles(witnesses)
+    vehicles = vehicle_witness(witnesses)
     notices: tuple[Notice, ...] = ()
     # The vehicles may show a tilt only if none is known.
     if view.tilt is None and vehicles is not None and vehicles.found:
@@ -249,7 +249,7 @@ def conclude(
         notices: notices of the tilt.
     """
     witnesses = with_doubts(_without_repetition(measured), notices)
-    vehicles = measured_vehicles(witnesses)
+    vehicles = vehicle_witness(witnesses)
     decided: Answer | None = None
     if view.options.method.preset == "paper":
         decision = _decision_by_paper(vehicles)
@@ -361,7 +361,7 @@ def _record(
 ) -> GsdEstimate:
     """Make the record of an image."""
     image = view.image
-    vehicles = measured_vehicles(witnesses)
+    vehicles = vehicle_witness(witnesses)
     gsd = decision.gsd_m_per_px
     interval = decision.interval
     n_vehicles = None
@@ -440,8 +440,8 @@ def _vehicle_details(vehicles: VehicleWitness | None) -> dict[str, Any]:
         "n_detections": len(vehicles.fleet.detections.boxes),
         "working_scale": vehicles.fleet.main_reduction,
         "aggregation": vehicles.aggregation,
-        "reference_length_m": vehicles.reference.length_m,
-        "reference_source": vehicles.reference.source,
+        "reference_length_m": vehicles.reference.stated_m,
+        "reference_source": vehicles.reference.stated_source,
         "resolution_guard": vehicles.paper.guarded,
         "composite_confidence": vehicles.paper.confidence,
         "confidence_terms": ConfidenceTerms(**vehicles.paper.terms._asdict()),

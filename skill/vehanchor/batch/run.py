@@ -26,11 +26,12 @@ from vehanchor.batch.engines.ray import ray_rows, require_ray
 from vehanchor.batch.row import ALL_COLUMNS, COLUMNS, BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
-from vehanchor.detection.detector import Detector, networks_sha256
+from vehanchor.detection.detector import networks_sha256
+from vehanchor.engine import Engine
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import bundled_models, resolve_model
+from vehanchor.models.zoo import bundled_models
 from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
 from vehanchor.records import SCHEMA_VERSION
@@ -138,16 +139,16 @@ def run_batch(
 
     with open_journal(table, job, anew=overwrite) as journal:
         # A key contains the state of its image, so the row of a replaced image is missing.
-        keys = {task.file: task.key() for task in tasks}
-        missing = [task for task in tasks if keys[task.file] not in journal]
+        keys = {task: task.key() for task in tasks}
+        missing = [task for task in tasks if keys[task] not in journal]
         n_resumed = len(tasks) - len(missing)
-        runtime.tell(n_resumed, len(tasks))
+        runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
         with closing(_compute_rows(engine, address, job, missing, workers=workers)) as new_rows:
-            for n_finished, row in enumerate(new_rows, start=n_resumed + 1):
-                journal.add(keys[row.file], row)
-                runtime.tell(n_finished, len(tasks))
-        keys_in_order = [keys[task.file] for task in tasks]
+            for n_finished, (task, row) in enumerate(new_rows, start=n_resumed + 1):
+                journal.add(keys[task], row)
+                runtime.report_progress(n_finished, len(tasks))
+        keys_in_order = [keys[task] for task in tasks]
         statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
         journal.remove()
     return BatchSummary(table, len(tasks), n_resumed, statuses=statuses, causes=causes)
@@ -177,7 +178,7 @@ def _check_arguments(
         Limits(least=1, whole=True).check("workers", workers)
     if options.frame.size is not None:
         raise InvalidParameterError("a frame belongs to one image: leave it out for a batch")
-    options.by_hand.check_single()
+    options.check_for_several_images()
 
 
 def _make_job(
@@ -191,10 +192,8 @@ def _make_job(
     # One thread per model: many single-threaded workers are faster than one with all threads.
     worker_runtime = replace(runtime.idle, threads=1)
     vehicle_classes = tuple(classes) if classes else None
-    name = None if detector is None else str(detector)
-    path = resolve_model(name)
-    loaded = Detector(path, classes=vehicle_classes, runtime=worker_runtime)
-    model = checked_detector(loaded, options)
+    engine = Engine(detector, classes=vehicle_classes, runtime=worker_runtime)
+    model = checked_detector(engine.detector, options)
 
     # Workers load the model again. On other machines of a cluster, bundled models may have other
     # paths, so workers find them by name.
@@ -215,7 +214,7 @@ def _compute_rows(
     tasks: Sequence[Task],
     *,
     workers: int | None,
-) -> Generator[BatchRow]:
+) -> Generator[tuple[Task, BatchRow]]:
     """Compute the rows of all tasks, in order of completion."""
     if not tasks:
         return

@@ -10,11 +10,11 @@ import cv2
 
 from vehanchor.analysis.pipeline import analyse_raster, checked_detector
 from vehanchor.batch.row import BatchRow
-from vehanchor.detection.detector import Detector, networks_sha256
+from vehanchor.detection.detector import networks_sha256
+from vehanchor.engine import Engine
 from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
-from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Key, Source
@@ -67,7 +67,8 @@ class Task:
     def key(self) -> Key:
         """Make the journal key of the row: name, path, size and time of the image.
 
-        The row of a file that has been replaced is not found under its new key.
+        The row of a file that has been replaced is not found under its new key. Two names that
+        escape to the same text have different paths, whose undecodable bytes JSON keeps.
         """
         return (self.file, *Source.of(self.path))
 
@@ -86,9 +87,8 @@ class Worker:
     def __init__(self, job: BatchJob) -> None:
         self._options = job.options
         self._known_lengths = job.known_lengths
-        path = resolve_model(job.detector)
-        detector = Detector(path, classes=job.classes, runtime=job.runtime)
-        self._detector = checked_detector(detector, job.options)
+        engine = Engine(job.detector, classes=job.classes, runtime=job.runtime)
+        self._detector = checked_detector(engine.detector, job.options)
         # Rows of different networks must not get into one table.
         sha256 = networks_sha256(self._detector.card)
         if sha256 != job.networks_sha256:

@@ -125,7 +125,9 @@ def batch(
             )
     _print_summary(summary, time.monotonic() - started)
     if summary.statuses.get("error", 0) == summary.n_rows:
-        print("no image could be used: the columns error_code and error say why", file=sys.stderr)
+        print(
+            "no image could be used: the columns error_code and error explain why", file=sys.stderr
+        )
         raise typer.Exit(FAILED)
 
 

@@ -30,6 +30,7 @@ from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.models.runtime import Progress, Runtime
 from vehanchor.options import ScaleOptions, declared_options, models
 from vehanchor.options.option import Option
+from vehanchor.options.signature import set_signature
 from vehanchor.rulers.active import rulers_help
 
 if TYPE_CHECKING:
@@ -187,15 +188,7 @@ def scale_command(
             with exit_on_error():
                 command(**arguments, chosen=ParsedOptions(typed, file, names))
 
-        # Typer reads the parameters of a command from its signature and its annotations.
-        parameters = [
-            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own.values()
-        ]
-        parameters += [*added, _FILE_PARAMETER]
-        parse_and_run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        parse_and_run.__annotations__ = {
-            parameter.name: parameter.annotation for parameter in parameters
-        }
+        set_signature(parse_and_run, [*own.values(), *added, _FILE_PARAMETER])
         return parse_and_run
 
     return decorate

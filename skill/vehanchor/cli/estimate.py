@@ -129,7 +129,7 @@ def estimate(
 
 
 def _check_images(images: Sequence[str], chosen: ParsedOptions) -> None:
-    """Refuse folders, and corrections of vehicles for several images."""
+    """Refuse folders, and what belongs to one photograph for several."""
     for source in images:
         if Path(source).is_dir():
             raise ImageNotFoundError(
@@ -137,7 +137,7 @@ def _check_images(images: Sequence[str], chosen: ParsedOptions) -> None:
                 "images in it"
             )
     if len(images) > 1:
-        chosen.options().by_hand.check_single()
+        chosen.options().check_for_several_images()
 
 
 def _output_files(

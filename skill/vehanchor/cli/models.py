@@ -27,8 +27,12 @@ def _show(
             "--sizes", help="List the things of known size for --known-length, then exit."
         ),
     ] = False,
+    rulers: Annotated[
+        bool, typer.Option("--rulers", help="List the rulers and what each needs, then exit.")
+    ] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="With --sizes: one JSON object per thing and line.")
+        bool,
+        typer.Option("--json", help="With --sizes or --rulers: one JSON object per line."),
     ] = False,
     check: Annotated[
         bool,
@@ -44,12 +48,14 @@ def _show(
         ),
     ] = None,
 ) -> None:
-    """Show bundled models, your own model files, things of known size; check the installation."""
-    if not sizes and not check:
+    """Show models, things of known size and rulers; check the installation."""
+    if not sizes and not rulers and not check:
         return
     with exit_on_error():
         if sizes:
             _print_sizes(as_json=as_json)
+        elif rulers:
+            _print_rulers(as_json=as_json)
         else:
             _check_installation(provider)
     raise typer.Exit
@@ -70,9 +76,22 @@ def _print_sizes(*, as_json: bool) -> None:
             if variant.countries:
                 length += f": {', '.join(variant.countries)}"
             facts.append(("length", length))
-        facts.append(("chance of another thing", f"{100 * standard.chance_wrong:.0f} %"))
+        facts.append(("chance of misidentification", f"{100 * standard.chance_wrong:.0f} %"))
         facts.append(("source", standard.source))
         print_facts(standard.name, facts)
+
+
+def _print_rulers(*, as_json: bool) -> None:
+    """Print the registered rulers, those of other packages among them, and what each needs."""
+    from vehanchor.records.ruler_registry import RULERS
+    from vehanchor.rulers.active import ruler_class
+
+    rulers = [ruler_class(kind) for kind in RULERS]
+    if as_json:
+        for ruler in rulers:
+            print_json({"kind": ruler.kind, "needs": ruler.help, "sets_scale": ruler.sets_scale})
+        return
+    print_facts("rulers, and what each needs", [(ruler.kind, ruler.help) for ruler in rulers])
 
 
 def _check_installation(providers: list[str] | None) -> None:

@@ -15,7 +15,7 @@ from pydantic_core import from_json
 
 from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.errors import ModelContractError
-from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M, Aggregation
+from vehanchor.scale.defaults import MAX_VEHICLE_M, MIN_VEHICLE_M, Aggregation
 from vehanchor.scale.density import Votes
 
 # Paper, section III-B.
@@ -78,11 +78,11 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-_LENGTHS = f"{LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m"
+_LENGTHS = f"{MIN_VEHICLE_M:g} to {MAX_VEHICLE_M:g} m"
 _JSON = BeforeValidator(_json)
 _LIST = BeforeValidator(_comma_separated)
-_VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
-_VehicleSpread = Annotated[float, Field(ge=0, le=LARGEST_VEHICLE_M)]
+_VehicleLength = Annotated[float, Field(ge=MIN_VEHICLE_M, le=MAX_VEHICLE_M)]
+_VehicleSpread = Annotated[float, Field(ge=0, le=MAX_VEHICLE_M)]
 _LengthPx = Annotated[float, Field(gt=0, le=_MAX_LENGTH_PX)]
 _Share = Annotated[float, Field(ge=0, le=1, description="a number from 0 to 1")]
 _Weight = Annotated[float, Field(ge=0, le=1000)]
@@ -319,9 +319,7 @@ def _paper_regions(reference_length_m: float) -> dict[str, float]:
     """Compute the lengths of the paper's regions by their ratios, if they are valid."""
     lengths = {name: reference_length_m * ratio for name, ratio in _REGION_RATIOS.items()}
     return {
-        name: length
-        for name, length in lengths.items()
-        if LEAST_VEHICLE_M <= length <= LARGEST_VEHICLE_M
+        name: length for name, length in lengths.items() if MIN_VEHICLE_M <= length <= MAX_VEHICLE_M
     }
 
 

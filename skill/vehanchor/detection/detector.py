@@ -6,6 +6,7 @@ with Ultralytics.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 from pathlib import Path
@@ -106,6 +107,7 @@ class Detector(LoadedModel):
         verifier: the verifier, which ``search`` applies; None without one.
         chips: the chip network, which ``search`` applies at its end; None without one.
         runtime: how the detector was opened, and the call that it runs for.
+        classes: the caller's classes that count as vehicles; None for the model's own.
         fixed_size: height and width of the model's input, pixels; None if they are free.
 
     Raises:
@@ -146,12 +148,27 @@ class Detector(LoadedModel):
             self._dtype = np.float16
         self.fixed_size = self._fixed_size()
         self._contract = self._recognised_contract()
+        self._choose_classes(classes)
+
+    def _choose_classes(self, classes: Sequence[str | int] | None) -> None:
+        """Choose the classes that count as vehicles; None for the model's own."""
         try:
             self._vehicle_classes = vehicle_classes(
                 self.card.class_names, self._contract.n_classes, classes
             )
         except ModelContractError as error:
             raise ModelContractError(f"{self.path}: {error}") from None
+        self.classes = None if classes is None else tuple(classes)
+
+    def with_classes(self, classes: Sequence[str | int]) -> Self:
+        """Copy the detector with other classes that count as vehicles; the models are shared.
+
+        Raises:
+            InvalidParameterError: the model lacks a class, or ``classes`` is empty.
+        """
+        other = copy.copy(self)
+        other._choose_classes(classes)
+        return other
 
     def _open_verifier(self, path: str | Path | None) -> Verifier | None:
         """Open the verifier at a path, or by default the one beside the detector, if any."""
@@ -356,12 +373,18 @@ class Detector(LoadedModel):
 _opened = file_cached(max_models=4)(Detector)
 
 
-def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
+def load_detector(
+    path: str | Path,
+    runtime: Runtime | None = None,
+    *,
+    classes: Sequence[str | int] | None = None,
+) -> Detector:
     """Open a detector, or return the open one while its files are unchanged; see ``Detector``.
 
     Args:
         path: the ONNX file.
         runtime: how to open it, and the call that it runs for; None for the defaults.
+        classes: as for ``Detector``.
 
     Returns:
         The detector, shared by all callers with equal arguments.
@@ -376,6 +399,7 @@ def load_detector(path: str | Path, runtime: Runtime | None = None) -> Detector:
         verifier=auxiliary_model(file, "verifier"),
         chips=auxiliary_model(file, "chips"),
         errors=errors_file(file),
+        classes=None if classes is None else tuple(classes),
         runtime=runtime.idle,
     )
     return detector.under(runtime)

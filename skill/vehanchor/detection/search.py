@@ -184,7 +184,7 @@ class ImageSearch:
             yield from self._visit_likely_first()
         if self._stopped_because is None:
             self._stopped_because = self._exhausted_limit()
-        self._detector.runtime.tell(n_tiles, n_tiles)
+        self._detector.runtime.report_progress(n_tiles, n_tiles)
 
     def searched(self) -> Detections:
         """Visit tiles to the limits of the options, and merge what they show."""
@@ -266,13 +266,15 @@ class ImageSearch:
         """Visit all tiles."""
         order = self._reading_order()
         for index, tile in self._read_ahead(order):
-            self._detector.runtime.tell(self.n_visited, len(order))
+            self._detector.runtime.report_progress(self.n_visited, len(order))
             self._visit(index, tile)
 
     def _visit_likely_first(self) -> Iterator[float]:
         """Visit likely levels and tiles first, until the limits or the caller end the search."""
         deadline = time.monotonic() + self._max_seconds
         for factors in self._levels_by_chance():
+            if self.n_visited >= self._max_tiles:
+                return
             # Unlikely levels are visited only if the likely ones show few vehicles.
             if self.n_visited and self.n_vehicles >= _ENOUGH_VEHICLES:
                 self.stop()
@@ -301,7 +303,7 @@ class ImageSearch:
                 if self.n_visited and time.monotonic() > deadline:
                     self._stopped_because = "max_seconds"
                     return
-                self._detector.runtime.tell(self.n_visited, len(self._tiles))
+                self._detector.runtime.report_progress(self.n_visited, len(self._tiles))
                 n_vehicles = self._visit(index, tile)
                 scheduler.report(index, n_vehicles)
             is_pause_due = self._take_pause()

@@ -1,15 +1,17 @@
-"""Checks before decoding: size of the file, declared size of the image, memory for decoding."""
+"""Limits on the cost of an image: its bytes, its pixels, and the memory for decoding.
+
+Each limit has one message, whatever the image comes from. ``vehanchor.imagery.file_check`` applies
+the limits to files.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageFormatError, ImageTooLargeError
-from vehanchor.imagery.formats.header import read_header
-from vehanchor.imagery.formats.ifd import ReadAt
-from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
+    from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.options import ImageLimits
 
 MIN_SIDE_PX = 16
@@ -28,14 +30,17 @@ _MAX_SAMPLES_PER_PIXEL = 4
 """Bands of the largest block: one with as many pixels as the largest image decoded whole."""
 
 
-def check_bytes(n_bytes: int, limits: ImageLimits) -> None:
-    """Check the size of an encoded image.
+def check_bytes(n_bytes: int, max_bytes: int) -> None:
+    """Check the bytes of an encoded image, or those that have arrived so far.
 
     Raises:
-        ImageTooLargeError: it exceeds ``limits.max_bytes``.
+        ImageTooLargeError: there are more than ``max_bytes``.
     """
-    if n_bytes > limits.max_bytes:
-        raise ImageTooLargeError(f"the image has {n_bytes} bytes, the limit is {limits.max_bytes}")
+    if n_bytes > max_bytes:
+        raise ImageTooLargeError(
+            f"the image has more than {max_bytes} bytes (ImageLimits.max_bytes); save it as JPEG, "
+            "or as a tiled TIFF and give its path, which is read by windows"
+        )
 
 
 def check_side(width_px: int, height_px: int, hint: str = "") -> None:
@@ -51,6 +56,46 @@ def check_side(width_px: int, height_px: int, hint: str = "") -> None:
         )
 
 
+def check_whole_size(name: str, width_px: int, *, height_px: int, limits: ImageLimits) -> None:
+    """Check the size of an image that is held whole in memory: decoded, an array, of Pillow.
+
+    Args:
+        name: format or kind of the image in the message.
+        width_px: its width.
+        height_px: its height.
+        limits: limits to apply.
+
+    Raises:
+        ImageTooLargeError: it has too many pixels.
+    """
+    if width_px * height_px > limits.max_pixels:
+        raise ImageTooLargeError(
+            f"the {name} has {width_px} x {height_px} px, the limit is {limits.max_pixels} pixels "
+            "(--max-megapixels, ImageLimits.max_pixels); convert it to a tiled TIFF, which is read "
+            "by windows, or raise the limit"
+        )
+
+
+def check_decoding_memory(name: str, n_bytes: int, *, size: str, limits: ImageLimits) -> None:
+    """Check the memory for decoding an image whole.
+
+    Args:
+        name: format or kind of the image in the message.
+        n_bytes: memory that decoding takes.
+        size: width and height in the message.
+        limits: limits to apply.
+
+    Raises:
+        ImageTooLargeError: it takes too much memory.
+    """
+    if n_bytes > limits.max_decoded_bytes:
+        raise ImageTooLargeError(
+            f"decoding the {name} of {size} takes {n_bytes} bytes, the limit is "
+            f"{limits.max_decoded_bytes} (ImageLimits.max_decoded_bytes); convert it to 8-bit RGB, "
+            "or to a tiled TIFF, which is read by windows"
+        )
+
+
 def check_windowed_size(name: str, width_px: int, *, height_px: int, limits: ImageLimits) -> None:
     """Check the declared size of an image that is read by windows.
 
@@ -60,8 +105,8 @@ def check_windowed_size(name: str, width_px: int, *, height_px: int, limits: Ima
     """
     if width_px * height_px > limits.max_windowed_pixels:
         raise ImageTooLargeError(
-            f"the {name} declares {width_px} x {height_px} px, the limit is "
-            f"{limits.max_windowed_pixels} pixels"
+            f"the {name} has {width_px} x {height_px} px, the limit is "
+            f"{limits.max_windowed_pixels} pixels (ImageLimits.max_windowed_pixels); split it"
         )
     check_side(width_px, height_px)
 
@@ -92,47 +137,18 @@ def check_block(
         )
 
 
-def read_checked_header(read_at: ReadAt, limits: ImageLimits) -> ImageHeader:
-    """Read an image's header and check its declared size.
-
-    Raises:
-        ImageDecodeError: the format is unknown, or the header is damaged.
-        ImageTooLargeError: the image has too many pixels, or decoding it takes too much memory.
-        ImageFormatError: the image is too small to measure.
-    """
-    header = read_header(read_at)
-    check_header(header, limits)
-    return header
-
-
 def check_header(header: ImageHeader, limits: ImageLimits) -> None:
-    """Check an image's header; images that can be read by windows may be larger.
-
-    Raises:
-        ImageTooLargeError: see ``read_checked_header``.
-        ImageFormatError: the image is too small to measure.
-    """
-    if header.format not in WINDOWED_FORMATS:
-        _check_whole_decoding(header, limits)
-    check_windowed_size(header.format, header.width_px, height_px=header.height_px, limits=limits)
-
-
-def _check_whole_decoding(header: ImageHeader, limits: ImageLimits) -> None:
-    """Check the size and the memory of an image that can only be decoded whole.
+    """Check the declared size of an image; images that can be read by windows may be larger.
 
     Raises:
         ImageTooLargeError: it has too many pixels, or decoding it takes too much memory.
+        ImageFormatError: it is too small to measure.
     """
-    size = f"{header.width_px} x {header.height_px} px"
-    if header.width_px * header.height_px > limits.max_pixels:
-        raise ImageTooLargeError(
-            f"the {header.format} declares {size}, the limit is {limits.max_pixels} pixels "
-            "(--max-megapixels, ImageLimits.max_pixels); convert it to a tiled TIFF, which is read "
-            "by windows, or raise the limit"
-        )
-    if header.decoding_bytes > limits.max_decoded_bytes:
-        raise ImageTooLargeError(
-            f"decoding the {header.format} of {size} takes {header.decoding_bytes} bytes, "
-            f"the limit is {limits.max_decoded_bytes}; convert it to 8-bit RGB, or to a tiled "
-            "TIFF, which is read by windows"
-        )
+    name = header.format
+    width = header.width_px
+    height = header.height_px
+    if name not in WINDOWED_FORMATS:
+        check_whole_size(name, width, height_px=height, limits=limits)
+        size = f"{width} x {height} px"
+        check_decoding_memory(name, header.decoding_bytes, size=size, limits=limits)
+    check_windowed_size(name, width, height_px=height, limits=limits)

@@ -123,7 +123,7 @@ class MeasurementScale:
         return "ok"
 
 
-def given_scale(
+def read_scale_argument(
     gsd_m_per_px: float | None,
     scale: KnownScale | GsdEstimate | Mapping[str, Any] | None,
     options: ScaleOptions,

@@ -106,7 +106,7 @@ class Runtime:
             return self
         return replace(self, **changes)
 
-    def tell(self, done: int, total: int) -> None:
+    def report_progress(self, done: int, total: int) -> None:
         """Report progress, if anybody follows it."""
         if self.progress is not None:
             self.progress(done, total)

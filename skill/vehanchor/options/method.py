@@ -12,8 +12,8 @@ from vehanchor.options.models import CALIBRATION
 from vehanchor.options.option import Flag, Limits, Option, group
 from vehanchor.scale.countries import REGIONS
 from vehanchor.scale.defaults import (
-    LARGEST_VEHICLE_M,
-    LEAST_VEHICLE_M,
+    MAX_VEHICLE_M,
+    MIN_VEHICLE_M,
     NMS_IOU,
     OUTLIER_ALPHA,
     Aggregation,
@@ -175,7 +175,7 @@ class Reference:
     """
 
     reference_length_m: Annotated[
-        Annotated[float, Limits(LEAST_VEHICLE_M, LARGEST_VEHICLE_M, unit="m")] | None,
+        Annotated[float, Limits(MIN_VEHICLE_M, MAX_VEHICLE_M, unit="m")] | None,
         Option(
             "Known length of local cars, metres; not with a region. Default: the model's.",
             metavar="M",

@@ -80,13 +80,19 @@ class Frame:
     frame: Annotated[
         FrameSize | None,
         in_order("width_px", "height_px"),
-        Option("Size of your resized copy.", metavar="W H", tools="all"),
+        Option(
+            "Size of your resized copy of the image, if your coordinates are its pixels.",
+            metavar="W H",
+            tools="all",
+        ),
         Field(examples=[{"width_px": 1024, "height_px": 768}]),
     ] = None
     coordinates: Annotated[
         Coordinates,
         Option(
-            "Pixels (of image or frame), fraction (0 to 1), per_mille (0 to 1000).", tools="all"
+            "Unit of your coordinates: pixels (of image or frame), fraction (0 to 1) or per_mille "
+            "(0 to 1000).",
+            tools="all",
         ),
     ] = "pixels"
 

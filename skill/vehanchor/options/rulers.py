@@ -10,9 +10,9 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
 from vehanchor.options.option import UNLISTED, Flag, Limits, Number, Option, group, in_order
-from vehanchor.scale.defaults import LARGEST_GSD_M_PER_PX, LEAST_GSD_M_PER_PX
+from vehanchor.scale.defaults import MAX_GSD_M_PER_PX, MIN_GSD_M_PER_PX
 
-GSD_M_PER_PX = Limits(LEAST_GSD_M_PER_PX, LARGEST_GSD_M_PER_PX)
+GSD_M_PER_PX = Limits(MIN_GSD_M_PER_PX, MAX_GSD_M_PER_PX)
 OBJECT_HEIGHT_M = Limits(0, 1000, unit="m")
 
 GSD = Option(
@@ -157,13 +157,18 @@ class ByHand:
         tuple[int, ...],
         BeforeValidator(vehicle_numbers),
         WithJsonSchema({"type": "string", "maxLength": _MAX_DROP_CHARS}),
-        Option("Overlay boxes that are not cars: 3,7-9.", metavar="N,N-N", first=True, tools="all"),
+        Option(
+            "Numbers of overlay boxes that are not cars, such as 3,7-9.",
+            metavar="N,N-N",
+            first=True,
+            tools="all",
+        ),
     ] = ()
     add: Annotated[
         tuple[Annotated[AddedVehicle, in_order("x1", "y1", "x2", "y2")], ...],
         Field(max_length=MAX_BY_HAND),
         Option(
-            "Missed cars: both ends of the long axis.",
+            "Cars that the detector missed: both ends of the long axis of each.",
             metavar="X1 Y1 X2 Y2",
             repeated=True,
             first=True,
@@ -177,17 +182,6 @@ class ByHand:
         if self.drop:
             return "drop"
         return "add" if self.add else None
-
-    def check_single(self) -> None:
-        """Refuse corrections of vehicles for several images, before the work on them.
-
-        Raises:
-            InvalidParameterError: vehicles are dropped or added.
-        """
-        if self.given is not None:
-            raise InvalidParameterError(
-                f"{self.given} belongs to one image: estimate that image by itself"
-            )
 
 
 Basis: TypeAlias = Literal["assumed", "measured"]
@@ -334,8 +328,8 @@ class Rulers:
             examples=[[{"x1": 210, "y1": 90, "x2": 880, "y2": 90, "metres": "iso_container_40ft"}]]
         ),
         Option(
-            "Lines with metres or a name such as iso_container_20ft; basis measured: tape, plan or "
-            "survey.",
+            "Lines of known length on the ground: both ends, and either metres or a catalogue name "
+            'such as iso_container_20ft. Use basis "measured" only for a tape, plan or survey.',
             metavar="X1 Y1 X2 Y2 METRES[+-M] [measured]|NAME",
             flag="known-length",
             repeated=True,
@@ -347,7 +341,7 @@ class Rulers:
     height_m: Annotated[
         Height | None,
         Option(
-            "Camera height above ground, for a nadir view or a known tilt.",
+            "Height of the camera above the ground, for a nadir view or a known tilt.",
             metavar="M",
             first=True,
             tools="all",
@@ -368,7 +362,7 @@ class Rulers:
     focal_35mm: Annotated[
         FocalLength | None,
         Option(
-            "35 mm equivalent focal length, mm. Default: the file's.",
+            "Focal length as its 35 mm equivalent, mm. Default: the file's.",
             metavar="MM",
             first=True,
             tools="all",
@@ -381,7 +375,7 @@ class Rulers:
     gsd_basis: Annotated[
         Basis,
         Option(
-            "measured: leads, without a search. assumed: other evidence must agree.",
+            "measured: this scale leads, without a search. assumed: other evidence must agree.",
             cli=False,
             tools="measure",
         ),

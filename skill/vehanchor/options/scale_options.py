@@ -81,6 +81,22 @@ class ScaleOptions:
         for number, axis in enumerate(self.by_hand.add, 1):
             axis.check(f"add {number}", InvalidParameterError, size)
 
+    def check_for_several_images(self) -> None:
+        """Refuse what belongs to one photograph, before the work on several.
+
+        A line drawn in one photograph would scale all of them.
+
+        Raises:
+            InvalidParameterError: a line is given, or vehicles are dropped or added.
+        """
+        name = self.by_hand.given
+        if self.rulers.known_lengths:
+            name = "a line of known length"
+        if name is not None:
+            raise InvalidParameterError(
+                f"{name} belongs to one image: estimate that image by itself"
+            )
+
     def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
         """Convert lines and added vehicles to pixels of the frame, or of the image without a frame.
 

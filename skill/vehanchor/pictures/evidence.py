@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vehanchor.rulers.vehicles import measured_vehicles
+from vehanchor.rulers.vehicles import vehicle_witness
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,7 +40,7 @@ class ScaleEvidence:
     @property
     def vehicles(self) -> VehicleWitness | None:
         """Witness of the vehicles; None if the caller excludes them."""
-        return measured_vehicles(self.witnesses)
+        return vehicle_witness(self.witnesses)
 
     @property
     def kept(self) -> NDArray[np.bool_]:

@@ -118,7 +118,7 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     guard = vehicles.guard_length_px
     assert gsd is not None
     assert mode is not None
-    reference_m = vehicles.reference.length_m
+    reference_m = vehicles.reference.stated_m
     lengths = analysis.detections.boxes[:, 2]
     # Twice the longest kept length keeps the cars wide beside a lorry.
     longest_shown = 2 * float(lengths[analysis.kept].max())

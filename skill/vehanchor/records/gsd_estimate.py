@@ -66,8 +66,8 @@ class SceneScaleEstimate(Record):
 class VehiclesByHand(Record):
     """Vehicles that the caller dropped and added; nothing in the image confirms them."""
 
-    dropped: int = Field(ge=0, description="Detections that are not cars, by the caller.")
-    added: int = Field(ge=0, description="Cars that the detector missed, by the caller.")
+    dropped: int = Field(ge=0, description="Detections that are not cars, according to the caller.")
+    added: int = Field(ge=0, description="Cars that the detector missed, according to the caller.")
 
 
 class RulerScale(Record):

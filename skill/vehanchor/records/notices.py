@@ -24,6 +24,8 @@ class NoticeCode(StrEnum):
     # Doubts that the vehicles are cars with true proportions.
     STRETCHED = "stretched"
     LOOK_ALIKES = "look_alikes"
+    ADDED_VEHICLE_UNLIKE = "added_vehicle_unlike"
+    REFERENCE_LENGTH_UNLIKELY = "reference_length_unlikely"
     # About other rulers than vehicles.
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"

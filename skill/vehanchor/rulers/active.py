@@ -80,4 +80,7 @@ def needs_search(options: Rulers) -> bool:
 
 def rulers_help() -> str:
     """Make the help of the option ``rulers``."""
-    return f"Rulers to use, with commas: {', '.join(RULERS)}. Default: all."
+    return (
+        f"Rulers to use, with commas: {', '.join(RULERS)}. Default: all. 'vehanchor models "
+        "--rulers' states what each needs."
+    )

@@ -16,7 +16,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
-from vehanchor.scale.reliability import RELIABILITY, Shared
+from vehanchor.scale.reliability import FILE, RELIABILITY, Shared
 
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
@@ -24,14 +24,24 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
 
-LENS = "lens"
-"""Error that the metadata share with a given height."""
 
 # Error of a barometer, and of a take-off from a hand or a roof.
+# Error of the file's height that no guess repeats: two steps of the grid of scales.
+_OWN_LOG_SD = 0.01
 _HEIGHT_SD_M = 2.0
 _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
 _MAX_DIGITAL_ZOOM = 1.01
+
+# Consequences of a tilt.
+_SCALE_OF_THE_CENTRE = (
+    "the scale varies over the image. The given scale is that of the centre; areas and distances "
+    "are measured on the ground plane."
+)
+_NO_LENS_IN_A_TILTED_VIEW = "without a focal length, its metadata are not usable."
+_TOO_CLOSE_TO_THE_HORIZON = (
+    "the image's centre is too close to the horizon for its metadata to give a scale."
+)
 
 
 class Camera(Ruler):
@@ -97,7 +107,7 @@ class Camera(Ruler):
     ) -> Witness | None:
         """Report that the focal length is missing; not if the caller measures by a height."""
         if tilt_deg is not None and tilt_deg > NADIR_TOLERANCE_DEG:
-            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
+            return unusable(self.kind, _tilted(tilt_deg, _NO_LENS_IN_A_TILTED_VIEW))
         if view.options.rulers.height_m is not None and not camera.refused:
             return None
         cause = f"the height is {height_m:g} m, but the focal length is missing: give focal_35mm"
@@ -115,7 +125,7 @@ class Camera(Ruler):
             tilt_deg: angle between the camera's axis and straight down; None if unknown.
         """
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
-            return unusable(self.kind, _tilted(tilt_deg, is_usable=False))
+            return unusable(self.kind, _tilted(tilt_deg, _TOO_CLOSE_TO_THE_HORIZON))
         statement = (
             f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and "
             f"{optics.source}."
@@ -133,19 +143,26 @@ class Camera(Ruler):
             statement += " The tilt is unknown: this holds at nadir."
         elif tilt_deg > NADIR_TOLERANCE_DEG:
             coarser, tilt_log_sd = coarsening(tilt_deg)
-            notices.append(_tilted(tilt_deg))
+            notices.append(_tilted(tilt_deg, _SCALE_OF_THE_CENTRE))
             statement += " This is the scale of the image's centre."
 
         gsd = height_m / optics.pixels * coarser
         if not on_grid(gsd):
             return self._unusable(f"{height_m:g} m and {optics.source} would give {gsd:.3g} m/px")
+        # What the file states wrongly, a caller who reads the file repeats: nearly all of the error
+        # is shared with guesses.
+        of_file = Shared(
+            FILE.name,
+            math.hypot(tilt_log_sd, height_log_sd(height_m)),
+            chance_wrong=RELIABILITY[condition].chance_wrong,
+        )
         return point_witness(
             self.kind,
             gsd,
-            log_sd=math.hypot(tilt_log_sd, height_log_sd(height_m)),
-            chance_wrong=RELIABILITY[condition].chance_wrong,
+            log_sd=_OWN_LOG_SD,
+            chance_wrong=0.0,
             statement=statement,
-            shared=[Shared(LENS, optics.log_sd)],
+            shared=[lens_error(optics), of_file],
             notices=notices,
         )
 
@@ -154,6 +171,11 @@ class Camera(Ruler):
         stated = "; ".join(cause for cause in causes if cause)
         message = f"The camera metadata are not usable: {stated}."
         return unusable(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+
+
+def lens_error(optics: Lens) -> Shared:
+    """Return the error that all heights over one lens have in common."""
+    return Shared("lens", optics.log_sd, optics.chance_wrong)
 
 
 def coarsening(tilt_deg: float) -> tuple[float, float]:
@@ -179,14 +201,8 @@ def height_log_sd(height_m: float) -> float:
     return math.hypot(RELIABILITY[Camera.kind].log_sd, _HEIGHT_SD_M / height_m)
 
 
-def _tilted(tilt_deg: float, *, is_usable: bool = True) -> Notice:
+def _tilted(tilt_deg: float, consequence: str) -> Notice:
     """Warn of a tilted camera, and of the consequence."""
-    consequence = "without height and focal length, its metadata are not usable."
-    if is_usable:
-        consequence = (
-            "the scale varies over the image. The given scale is that of the centre; areas and "
-            "distances are measured on the ground plane."
-        )
     return Notice(
         code=NoticeCode.CAMERA_TILTED,
         message=f"The camera was tilted by {tilt_deg:.0f} degrees: {consequence}",

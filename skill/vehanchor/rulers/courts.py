@@ -30,7 +30,7 @@ class Courts(Ruler):
     kind = "courts"
     label = "sports courts"
     plural = True
-    help = "a tennis or basketball court whole in the image"
+    help = "a whole tennis or basketball court"
     colour = "#D55E00"
 
     def measure(self, view: View) -> Witness | None:

@@ -9,11 +9,11 @@ from vehanchor.imagery.metadata.lens import lens, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import uses
-from vehanchor.rulers.camera import LENS, coarsening, cropped
+from vehanchor.rulers.camera import coarsening, cropped, lens_error
 from vehanchor.rulers.ruler import Ruler, as_assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.reliability import RELIABILITY, SAME_NUMBER, Shared
+from vehanchor.scale.reliability import MEASURING, RELIABILITY, SAME_NUMBER
 
 if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
@@ -67,13 +67,16 @@ class GivenHeight(Ruler):
         )
         if view.plane is not None:
             statement += " This is the scale of the image's centre."
+        shared = [lens_error(optics)]
+        if not is_assumed:
+            shared.append(MEASURING)
         witness = point_witness(
             self.kind,
             gsd,
             log_sd=math.hypot(height_sd, tilt_log_sd),
             chance_wrong=reliability.chance_wrong,
             statement=statement,
-            shared=[Shared(LENS, optics.log_sd)],
+            shared=shared,
             marks=[mark_of_height(image, height_m)],
         )
         return as_assumed(witness) if is_assumed else witness

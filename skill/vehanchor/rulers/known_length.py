@@ -14,22 +14,27 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import TILT_SD_DEG
 from vehanchor.rulers.ruler import Ruler, as_assumed, in_words
-from vehanchor.rulers.standards import Variant, lengths_of
+from vehanchor.rulers.standards import Variant, exact_kind, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Mark, Witness
-from vehanchor.scale.reliability import CALLER, RECOGNITION, RELIABILITY
+from vehanchor.scale.reliability import CALLER, MEASURING, RECOGNITION, RELIABILITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from vehanchor.options import KnownLength
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.density import Density
     from vehanchor.scale.plane import GroundPlane
 
-# Error of a drawn end, in pixels of the picture in which it was drawn.
-_END_SD_PX = 1.0
+# Error of a drawn end, in pixels of the picture in which it was drawn: by somebody who measures,
+# and by somebody who recognises a thing. Choices.
+_END_SD_PX = {"measured": 1.0, "assumed": 2.0}
+# Largest distance of ends, in these errors, at which two lines are one.
+_SAME_LINE_SDS = 3.0
 # Least chance that one thing of known size is mistaken, beside the caller's chance to mistake all.
 _MIN_CHANCE_WRONG = 0.01
 # Two lines disagree if neither density has this mass within 20 % of the other line's scale.
@@ -80,9 +85,18 @@ class KnownLengths(Ruler):
             marks=tuple(Mark(line.ends, _label(line.known_length)) for line in drawn),
         )
         if measured:
-            return witness
-        all_named = all(group[0].known_length.what is not None for group in groups)
-        return as_assumed(witness, RECOGNITION if all_named else CALLER)
+            return replace(witness, shared=(*witness.shared, MEASURING))
+        return as_assumed(witness, RECOGNITION if _differ_in_kind(lines) else CALLER)
+
+
+def _differ_in_kind(lines: Sequence[KnownLength]) -> bool:
+    """Test whether all lines are things of exact size, and of more than one kind.
+
+    A caller who recognises a court and a container hardly mistakes both. Several guesses, or
+    several things of one kind, can be one mistake.
+    """
+    kinds = {None if line.what is None else exact_kind(line.what) for line in lines}
+    return None not in kinds and len(kinds) > 1
 
 
 class _DrawnLine(NamedTuple):
@@ -93,12 +107,14 @@ class _DrawnLine(NamedTuple):
         ends: x, y of its ends.
         length_px: its length, in pixels of the image's centre.
         log_sd: standard deviation of the log of that length.
+        end_sd_px: error of an end, pixels of the image.
     """
 
     known_length: KnownLength
     ends: tuple[tuple[float, float], tuple[float, float]]
     length_px: float
     log_sd: float
+    end_sd_px: float
 
 
 def _draw(line: KnownLength, view: View) -> _DrawnLine:
@@ -113,12 +129,14 @@ def _draw(line: KnownLength, view: View) -> _DrawnLine:
     second = (line.x2 * x_factor, line.y2 * y_factor)
     length_px, tilt_log_sd = _length_at_centre(first, second, view.plane)
     # Both ends have the error of drawing.
-    drawing_log_sd = math.sqrt(2) * _END_SD_PX / line.length_px
+    end_sd_px = _END_SD_PX[line.basis]
+    drawing_log_sd = math.sqrt(2) * end_sd_px / line.length_px
     return _DrawnLine(
         line,
         (first, second),
         length_px=length_px,
         log_sd=math.hypot(drawing_log_sd, tilt_log_sd),
+        end_sd_px=end_sd_px * max(x_factor, y_factor),
     )
 
 
@@ -146,19 +164,71 @@ def _length_at_centre(
 
 
 def _groups(drawn: Sequence[_DrawnLine]) -> list[list[_DrawnLine]]:
-    """Group the lines at things of one kind; each other line is a group of its own.
+    """Group the lines at things of one kind, and the pieces and copies of one line.
 
-    A line that is given twice is one line.
+    Each other line is a group of its own.
     """
-    groups: dict[object, list[_DrawnLine]] = {}
+    groups: list[list[_DrawnLine]] = []
     for line in drawn:
-        thing = line.known_length.what
-        if thing:
-            groups.setdefault(thing, []).append(line)
-        else:
-            # The same line again finds its group, and adds nothing.
-            groups.setdefault(line.known_length, [line])
-    return list(groups.values())
+        # A line can join groups that had nothing in common before: they become one.
+        joined = [line]
+        others = []
+        for group in groups:
+            if any(_belong_together(line, other) for other in group):
+                joined = [*group, *joined]
+            else:
+                others.append(group)
+        groups = [*others, joined]
+    return groups
+
+
+def _belong_together(first: _DrawnLine, second: _DrawnLine) -> bool:
+    """Test whether two lines have one length on the ground, or are parts of one line."""
+    if first.known_length.what is not None or second.known_length.what is not None:
+        return first.known_length.what == second.known_length.what
+    if first.known_length.basis != second.known_length.basis:
+        return False
+    return _are_one_line(first, second) and _have_one_scale(first, second)
+
+
+def _are_one_line(first: _DrawnLine, second: _DrawnLine) -> bool:
+    """Test whether lines are collinear, and overlap or adjoin, within the error of their ends."""
+    tolerance_px = _SAME_LINE_SDS * math.hypot(first.end_sd_px, second.end_sd_px)
+    ends = np.array([*first.ends, *second.ends])
+    along = _direction(ends)
+    across = np.array([-along[1], along[0]])
+    if np.ptp(ends @ across) > tolerance_px:
+        return False
+    positions = (ends @ along).reshape(2, 2)
+    gap_px = positions.min(axis=1).max() - positions.max(axis=1).min()
+    return bool(gap_px <= tolerance_px)
+
+
+def _direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Find the direction ``[2]`` of a line through points ``[n, 2]``: their principal axis."""
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    return np.asarray(axes[0])
+
+
+def _have_one_scale(first: _DrawnLine, second: _DrawnLine) -> bool:
+    """Test whether the scales of two lines in metres agree within their errors."""
+    log_ratio = _log_gsd(first) - _log_gsd(second)
+    log_sds = [math.hypot(line.log_sd, _log_sd_of_metres(line)) for line in (first, second)]
+    return abs(log_ratio) <= _SAME_LINE_SDS * math.hypot(*log_sds)
+
+
+def _log_gsd(line: _DrawnLine) -> float:
+    """Compute the log of the scale by a line in metres."""
+    assert line.known_length.length_m is not None
+    return math.log(line.known_length.length_m / line.length_px)
+
+
+def _log_sd_of_metres(line: _DrawnLine) -> float:
+    """Return the log standard deviation of a line's metres, by its tolerance or its basis."""
+    known = line.known_length
+    if known.tolerance_m is None or known.length_m is None:
+        return RELIABILITY[known.basis].log_sd
+    return known.tolerance_m / known.length_m / Z95
 
 
 def _label(line: KnownLength) -> str:
@@ -169,9 +239,10 @@ def _label(line: KnownLength) -> str:
 
 
 def _witness(group: Sequence[_DrawnLine], region: str | None) -> Witness:
-    """Make the witness of one line in metres, or of all lines at things of one kind.
+    """Make the witness of the parts of one line, or of all lines at things of one kind.
 
-    Things of one kind in one image share their size, so that their lines are averaged.
+    Things of one kind in one image share their size, so that their lines are averaged. So are
+    lines that are parts or copies of one line.
 
     Args:
         group: the lines.
@@ -183,18 +254,17 @@ def _witness(group: Sequence[_DrawnLine], region: str | None) -> Witness:
     line = group[0].known_length
     variants: tuple[Variant, ...]
     if line.length_m is not None:
-        log_sd = RELIABILITY[line.basis].log_sd
         chance_wrong = RELIABILITY[line.basis].chance_wrong
-        if line.tolerance_m is not None:
-            log_sd = line.tolerance_m / line.length_m / Z95
-        variants = (Variant(line.length_m, log_sd),)
+        # The same metres in several pieces have one error, that of the most exact statement.
+        variants = (Variant(line.length_m, min(_log_sd_of_metres(part) for part in group)),)
+        length_px, drawing_log_sd = _whole_length(group, line.length_m)
     else:
         assert line.what is not None
         standard, variants = lengths_of(line.what, region)
         # The chance that the caller mistakes all things is a shared error; see RECOGNITION.
         chance_wrong = max(_MIN_CHANCE_WRONG, standard.chance_wrong - RECOGNITION.chance_wrong)
+        length_px, drawing_log_sd = _mean_length(group)
 
-    length_px, drawing_log_sd = _mean_length(group)
     possible = [variant for variant in variants if on_grid(variant.metres / length_px)]
     if not possible:
         raise _impossible(variants[0].metres, length_px)
@@ -206,6 +276,26 @@ def _witness(group: Sequence[_DrawnLine], region: str | None) -> Witness:
         density = lognormal(variant.metres / length_px, log_sd)
         right = right + variant.weight / total * density
     return _of_density(right, chance_wrong)
+
+
+def _whole_length(parts: Sequence[_DrawnLine], metres: float) -> tuple[float, float]:
+    """Average the scales of the parts and copies of one line, as pixels of a length on the ground.
+
+    Args:
+        parts: the lines.
+        metres: the length on the ground.
+
+    Returns:
+        The mean, and the standard deviation of its log. It is that of one line over all parts: a
+        line is no more exact in pieces, nor if it is given twice.
+    """
+    mean = [part._replace(length_px=metres / math.exp(_log_gsd(part))) for part in parts]
+    length_px, _ = _mean_length(mean)
+    ends = np.array([part.ends for part in parts]).reshape(-1, 2)
+    along = ends @ _direction(ends)
+    whole_px = float(np.ptp(along))
+    log_sds = [part.log_sd * math.dist(*part.ends) / whole_px for part in parts]
+    return length_px, min(log_sds)
 
 
 def _of_density(right: Density, chance_wrong: float) -> Witness:

@@ -51,7 +51,7 @@ class Positions(Ruler):
         return None
 
 
-def places_of(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
+def camera_positions_m(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
     """Read the positions of photographs.
 
     Args:

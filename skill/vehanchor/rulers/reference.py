@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -36,6 +37,9 @@ class ReferenceLength(NamedTuple):
         log_mean: mean error of its log.
         by_appearance: log of the factor on the vehicles' lengths by their appearance; None if these
             are not used.
+        guess_m: length that the caller states without a calibration, metres; None without one. It
+            is a guess beside this length.
+        guess_log_sd: standard deviation of the log of the guess.
     """
 
     length_m: float
@@ -43,21 +47,38 @@ class ReferenceLength(NamedTuple):
     log_sd: float
     log_mean: float = 0.0
     by_appearance: float | None = None
+    guess_m: float | None = None
+    guess_log_sd: float = 0.0
+
+    @property
+    def stated_m(self) -> float:
+        """``L_ref`` of the record, metres: the caller's, or else this length."""
+        return self.length_m if self.guess_m is None else self.guess_m
+
+    @property
+    def stated_source(self) -> ReferenceSource:
+        """Source of ``stated_m``."""
+        return self.source if self.guess_m is None else "given"
 
 
 def reference_length(
-    card: DetectorCard, reference: Reference, appearance: Appearance | None
+    card: DetectorCard,
+    reference: Reference,
+    appearance: Appearance | None,
+    *,
+    trusts_caller: bool = False,
 ) -> ReferenceLength:
-    """Choose the caller's reference length, else the fleet's by appearance, else the model's.
+    """Choose the length of a calibration, else the fleet's by appearance, else the model's.
 
-    A length from the caller removes half of the spread between regions. A region removes less,
-    because a city differs from its region; it moves lengths by appearance towards its own by the
-    precisions of both.
+    A length that the caller states without a calibration is a guess beside it, which would leave
+    half of the spread between regions. A region removes less, because a city differs from its
+    region; it moves lengths by appearance towards its own by the precisions of both.
 
     Args:
         card: card of the model that found the vehicles.
         reference: the caller's options for the reference length.
         appearance: appearance of the vehicles of the fleet; None if unknown.
+        trusts_caller: whether a length of the caller replaces all others, as in the paper.
 
     Returns:
         The length, its spread and its source.
@@ -73,9 +94,13 @@ def reference_length(
         log_sd = calibration.reference_length_sd_m / length_m
         return ReferenceLength(length_m, "calibration", log_sd)
     sd_m = card.reference_length_sd_m
-    if reference.reference_length_m is not None:
-        length_m = reference.reference_length_m
-        return ReferenceLength(length_m, "given", _KNOWN_LENGTH * sd_m / length_m)
+    guess_m = reference.reference_length_m
+    if guess_m is not None:
+        log_sd = _KNOWN_LENGTH * sd_m / guess_m
+        if trusts_caller:
+            return ReferenceLength(guess_m, "given", log_sd)
+        without = reference_length(card, replace(reference, reference_length_m=None), appearance)
+        return without._replace(guess_m=guess_m, guess_log_sd=log_sd)
     if card.bodies is not None and appearance is not None:
         return _by_appearance(
             card.bodies, appearance, errors=card.errors.appearance, region=reference.region

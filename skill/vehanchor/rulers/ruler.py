@@ -14,7 +14,7 @@ import numpy as np
 
 from vehanchor.scale.density import flat, lognormal, normalised, quantile
 from vehanchor.scale.posterior import Lack, Mark, Witness
-from vehanchor.scale.reliability import CALLER
+from vehanchor.scale.reliability import CALLER, FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -88,7 +88,7 @@ class Ruler:
         kind: name in options and records.
         label: name in messages and pictures, as a noun.
         plural: whether the label is a plural.
-        help: what the ruler needs, in a few words.
+        help: what the ruler needs, in a few words; ``vehanchor models --rulers`` prints it.
         colour: colour of its curve in plots, ``#rrggbb``.
         pooling_gain: n photographs of a flight count as n to this power: 0 if all have the same
             error, 1 if their errors are independent. None: the ruler measures the boxes of all
@@ -185,11 +185,14 @@ def point_witness(
 
 
 def as_assumed(witness: Witness, caller: Shared = CALLER) -> Witness:
-    """Mark a witness as a guess of the caller, whose guesses may all be wrong together."""
+    """Mark a witness as a guess of the caller.
+
+    The guesses of a caller may all be wrong together, and all be read off the file.
+    """
     return replace(
         witness,
         assumed=True,
-        shared=(*witness.shared, caller),
+        shared=(*witness.shared, caller, FILE),
         lacks=(Lack("assumed", witness),),
     )
 

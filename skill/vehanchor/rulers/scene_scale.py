@@ -17,7 +17,7 @@ class SceneScale(Ruler):
 
     kind = "scene_scale"
     label = "scene-scale prior"
-    help = "nothing; it is a prior and never sets the scale"
+    help = "nothing; a prior, which never sets the scale"
     colour = "#999999"
     pooling_gain = 0.0  # photographs of one place: one error
     uses_plane = True  # it measures nothing in tilted views, which its training data lack

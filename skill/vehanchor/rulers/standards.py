@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,6 +15,14 @@ from vehanchor.scale.countries import COUNTRY_REGIONS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+# Names in the error about an unknown one.
+_MAX_NEAREST = 5
+_MAX_SHOWN_CHARS = 60
+
+
+# Largest spread of a length that a rule fixes.
+_EXACT_LOG_SD = 0.01
 
 
 class Variant(NamedTuple):
@@ -103,20 +112,39 @@ def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Va
     return standard, standard.lengths_in(country or region)
 
 
+def exact_kind(what: str) -> str | None:
+    """Return the kind of a thing whose size a rule fixes, such as "tennis"; None for a custom.
+
+    Things of one kind, such as the length and the width of a court, are mistaken together. The
+    kind is the first word of the name.
+
+    Args:
+        what: name of the thing, as in ``lengths_of``.
+    """
+    standard, _ = lengths_of(what)
+    if any(variant.log_sd > _EXACT_LOG_SD for variant in standard.variants):
+        return None
+    return standard.name.partition("_")[0]
+
+
 def check_name(what: str | None) -> None:
     """Check the name of a thing of known size; None is valid.
 
     Raises:
-        KnownLengthError: the thing is not in the catalogue, or the country is not a two-letter
-            code.
+        KnownLengthError: the thing is not in the catalogue, and the message names the nearest ones;
+            or the country is not a two-letter code.
     """
     if what is None:
         return
     name, slash, country = what.partition("/")
     if name not in standards():
-        things = "; ".join(f"{thing.name}: {thing.between}" for thing in standards().values())
+        shown = name[:_MAX_SHOWN_CHARS]
+        # Without a cutoff there are always nearest names, however far off.
+        names = get_close_matches(shown.lower(), standards(), n=_MAX_NEAREST, cutoff=0.0)
+        nearest = "; ".join(f"{thing}: {standards()[thing].between}" for thing in names)
         raise KnownLengthError(
-            f"there is no thing of known size {name!r}. The catalogue has {things}"
+            f"there is no thing of known size {shown!r}. The nearest are {nearest}. For all names, "
+            "run 'vehanchor models --sizes'"
         )
     is_code = len(country) == 2 and country.isascii() and country.isupper()
     if slash and not is_code:

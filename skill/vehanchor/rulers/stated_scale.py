@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.rulers.ruler import Ruler, as_assumed, point_witness
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.reliability import RELIABILITY
+from vehanchor.scale.reliability import MEASURING, RELIABILITY
 
 if TYPE_CHECKING:
     from vehanchor.options.rulers import StatedScale as Stated
@@ -40,5 +40,6 @@ def stated_witness(stated: Stated) -> Witness:
         log_sd=stated.tolerance / stated.gsd_m_per_px / Z95,
         chance_wrong=RELIABILITY[stated.basis].chance_wrong,
         statement=f"The stated scale, {stated.basis}, is {{}}.",
+        shared=[MEASURING] if stated.basis == "measured" else [],
     )
     return as_assumed(witness) if stated.basis == "assumed" else witness

@@ -27,7 +27,16 @@ from vehanchor.rulers.camera_tilt import rectified
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import GRID, UNCALIBRATED, blurred, product, vehicle_likelihood
+from vehanchor.scale.density import (
+    GRID,
+    UNCALIBRATED,
+    blurred,
+    credible_interval,
+    flat,
+    lognormal,
+    product,
+    vehicle_likelihood,
+)
 from vehanchor.scale.lengths import (
     MIN_SCORE,
     dominant_group,
@@ -39,6 +48,9 @@ from vehanchor.scale.lengths import (
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import (
+    CALLER,
+    POINTING,
+    RELIABILITY,
     CoarseErrors,
     appearance_error,
     uncalibrated_wrong,
@@ -87,7 +99,8 @@ class Fleet:
     @property
     def is_stated(self) -> bool:
         """Whether the caller states that most of these vehicles are cars."""
-        return bool(2 * self.detections.stated.sum() > self.kept.sum())
+        n_stated = int((self.detections.stated & self.kept).sum())
+        return bool(2 * n_stated > self.kept.sum())
 
     @property
     def centres(self) -> NDArray[np.float64]:
@@ -120,7 +133,8 @@ class Fleet:
 def select(detections: Detections, lengths: Lengths, expected: Density | None = None) -> Fleet:
     """Select the fleet by the outlier filter and, after a search over scales, by one modal length.
 
-    Vehicles that the caller states to be cars are always kept, and their lengths choose the fleet.
+    A vehicle that the caller adds is one clear vote: it joins the fleet, or is an outlier like
+    others.
 
     Args:
         detections: vehicles in pixels of the image.
@@ -131,18 +145,14 @@ def select(detections: Detections, lengths: Lengths, expected: Density | None = 
         The fleet, empty if nothing was found.
     """
     lengths_px = detections.boxes[:, 2]
-    stated = detections.stated
     rival_share = 0.0
     if detections.reductions is None or len(lengths_px) == 0:
         kept = inlier_mask(lengths_px, lengths.alpha)
     else:
         # A search over scales also finds things of a car's shape that are larger or smaller.
         weights = _evidence_of_cars(detections, expected)
-        kept, rival_share = dominant_group(lengths_px, weights, stated)
+        kept, rival_share = dominant_group(lengths_px, weights)
         kept[kept] = inlier_mask(lengths_px[kept], lengths.alpha)
-    kept |= stated
-    if stated.any():
-        rival_share = 0.0
     return Fleet(detections, kept, _main_reduction(detections, kept), rival_share)
 
 
@@ -214,8 +224,8 @@ class VehicleWitness(Witness):
             self.fleet.scores,
             mode_px=self.mode_length_px,
             aggregation=self.aggregation,
-            reference_length_m=reference.length_m,
-            reference_sd_m=reference.log_sd * reference.length_m,
+            reference_length_m=reference.stated_m,
+            reference_sd_m=reference.log_sd * reference.stated_m,
             reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
             length_range_px=(max(self.card.min_length_px, shortest_px), longest_px),
@@ -310,9 +320,27 @@ class VehicleWitness(Witness):
         )
 
     def _widened(self, likelihood: Density) -> Density:
-        """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles."""
+        """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles.
+
+        A reference length that the caller guesses narrows it, where the vehicles allow it.
+        """
         log_sd = math.hypot(self.reference.log_sd, self._coarse_errors.log_sd)
-        return blurred(likelihood, log_sd, self.reference.log_mean)
+        widened = blurred(likelihood, log_sd, self.reference.log_mean)
+        if self.reference.guess_m is None:
+            return widened
+        return product(widened, self._density_of_guess(self.reference.guess_m))
+
+    def _density_of_guess(self, guess_m: float) -> Density:
+        """Compute the density ``[g]`` of the scale by a reference length that the caller guesses.
+
+        It is a guess like others: it may be wrong by itself, or with all guesses of the caller.
+        """
+        assert self.mode_length_px is not None
+        mode_log_sd, _ = self.statistical_log_sds
+        log_sd = math.hypot(self.reference.guess_log_sd, mode_log_sd)
+        p_right = (1.0 - RELIABILITY["assumed"].chance_wrong) * (1.0 - CALLER.chance_wrong)
+        right = lognormal(guess_m / self.mode_length_px, log_sd)
+        return p_right * right + (1.0 - p_right) * flat()
 
     @property
     def _chance_wrong(self) -> float:
@@ -395,6 +423,9 @@ class Vehicles(Ruler):
             expected = view.prior.density
         fleet = select(detections, view.options.lengths, expected)
 
+        # The paper takes the caller's length as it is. So do boxes that no search found, such as
+        # labels: the model's own length is that of its boxes.
+        trusts_caller = view.options.method.preset == "paper" or detections.stopped_because is None
         mode_px = None
         aggregation = view.options.lengths.aggregation or card.aggregation
         if fleet.kept.any():
@@ -402,10 +433,17 @@ class Vehicles(Ruler):
         vehicles = VehicleWitness(
             self.kind,
             n=len(fleet.lengths),
+            # Cars that the caller points at are as wrong as the caller's other guesses.
+            shared=(POINTING,) if fleet.is_stated else (),
             notices=_capped(detections),
             fleet=fleet,
             card=card,
-            reference=reference_length(card, view.options.reference, fleet.appearance),
+            reference=reference_length(
+                card,
+                view.options.reference,
+                fleet.appearance,
+                trusts_caller=trusts_caller,
+            ),
             mode_length_px=mode_px,
             aggregation=aggregation,
             detail_share=view.measure_detail_share(fleet.centres, fleet.main_reduction or 1.0),
@@ -416,13 +454,49 @@ class Vehicles(Ruler):
         stretch = detections.stretch if plane is None else None
         return replace(
             vehicles.with_votes(),
-            gsd_m_per_px=vehicles.reference.length_m / mode_px,
+            gsd_m_per_px=vehicles.reference.stated_m / mode_px,
             notices=(
                 *vehicles.notices,
+                *_unlikely_guess(vehicles),
+                *_added_outliers(fleet),
                 *_detail_missing(vehicles),
                 *_doubts(fleet, stretch, card.errors.look_alikes),
             ),
         )
+
+
+def _unlikely_guess(vehicles: VehicleWitness) -> tuple[Notice, ...]:
+    """Warn of a reference length from the caller that the vehicles exclude."""
+    guess_m = vehicles.reference.guess_m
+    if guess_m is None or vehicles.mode_length_px is None:
+        return ()
+    without = replace(vehicles, reference=vehicles.reference._replace(guess_m=None)).with_votes()
+    assert without.right is not None
+    low, high = credible_interval(without.right)
+    if low <= guess_m / vehicles.mode_length_px <= high:
+        return ()
+    low_m = low * vehicles.mode_length_px
+    high_m = high * vehicles.mode_length_px
+    message = (
+        f"The given reference length of {guess_m:g} m does not fit these vehicles, whose usual "
+        f"length is between {low_m:.1f} and {high_m:.1f} m. It hardly changes the scale. If the "
+        "fleet was measured, give its calibration."
+    )
+    return (Notice(code=NoticeCode.REFERENCE_LENGTH_UNLIKELY, message=message),)
+
+
+def _added_outliers(fleet: Fleet) -> tuple[Notice, ...]:
+    """Warn of vehicles that the caller added, and whose lengths do not fit the fleet."""
+    outliers = fleet.detections.stated & ~fleet.kept
+    if not outliers.any():
+        return ()
+    ratio = float(np.median(fleet.detections.boxes[outliers, 2]) / np.median(fleet.lengths))
+    cause = "a lorry?" if ratio > 1 else "only a part of one?"
+    message = (
+        f"A vehicle that you added is {ratio:.1f} times as long as the {fleet.kept.sum()} others: "
+        f"{cause} It does not count. If the others are not cars, drop them."
+    )
+    return (Notice(code=NoticeCode.ADDED_VEHICLE_UNLIKE, message=message),)
 
 
 _STRETCHED = Notice(
@@ -523,7 +597,7 @@ def _detail_missing(vehicles: VehicleWitness) -> tuple[Notice, ...]:
     return (Notice(code=NoticeCode.DETAIL_MISSING, message=message),)
 
 
-def measured_vehicles(witnesses: Iterable[Witness]) -> VehicleWitness | None:
+def vehicle_witness(witnesses: Iterable[Witness]) -> VehicleWitness | None:
     """Find the witness of the vehicles; None if the caller excludes them."""
     for witness in witnesses:
         if witness.kind == Vehicles.kind:

@@ -20,7 +20,7 @@ from vehanchor.errors import (
     CalibrationRefusedError,
     InvalidParameterError,
 )
-from vehanchor.scale.defaults import LARGEST_VEHICLE_M, LEAST_VEHICLE_M
+from vehanchor.scale.defaults import MAX_VEHICLE_M, MIN_VEHICLE_M
 from vehanchor.scale.lengths import Spread, guard_length, kde_mode, kernel_weights, resampled_modes
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _MAX_FILE_BYTES = 1 << 20
 # Digits of a checksum in messages.
 _SHORT_SHA = 12
 
-_VehicleLength = Annotated[float, Field(ge=LEAST_VEHICLE_M, le=LARGEST_VEHICLE_M)]
+_VehicleLength = Annotated[float, Field(ge=MIN_VEHICLE_M, le=MAX_VEHICLE_M)]
 
 
 class Calibration(BaseModel):
@@ -64,7 +64,7 @@ class Calibration(BaseModel):
     )
     reference_length_sd_m: float = Field(
         ge=0,
-        le=LARGEST_VEHICLE_M,
+        le=MAX_VEHICLE_M,
         description="Standard deviation used by estimates, in metres: bootstrap error, spread "
         "within the region (half of the spread between regions), and error of the images' scales.",
     )
@@ -227,11 +227,11 @@ def _with_vehicles(images: Sequence[SurveyedImage], source: str) -> list[Surveye
 
 def _check_lengths(mode_m: float, spread_m: float) -> None:
     """Refuse implausible fleet lengths."""
-    plausible = LEAST_VEHICLE_M <= mode_m <= LARGEST_VEHICLE_M
+    plausible = MIN_VEHICLE_M <= mode_m <= MAX_VEHICLE_M
     if not plausible or spread_m > mode_m:
         raise CalibrationRefusedError(
             f"the vehicles are {mode_m:.3g} m long (sd {spread_m:.3g} m), but fleets "
-            f"are {LEAST_VEHICLE_M:g} to {LARGEST_VEHICLE_M:g} m long. Check the images' scales, "
+            f"are {MIN_VEHICLE_M:g} to {MAX_VEHICLE_M:g} m long. Check the images' scales, "
             "and what the labels show"
         )
 

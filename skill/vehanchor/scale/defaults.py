@@ -35,11 +35,11 @@ CAR_LENGTH_M = 4.6
 It is used only to choose resolutions and to weigh sizes.
 """
 
-LEAST_GSD_M_PER_PX = 1e-4
-LARGEST_GSD_M_PER_PX = 1000.0
+MIN_GSD_M_PER_PX = 1e-4
+MAX_GSD_M_PER_PX = 1000.0
 """Limits of ground sampling distances from callers, metres per pixel."""
 
-LEAST_VEHICLE_M = 2.0
-LARGEST_VEHICLE_M = 20.0
+MIN_VEHICLE_M = 2.0
+MAX_VEHICLE_M = 20.0
 """Limits of vehicle lengths, metres: in Europe a quadricycle has 2.3 m, a lorry with its trailer
 18.75 m."""

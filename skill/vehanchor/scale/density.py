@@ -75,7 +75,7 @@ def blurred(density: Density, log_sd: float, log_mean: float = 0.0) -> Density:
     """Add a normal error of the log scale.
 
     Args:
-        density: ``[g]``, of any sum.
+        density: ``[g]``, of any sum, also 0.
         log_sd: standard deviation of the error; less than a sixtieth of a cell counts as exact.
         log_mean: mean of the error.
 
@@ -92,6 +92,9 @@ def blurred(density: Density, log_sd: float, log_mean: float = 0.0) -> Density:
     # The end cells are repeated, so that a flat floor stays flat up to the ends of the grid.
     padded = np.pad(density, cells, mode="edge")
     convolved = np.maximum(np.convolve(padded, kernel, mode="valid"), 0.0)
+    # A part of the posterior with no mass stays so: it cannot be normalised.
+    if not convolved.any():
+        return density
     return np.asarray(density.sum() * normalised(convolved))
 
 

@@ -93,9 +93,7 @@ class Spread(NamedTuple):
         return Interval(low, high)
 
 
-def dominant_group(
-    lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | None = None
-) -> tuple[NDArray[np.bool_], float]:
+def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> tuple[NDArray[np.bool_], float]:
     """Split lengths of any scale into the fleet with the largest weight and the rest.
 
     A search over scales finds car-shaped objects of every size. Cars of one image lie within a
@@ -106,8 +104,6 @@ def dominant_group(
     Args:
         lengths: ``[n]`` pixels, n >= 1.
         weights: ``[n]`` evidence that each is a car, non-negative, not all zero.
-        stated: ``[n]`` bool, cars by the caller's word; if any, their mode alone is the group's
-            centre.
 
     Returns:
         ``[n]`` bool, members of the dominant group; and the weight of its rival over its own, 0
@@ -117,10 +113,8 @@ def dominant_group(
     shares = _normalised(log_lengths, weights)
     cells = np.rint((log_lengths - log_lengths.min()) / _GROUP_LOG_STEP).astype(np.intp)
 
-    voting = np.ones(len(log_lengths), dtype=bool)
-    if stated is not None and np.any(stated):
-        voting = np.asarray(stated, dtype=bool)
-    members = _near_strongest_mode(cells, shares, voting)
+    everything = np.ones(len(log_lengths), dtype=bool)
+    members = _near_strongest_mode(cells, shares, everything)
     if members.all():
         return members, 0.0
     rivals = _near_strongest_mode(cells, shares, ~members) & ~members

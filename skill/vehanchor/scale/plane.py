@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 # Cosine of 80 degrees. Closer to the horizon, one degree changes the scale by a sixth or more.
-LEAST_DESCENT = 0.174
+MIN_DESCENT = 0.174
 # Rows of a mask per block, which bounds the memory.
 _ROWS = 512
 
@@ -72,7 +72,7 @@ class GroundPlane:
         """
         rays = self._rays(self._corners)
         descents = rays @ self.down / np.linalg.norm(rays, axis=1)
-        if float(descents.min()) < LEAST_DESCENT:
+        if float(descents.min()) < MIN_DESCENT:
             raise TooObliqueError(
                 f"the camera was tilted by {self.tilt_deg:.0f} degrees: the horizon is in the "
                 "image or close to it, and no scale holds there. Crop the image to the near ground"
@@ -198,7 +198,7 @@ class GroundPlane:
 
     def _below_horizon(self, descents: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the descents ``[n]`` of rays; refuse rays at the horizon and above."""
-        if len(descents) and float(descents.min()) < LEAST_DESCENT:
+        if len(descents) and float(descents.min()) < MIN_DESCENT:
             raise TooObliqueError(
                 f"the camera was tilted by {self.tilt_deg:.0f} degrees, and a point lies above the "
                 "horizon or close to it, where no scale holds: crop the image to the near ground"

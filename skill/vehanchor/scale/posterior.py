@@ -15,7 +15,8 @@ with the chance s the error makes all of them wrong.
 The answer follows from this posterior alone:
 
 * The value is the median, given that at least one witness that can set a scale is right.
-* The interval is the central 95 % of the same distribution.
+* The interval is the central 95 % of the same distribution. It is extended to cover witnesses that
+  are probably right, but exclude each other.
 * The chance is the posterior's mass within 20 % of the value. What a caller assumes gains no
   chance by the agreement of a prior.
 * The scale is usable if the chance is at least 0.9.
@@ -28,6 +29,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -194,6 +196,7 @@ class Answer:
         leading: index of the setting witness without which the interval is widest, of those that
             are probably right.
         reason: why the scale is not usable; None if it is.
+        contradictions: pairs of probably right witnesses of which each excludes the other's scale.
     """
 
     gsd_m_per_px: float
@@ -203,6 +206,7 @@ class Answer:
     p_right: tuple[float, ...] = ()
     leading: int = 0
     reason: Reason | None = None
+    contradictions: tuple[tuple[int, int], ...] = ()
 
     @property
     def usable(self) -> bool:
@@ -234,8 +238,13 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     reason = None
     if not decision.usable:
         reason = _weakness(witnesses, answers_without, decision.chance)
+    contradictions = _contradictions(witnesses, p_right)
+    # A compromise between witnesses that exclude each other is no more exact than they are apart.
+    intervals = [witnesses[k].interval for pair in contradictions for k in pair]
     return replace(
         decision,
+        interval=_hull(decision.interval, intervals),
+        contradictions=contradictions,
         p_right=tuple(p_right),
         leading=_leading(witnesses, answers_without, p_right),
         reason=reason,
@@ -296,6 +305,46 @@ def _found_or_measured(witnesses: Sequence[Witness]) -> list[int]:
 def _all_but(witnesses: Sequence[Witness], k: int) -> list[Witness]:
     """Leave out one witness."""
     return [*witnesses[:k], *witnesses[k + 1 :]]
+
+
+def _contradictions(
+    witnesses: Sequence[Witness], p_right: Sequence[float]
+) -> tuple[tuple[int, int], ...]:
+    """List the pairs of probably right setting witnesses that exclude each other.
+
+    Each lies outside the other's interval. The scale of a witness that is probably wrong is
+    explained by its chance to be wrong.
+    """
+    setting = [
+        k
+        for k, witness in enumerate(witnesses)
+        if witness.sets_scale and p_right[k] >= PROBABLY_RIGHT
+    ]
+    pairs = combinations(setting, 2)
+    return tuple((a, b) for a, b in pairs if _exclude_each_other(witnesses[a], witnesses[b]))
+
+
+def _exclude_each_other(first: Witness, second: Witness) -> bool:
+    """Test whether the scale of each of two witnesses lies outside the other's 95 % interval."""
+    if first.gsd_m_per_px is None or second.gsd_m_per_px is None:
+        return False
+    return not (_allows(first, second.gsd_m_per_px) or _allows(second, first.gsd_m_per_px))
+
+
+def _allows(witness: Witness, gsd_m_per_px: float) -> bool:
+    """Test whether a scale lies in the 95 % interval of a witness."""
+    interval = witness.interval
+    return interval is not None and interval.low <= gsd_m_per_px <= interval.high
+
+
+def _hull(interval: Interval, others: Iterable[Interval | None]) -> Interval:
+    """Extend an interval to cover others."""
+    low, high = interval
+    for other in others:
+        if other is not None:
+            low = min(low, other.low)
+            high = max(high, other.high)
+    return Interval(low, high)
 
 
 def _leading(
@@ -400,8 +449,30 @@ class _Group(NamedTuple):
         if len(used) == 1:
             return used[0]
         # The whole product scales the part, so that the part stays below the whole.
-        total = float(np.prod(list(self.factors.values()), axis=0).sum())
-        return _with_errors(np.prod(used, axis=0) / total, tuple(self.common.values()))
+        whole = list(self.factors.values())
+        total = float(np.prod(whole, axis=0).sum())
+        if total > 0.0:
+            part = np.prod(used, axis=0) / total
+        else:
+            part = _part_with_floors(used, whole)
+        return _with_errors(part, tuple(self.common.values()))
+
+
+def _part_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Density:
+    """Compute the part ``[g]`` of a product in which some factors are used by their floor alone.
+
+    Factors that exclude each other have no scale in common: the product underflows. With a floor
+    under each of them, their logs show which scales contradict the fewest factors.
+
+    Args:
+        used: the factors, some of them replaced by their floor.
+        whole: all factors; their product, with floors, has the sum 1.
+    """
+    log_part = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in used], axis=0)
+    log_whole = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in whole], axis=0)
+    # The largest cell becomes 1 before the exponential, so that no product underflows.
+    log_peak = log_whole.max()
+    return np.asarray(np.exp(log_part - log_peak) / np.exp(log_whole - log_peak).sum())
 
 
 def _group_by_shared_errors(witnesses: Sequence[Witness]) -> list[_Group]:

@@ -52,6 +52,14 @@ SAME_NUMBER = 0.02
 _NOT_MEASURED = 0.05
 """Chance that a fact is wrong if nobody has counted its errors. A choice."""
 
+_MEASURED_WRONG = 0.02
+"""Chance that one measured fact is wrong by itself, beside the chance that all measured facts of
+its caller are; see MEASURING. With that chance it is ``_NOT_MEASURED``. A choice."""
+
+_HEIGHT_WRONG = 0.04
+"""Chance that a file's height is wrong, beside the chance that its lens is; with the usual lens it
+is ``_NOT_MEASURED``. A choice."""
+
 _ROUGH = 0.10
 _EXACT = 0.01
 """Standard deviations of the log scale by a guess, and by tape, plan, survey or rule. Choices."""
@@ -62,7 +70,7 @@ RELIABILITY: dict[str, Reliability] = {
     ),
     "camera": Reliability(
         0.12,
-        _NOT_MEASURED,
+        _HEIGHT_WRONG,
         n=0,
         source="height above take-off, 10 to 15 % between the ground there and below; a choice",
     ),
@@ -71,9 +79,9 @@ RELIABILITY: dict[str, Reliability] = {
         0.02, _NOT_MEASURED, n=0, source="a choice; 31 pairs of photographs agree within 2 %"
     ),
     "measured": Reliability(
-        _EXACT, _NOT_MEASURED, n=0, source="a length by tape, plan or survey; a choice"
+        _EXACT, _MEASURED_WRONG, n=0, source="a length by tape, plan or survey; a choice"
     ),
-    "measured height": Reliability(0.05, _NOT_MEASURED, n=0, source="a choice"),
+    "measured height": Reliability(0.05, _MEASURED_WRONG, n=0, source="a choice"),
     "assumed": Reliability(
         _ROUGH, _NOT_MEASURED, n=0, source="a length or height that the caller assumes; a choice"
     ),
@@ -156,7 +164,19 @@ CALLER = Shared("caller", 0.0, 0.11)
 """All guesses of one caller are wrong together; with a guess's own chance, 0.15. A choice."""
 
 RECOGNITION = Shared("caller", 0.0, _NOT_MEASURED)
-"""A caller misidentifies all things of known size in an image. A choice."""
+"""A caller misidentifies all things of exact size in an image, if they differ in kind. A choice."""
+
+POINTING = Shared("caller", 0.0)
+"""A caller who points at cars may be mistaken as with other guesses. Without other guesses it is no
+further error."""
+
+MEASURING = Shared("caller's measurements", 0.0, 0.03)
+"""All measured facts of one caller are wrong together: one tape, one plan, one mistaken unit. A
+choice."""
+
+FILE = Shared("file", 0.0)
+"""A guess has the error of what the file states: the caller has the file, and may have read the
+guess off it. The ruler ``camera`` gives this error its size; without that ruler it is none."""
 
 # 5 of 9 photographs whose proportions are doubted are stretched.
 _DOUBTED = 0.5

@@ -62,7 +62,6 @@ def area(request: AreaRequest, parsed: ParsedOptions) -> None:
 
     Writes area.csv (each object), area.json and area.md (the table), and area_left_out.csv.
     """
-    from vehanchor.analysis.pipeline import checked_detector
     from vehanchor_evaluation.area_report import area_markdown, write_area_report
     from vehanchor_evaluation.area_run import measure_areas
     from vehanchor_evaluation.areas import read_areas
@@ -79,11 +78,8 @@ def area(request: AreaRequest, parsed: ParsedOptions) -> None:
         )
         run = measure_areas(
             data,
-            checked_detector(engine.detector, engine.options),
-            segmenter=engine.segmenter,
-            options=engine.options,
+            engine,
             logs=request.out,
-            classes=parsed.classes,
             limit=request.limit,
             workers=workers,
             progress=lambda step: partial(show_progress, name=step),

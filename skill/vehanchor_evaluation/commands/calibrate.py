@@ -160,7 +160,7 @@ def _from_detections(
     options = parsed.options()
     data = _known_scale(request, parsed)
     detector = open_shared(parsed, request.workers).detector
-    searched = request.search(data, detector, options, parsed=parsed, cache=request.cache)
+    searched = request.search(data, detector, options, cache=request.cache)
     survey = found_vehicles(data, searched, card=detector.card, options=options)
     print_issues(survey.issues)
     return survey, calibrate_found(survey, detector.card)

@@ -68,7 +68,7 @@ class ScaleRequest(KnownScaleRequest):
         check_options(detector, data, options_of)
         lines = self.lines(image.path for image in data.images)
         cache = self.cache or self.out / _CACHE_NAME
-        searched = self.search(data, detector, options, parsed=parsed, cache=cache)
+        searched = self.search(data, detector, options, cache=cache)
         label_options_of = options_of
         if self.label_reference_length is not None:
             label_options = replace(options, reference=Reference(self.label_reference_length))

@@ -7,6 +7,7 @@ import typing
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
+from vehanchor.options.signature import set_signature
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -38,7 +39,7 @@ def measuring_command(
         parsed = inspect.Parameter(
             "chosen", inspect.Parameter.KEYWORD_ONLY, annotation=ParsedOptions
         )
-        with_fields = with_signature(run, command, [*fields_of(request), parsed])
+        with_fields = as_command(run, command, [*fields_of(request), parsed])
         add_scale_options = scale_command(without=excluded)
         return add_scale_options(with_fields)
 
@@ -49,18 +50,17 @@ def fields_of(request: type[Any]) -> list[inspect.Parameter]:
     """Return the fields of a dataclass as parameters for Typer."""
     hints = typing.get_type_hints(request, include_extras=True)
     return [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name])
+        parameter.replace(annotation=hints[name])
         for name, parameter in inspect.signature(request).parameters.items()
     ]
 
 
-def with_signature(
+def as_command(
     run: Callable[..., None], command: Callable[..., None], parameters: list[inspect.Parameter]
 ) -> Callable[..., None]:
     """Give the function the command's name and these parameters, for Typer."""
     run.__name__ = command.__name__
     run.__doc__ = command.__doc__
     run.__module__ = command.__module__
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    set_signature(run, parameters)
     return run

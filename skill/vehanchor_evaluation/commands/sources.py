@@ -152,7 +152,6 @@ class KnownScaleRequest:
         detector: Detector,
         options: ScaleOptions,
         *,
-        parsed: ParsedOptions,
         cache: Path | None,
     ) -> dict[Path, SearchedImage | FileIssue]:
         """Search the images that the cache lacks, with a progress bar."""
@@ -171,7 +170,6 @@ class KnownScaleRequest:
                     data,
                     detector,
                     options,
-                    classes=parsed.classes,
                     cache=cache,
                     workers=self.workers,
                     progress=count_progress,

@@ -30,7 +30,7 @@ def live(
     idle: Annotated[
         float | None,
         typer.Option(
-            metavar="S", help="End after so many seconds without a new frame. Default: never."
+            metavar="S", help="End after this many seconds without a new frame. Default: never."
         ),
     ] = None,
     *,

@@ -72,7 +72,7 @@ class LiveEstimator:
     """
 
     def __init__(self, detector: Detector, options: ScaleOptions, *, hold_s: float = 10.0) -> None:
-        options.by_hand.check_single()
+        options.check_for_several_images()
         rulers = replace(options.rulers, rulers=(Vehicles.kind, SceneScale.kind), metadata=False)
         self._options = replace(options, rulers=rulers)
         self._detector = checked_detector(detector, self._options)

@@ -91,13 +91,13 @@ def open_frames(
 
     Raises:
         ImageNotFoundError: the source is neither a folder, nor a video, nor a number.
-        InvalidParameterError: the seconds are invalid.
+        InvalidParameterError: the seconds are invalid, or no camera can have the number.
     """
     EVERY_S.check("every", every_s)
     if idle_s is not None:
         EVERY_S.check("idle", idle_s)
     if source.isdecimal():
-        number = int(source)
+        number = _camera_number(source)
         open_camera = partial(_open_camera, number)
         return camera_frames(open_camera, f"camera {number}", idle_s=idle_s, tell=tell)
     if source and Path(source).is_dir():
@@ -245,23 +245,44 @@ class _Newest:
         self._name = name
         self._tell = tell
         self._frame: Frame | None = None
+        self._error: Exception | None = None
         self._changed = threading.Condition()
         self._ended = threading.Event()
         threading.Thread(target=self._run, name=f"{name} of vehanchor live", daemon=True).start()
 
     def take(self, patience_s: float | None) -> Frame | None:
-        """Wait for a frame; None if none came in time."""
+        """Wait for a frame; None if none came in time.
+
+        Raises:
+            Exception: an error ended the thread.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._frame is not None, patience_s)
+            self._changed.wait_for(self._has_news, patience_s)
             frame = self._frame
             self._frame = None
+        if frame is None and self._error is not None:
+            raise self._error
         return frame
+
+    def _has_news(self) -> bool:
+        """Test whether there is a frame, or none will come."""
+        return self._frame is not None or self._error is not None
 
     def close(self) -> None:
         """End the thread after its current frame."""
         self._ended.set()
 
     def _run(self) -> None:
+        """Read the camera until the end; pass an error on to ``take``."""
+        try:
+            self._read_and_reopen()
+        except Exception as error:
+            # Without this, a caller without a limit of patience would wait for ever.
+            with self._changed:
+                self._error = error
+                self._changed.notify()
+
+    def _read_and_reopen(self) -> None:
         """Read the camera; after each loss, open it again."""
         is_lost = False
         while not self._ended.is_set():
@@ -319,10 +340,23 @@ class _Newest:
             self._changed.notify()
 
 
+def _camera_number(digits: str) -> int:
+    """Read the number of a camera.
+
+    The check comes before the thread that reads the camera, because its errors reach nobody.
+
+    Raises:
+        InvalidParameterError: no camera can have the number.
+    """
+    significant = digits.lstrip("0")
+    # Python refuses to convert thousands of digits, so their number is checked first.
+    if len(significant) > len(str(_MAX_CAMERA_NUMBER)):
+        raise InvalidParameterError(f"the camera {digits[:20]} does not exist: use 0 for the first")
+    return int(significant or "0")
+
+
 def _open_camera(number: int) -> Camera | None:
     """Open the camera of that number; None if it gives no frames now."""
-    if number > _MAX_CAMERA_NUMBER:
-        raise InvalidParameterError(f"the camera {number} does not exist: use 0 for the first")
     camera = cv2.VideoCapture(number)
     if camera.isOpened():
         # The stubs of OpenCV are wider than what it returns.

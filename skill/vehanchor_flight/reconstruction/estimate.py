@@ -18,7 +18,7 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Source
-from vehanchor_flight.photograph import chief_member
+from vehanchor_flight.photograph import reference_member
 from vehanchor_flight.pooling import pool
 from vehanchor_flight.reconstruction.ground import model_plane
 from vehanchor_flight.reconstruction.photograph import (
@@ -67,7 +67,7 @@ def conclude_model(
         failures = [result for result in results if isinstance(result, Failure)]
         raise _nothing_usable(failures, images)
     members = merge_cars(searched)
-    reference = chief_member(members)
+    reference = reference_member(members)
     # The model knows the ratios of the scales: the photographs pool like those of a flight.
     model_gsds = [photograph.gsd for photograph in searched]
     pooled = pool(members, np.log(model_gsds), reference).estimate
@@ -134,7 +134,7 @@ def search_model(
         journal: earlier results; each new result is added at once.
     """
     files = photograph_files(model, images)
-    report_progress = detector.runtime.tell
+    report_progress = detector.runtime.report_progress
     silent_detector = detector.under(replace(detector.runtime, progress=None))
     report_progress(0, len(files))
     whole_plane = model_plane(model)

@@ -21,7 +21,7 @@ from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, CameraTilt, length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.rulers.witnesses import measure_all
-from vehanchor.scale.plane import LEAST_DESCENT
+from vehanchor.scale.plane import MIN_DESCENT
 from vehanchor_flight.photograph import (
     Photograph,
     StoredPhotograph,
@@ -101,7 +101,7 @@ class ShotAboveGround(NamedTuple):
     @property
     def gsd(self) -> float:
         """Model units per pixel at the centre of the ideal photograph."""
-        cosine = max(math.cos(math.radians(self.tilt.tilt_deg)), LEAST_DESCENT)
+        cosine = max(math.cos(math.radians(self.tilt.tilt_deg)), MIN_DESCENT)
         return float(self.height / self.shot.lens.focal_px / cosine**1.5)
 
     def on_ground(
@@ -117,7 +117,7 @@ class ShotAboveGround(NamedTuple):
         """
         rays = self.shot.rays(points)
         descents = -rays @ self.plane.normal
-        is_steep = descents >= LEAST_DESCENT * np.linalg.norm(rays, axis=1)
+        is_steep = descents >= MIN_DESCENT * np.linalg.norm(rays, axis=1)
         # Multiples of the rays that end on the plane; of flat rays they have no meaning.
         reach = self.height / np.where(is_steep, descents, 1.0)
         return self.shot.centre + reach[:, None] * rays, is_steep

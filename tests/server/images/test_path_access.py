@@ -6,7 +6,7 @@ import os
 import socket
 import tempfile
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from unicodedata import normalize
 
 import pytest
@@ -240,4 +240,36 @@ def test_no_descriptor_stays_open(root: Path, outside: Path) -> None:
                 pass
         except CallError:
             pass
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+@pytest.fixture
+def without_directory_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make paths be opened as on Windows."""
+    monkeypatch.setattr(os, "supports_dir_fd", set[object]())
+
+
+@pytest.mark.usefixtures("without_directory_descriptors")
+def test_a_file_is_opened_without_directory_descriptors(root: Path) -> None:
+    assert read(root, str(root / "a.png")) == b"inside"
+
+
+@pytest.mark.usefixtures("without_directory_descriptors")
+def test_a_file_that_is_removed_while_it_is_opened_leaves_no_descriptor(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = root / "a.png"
+    original = os.open
+
+    def open_and_remove(name: Any, flags: int, **keywords: Any) -> int:
+        descriptor = original(name, flags, **keywords)
+        if name == path:
+            path.unlink()
+        return descriptor
+
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    monkeypatch.setattr(os, "open", open_and_remove)
+    refused = refusal(root, str(path))
+    monkeypatch.undo()
+    assert refused.code == "image_not_found"
     assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -115,7 +115,7 @@ def test_measuring_tools_explain_the_status(contract: Contract) -> None:
     for tool in contract.tools:
         if tool.name != "view_image":
             description = tool.description or ""
-            assert "status is ok" in description or "status ok: use it" in description
+            assert "status is ok" in description or "Status ok: use the value" in description
 
 
 def test_every_tool_has_all_hints(contract: Contract) -> None:

@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from tests.server.app_page.viewing import viewing
 from tests.server.conftest import POOL_BOX
 from tests.server.transport.test_http import discover
+from tests.skill.imagery.files import HEIC
 from vehanchor.cli.app import app
 from vehanchor.options import ImageLimits
 from vehanchor_server.app_page.page import view_html
@@ -143,6 +144,19 @@ def test_a_photograph_that_is_dropped_is_measured_as_one_of_the_folder(
     assert measured["result"]["structuredContent"]["area_m2"] > 0
 
 
+def test_a_heic_that_is_dropped_is_measured(address: Address) -> None:
+    path = drop(address, "photo.heic", HEIC).json()["path"]
+    arguments = {
+        "image": {"kind": "path", "path": path},
+        "lines": [{"points": [{"x": 10, "y": 10}, {"x": 40, "y": 10}]}],
+        "gsd_m_per_px": 0.1,
+        "gsd_basis": "measured",
+    }
+    *_, measured = ask(address, "measure_distance", arguments)
+    distance = measured["result"]["structuredContent"]
+    assert distance["distance_m"] == pytest.approx(3)
+
+
 def drop(address: Address, name: str, data: bytes) -> httpx.Response:
     headers = {"Content-Type": "application/octet-stream"}
     return WEB.post(
@@ -158,7 +172,7 @@ def test_only_photographs_are_kept(address: Address) -> None:
     ):
         reply = drop(address, name, data)
         assert reply.status_code == 415, name
-        assert reply.text.startswith(f"{name} is not a photograph to measure: ")
+        assert reply.text.startswith(f"{name} cannot be measured: ")
 
 
 def test_a_photograph_above_the_limit_is_not_kept(
@@ -169,7 +183,9 @@ def test_a_photograph_above_the_limit_is_not_kept(
     with viewing(settings, tmp_path / "dropped") as address:
         reply = drop(address, "large.png", bytes((1 << 20) + 1))
     assert reply.status_code == 413
-    assert reply.text == "large.png has more than 1 MiB: reduce it"
+    assert reply.text.startswith(
+        "large.png cannot be measured: the image has more than 1048576 bytes"
+    )
     assert list((tmp_path / "dropped").iterdir()) == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from tests.skill.batch.runs import FILES, assert_same_fields, read_rows
 from vehanchor import estimate_gsd
 from vehanchor.batch import BatchJob, run_batch
 from vehanchor.batch.row import ALL_COLUMNS, COLUMNS
-from vehanchor.batch.worker import Worker
+from vehanchor.batch.worker import Task, Worker
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
     InvalidParameterError,
@@ -75,6 +76,37 @@ def test_an_image_without_cars_has_a_row_without_a_scale(
 ) -> None:
     empty = detailed_rows["empty.png"]
     assert (empty["status"], empty["gsd_m_per_px"], empty["confidence"]) == ("no_scale", None, 0)
+
+
+def _write_names_that_look_alike(folder: Path, target: Path) -> None:
+    """Write an image with cars and one without; the table shows both names alike."""
+    for name, source in ((b"a\xff.png", "cars.png"), (rb"a\udcff.png", "empty.png")):
+        path = target / os.fsdecode(name)
+        path.write_bytes((folder / source).read_bytes())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # Ray warns about itself.
+@pytest.mark.parametrize("engine", ["local", pytest.param("ray", marks=pytest.mark.ray)])
+def test_images_whose_names_look_alike_have_their_own_rows(
+    engine: Any, folder: Path, detector: Path, tmp_path: Path
+) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    _write_names_that_look_alike(folder, images)
+    table = tmp_path / "table.jsonl"
+    run_batch([str(images)], table, detector=detector, workers=1, engine=engine)
+    rows = read_rows(table)
+    assert len({row["file"] for row in rows}) == 1
+    assert sorted(row["status"] for row in rows) == ["low_confidence", "no_scale"]
+
+
+def test_a_key_is_the_name_with_the_path_and_the_state_of_the_file(folder: Path) -> None:
+    """Journals of earlier versions have these keys."""
+    path = folder / "cars.png"
+    state = path.stat()
+    key = Task.of("cars.png").key()
+    assert key == ("cars.png", str(path.resolve()), state.st_size, state.st_mtime_ns)
 
 
 def test_an_unreadable_image_has_a_row_with_the_error(

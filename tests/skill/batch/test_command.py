@@ -46,7 +46,7 @@ def test_the_command_fails_if_no_image_can_be_used(detector: Path, table: Path) 
     result = _finished(table, detector, "broken.jpg")
     assert result.exit_code == 1
     last = result.stderr.splitlines()[-1]
-    assert last == "no image could be used: the columns error_code and error say why"
+    assert last == "no image could be used: the columns error_code and error explain why"
 
 
 def test_the_summary_of_one_image_has_singular_nouns(detector: Path, table: Path) -> None:

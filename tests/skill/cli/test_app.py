@@ -24,6 +24,8 @@ from vehanchor import analyse_scale, engine, records
 from vehanchor.cli import app as cli
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
+from vehanchor.records.ruler_registry import RULERS
+from vehanchor.rulers.active import ruler_class
 
 LENGTH_PX = 30.0
 
@@ -409,6 +411,19 @@ def test_models_list_has_an_object_for_each_bundled_model(run: Any) -> None:
     assert (detector["default"], detector["reference_length_m"]) == (True, 4.65)
     assert (segmenter["kind"], segmenter["contract"]) == ("segmenter", "sam")
     assert (len(detector["sha256"]), len(segmenter["sha256"])) == (64, 64)
+
+
+def test_models_rulers_states_what_each_ruler_needs(run: Any) -> None:
+    shown = _words(run("models", "--rulers").stdout)
+    for kind in RULERS:
+        assert f"{kind} {ruler_class(kind).help}" in shown
+
+
+def test_models_rulers_has_an_object_for_each_ruler(run: Any) -> None:
+    rows = _lines(run("models", "--rulers", "--json"))
+    assert [row["kind"] for row in rows] == list(RULERS)
+    assert {row["kind"] for row in rows if not row["sets_scale"]} == {"scene_scale"}
+    assert all(row["needs"] for row in rows)
 
 
 def test_models_info_shows_the_metadata_of_a_model(run: Any) -> None:

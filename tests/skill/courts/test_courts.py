@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import vehanchor
 from research.scenes import render_scene
-from tests.analyses import told
+from tests.analyses import found_witness
 from tests.skill.courts.drawing import draw_court
 from vehanchor.courts.find import Court, courts_among
 from vehanchor.courts.network import Proposal, coarse_factors, load_court_network
@@ -135,7 +135,7 @@ def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:
 
 @pytest.fixture(scope="module")
 def two_courts() -> Witness:
-    return told(witness_of([_court(0.3), _court(0.302)]))
+    return found_witness(witness_of([_court(0.3), _court(0.302)]))
 
 
 def test_courts_are_one_witness(two_courts: Witness) -> None:
@@ -166,13 +166,13 @@ def test_two_sides_of_a_court_are_marks_with_their_lengths(two_courts: Witness) 
 
 
 def test_the_explanation_names_the_rules_of_a_court() -> None:
-    explanation = told(witness_of([_court(0.3, "basketball_nba")])).statement
+    explanation = found_witness(witness_of([_court(0.3, "basketball_nba")])).statement
     assert explanation is not None
     assert "by the NBA's rules" in explanation
 
 
 def test_a_court_that_contradicts_the_others_is_left_out() -> None:
-    witness = told(witness_of([_court(0.3), _court(0.301), _court(0.4)]))
+    witness = found_witness(witness_of([_court(0.3), _court(0.301), _court(0.4)]))
     assert witness.n == 2
     assert witness.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
 

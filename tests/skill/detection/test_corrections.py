@@ -18,6 +18,7 @@ from vehanchor.detection.detections import Appearance, Detections, corrected
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions
+from vehanchor.records.notices import NoticeCode
 
 _SIDE = 4000
 
@@ -122,12 +123,34 @@ def test_a_number_of_an_image_without_vehicles_is_refused() -> None:
 # --- Added vehicles
 
 
-def test_added_vehicles_choose_the_fleet() -> None:
-    axes = [(3000, y, 3100 + y / 100, y) for y in (3000, 3200, 3400)]
-    analysis = _analysis(_detections([(40.0, 20)]), add=axes)
+# Three vehicles of 132 px.
+_LONG_AXES = [(3000, y, 3100 + y / 100, y) for y in (3000, 3200, 3400)]
+
+
+def test_added_vehicles_do_not_outvote_many_others() -> None:
+    analysis = _analysis(_detections([(40.0, 20)]), add=_LONG_AXES)
+    assert analysis.estimate.mode_length_px == pytest.approx(40, rel=0.05)
+    assert analysis.kept.tolist() == [True] * 20 + [False] * 3
+
+
+def test_an_added_vehicle_unlike_the_others_gives_a_notice() -> None:
+    analysis = _analysis(_detections([(40.0, 20)]), add=_LONG_AXES[:1])
+    (notice,) = (
+        warning
+        for warning in analysis.estimate.warnings
+        if warning.code == NoticeCode.ADDED_VEHICLE_UNLIKE
+    )
+    assert "3.2 times as long as the 20 others: a lorry?" in notice.message
+
+
+def test_added_vehicles_lead_few_others() -> None:
+    analysis = _analysis(_detections([(40.0, 2)]), add=_LONG_AXES)
     assert analysis.estimate.mode_length_px == pytest.approx(132, rel=0.05)
-    # They pass the outlier filter.
-    assert analysis.kept.tolist() == [False] * 20 + [True] * 3
+
+
+def test_added_vehicles_lead_if_the_others_are_dropped() -> None:
+    analysis = _analysis(_detections([(40.0, 20)]), drop=[*range(1, 21)], add=_LONG_AXES)
+    assert analysis.estimate.mode_length_px == pytest.approx(132, rel=0.05)
 
 
 def test_an_added_vehicle_counts() -> None:

@@ -298,6 +298,17 @@ def test_a_search_ends_at_the_limit_of_tiles(searching: Detector, town: Painted)
     assert detections.n_tiles_total > 30
 
 
+def test_a_search_at_the_limit_of_tiles_has_not_converged(
+    searching: Detector, town: Painted
+) -> None:
+    # The prior excludes the full resolution, and the other levels have more tiles than the limit.
+    prior = _nearly_certain_prior(CAR_LENGTH_M / 90)
+    options = Search(**_SMALL_TILES, max_tiles=12)
+    detections = _searched(town[0], searching, options, prior)
+    assert len(detections.boxes) >= 5
+    assert (detections.n_tiles, detections.stopped_because) == (12, "max_tiles")
+
+
 def test_a_limited_search_is_deterministic(searching: Detector, town: Painted) -> None:
     first, second = (
         _searched(town[0], searching, Search(**_SMALL_TILES, max_tiles=12)) for _ in range(2)

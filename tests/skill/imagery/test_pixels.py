@@ -221,7 +221,7 @@ def test_sixteen_bits_are_stretched_by_percentiles(suffix: str) -> None:
     np.testing.assert_array_equal(pixels, read_all(twelve_bits))
 
 
-@pytest.mark.parametrize("dtype", ["float16", ">u2", ">f4", "uint16", "float64"])
+@pytest.mark.parametrize("dtype", ["float16", ">f2", ">u2", ">f4", "uint16", "float64"])
 def test_every_type_of_pixels_gives_the_same_picture(dtype: str) -> None:
     array = (RGB.astype(int) * 3).astype(dtype)
     np.testing.assert_array_equal(read_all(array), read_all(array.astype(np.float64)))
@@ -303,3 +303,9 @@ def test_chosen_bands_need_no_warning() -> None:
 def test_missing_bands_are_a_wrong_parameter(image: Any, bands: Any) -> None:
     with pytest.raises(InvalidParameterError):
         open_raster(image, Reading(bands=bands))
+
+
+def test_bands_above_the_third_can_be_chosen_from_an_array_in_bgr_order() -> None:
+    array = np.random.default_rng(3).integers(0, 256, (30, 40, 5), dtype=np.uint8)
+    pixels = read_all(array, bgr=True, bands=(1, 2, 5))
+    np.testing.assert_array_equal(pixels, array[..., [2, 1, 4]])

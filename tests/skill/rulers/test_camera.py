@@ -180,11 +180,17 @@ def test_a_camera_that_looks_at_the_horizon_is_no_ruler() -> None:
     assert [notice.code for notice in witness.notices] == ["camera_tilted"]
 
 
+def _chance_wrong(witness: Witness) -> float:
+    """Compute the chance that a witness is wrong, its shared errors included."""
+    chances = [error.chance_wrong for error in witness.shared]
+    return 1.0 - math.prod(1.0 - chance for chance in (witness.chance_wrong, *chances))
+
+
 def test_an_unknown_pitch_widens_the_interval() -> None:
     known = _measured(MAVIC)
     unknown = _measured(_but(off_nadir_deg=None))
     assert log_sd(unknown) > log_sd(known)
-    assert unknown.chance_wrong > known.chance_wrong
+    assert _chance_wrong(unknown) > _chance_wrong(known)
     assert unknown.statement is not None
     assert "at nadir" in unknown.statement
 
@@ -250,6 +256,23 @@ def test_metadata_that_are_read_in_part_say_what_is_not_used() -> None:
     assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD, rel=0.01)
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
     assert "both -90 and -45" in witness.notices[0].message
+
+
+@pytest.fixture(scope="module")
+def almost_level() -> Witness:
+    """Measured by a camera that looks at the horizon, with a known height and focal length."""
+    return _measured(_but(off_nadir_deg=88.0))
+
+
+def test_a_camera_that_is_almost_level_gives_no_scale(almost_level: Witness) -> None:
+    assert not almost_level.found
+    assert [notice.code for notice in almost_level.notices] == ["camera_tilted"]
+
+
+def test_a_camera_that_is_almost_level_lacks_no_metadata(almost_level: Witness) -> None:
+    (notice,) = almost_level.notices
+    assert "too close to the horizon" in notice.message
+    assert "without" not in notice.message
 
 
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])

@@ -20,6 +20,7 @@ from vehanchor.rulers.active import active_rulers
 from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.ruler import View
+from vehanchor.scale.reliability import MEASURING
 
 
 def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
@@ -38,7 +39,8 @@ def test_the_scale_of_a_line_is_its_metres_over_its_pixels() -> None:
     assert witness.gsd_m_per_px == pytest.approx(25 / 500, rel=1e-3)
     assert log_sd(witness) == pytest.approx(math.hypot(math.sqrt(2) / 500, 0.01), rel=0.02)
     assert (witness.kind, witness.n) == ("known_length", 1)
-    assert (witness.chance_wrong, witness.assumed) == (0.05, False)
+    assert (witness.chance_wrong, witness.assumed) == (0.02, False)
+    assert witness.shared == (MEASURING,)
 
 
 def test_a_line_drawn_in_a_copy_is_read_in_its_pixels() -> None:

@@ -18,11 +18,12 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
+from vehanchor.records import GsdEstimate
 from vehanchor.rulers.active import check_rulers
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.rulers.ruler import View
-from vehanchor.rulers.standards import Variant, lengths_of, standards
+from vehanchor.rulers.standards import Variant, check_name, lengths_of, standards
 from vehanchor.scale.countries import COUNTRY_REGIONS
 
 
@@ -148,32 +149,43 @@ def test_things_of_two_kinds_narrow_the_interval() -> None:
 
 
 @pytest.mark.parametrize(
-    ("what", "status"),
+    ("first", "second", "status"),
     [
-        ("football_penalty_area_width", "ok"),
-        ("railway_gauge/DE", "ok"),
-        ("railway_gauge", "low_confidence"),
-        ("parking_bay_length", "low_confidence"),
+        ("football_penalty_area_width", "tennis_court_length", "ok"),
+        ("railway_gauge/DE", "iso_container_40ft", "ok"),
+        ("football_penalty_area_width", "football_penalty_area_depth", "low_confidence"),
+        ("railway_gauge/DE", "parking_bay_length", "low_confidence"),
+        ("motorway_lane_width", "zebra_period", "low_confidence"),
     ],
 )
-def test_one_thing_alone_is_usable_only_if_its_kind_allows(what: str, status: str) -> None:
-    assert record_of(0, known_lengths=[(100, 100, 300, 100, what)]).status == status
+def test_two_things_are_usable_only_if_they_are_exact_and_of_two_kinds(
+    first: str, second: str, status: str
+) -> None:
+    assert _record_of_things(first, second).status == status
+
+
+@pytest.mark.parametrize(
+    "what", ["football_penalty_area_width", "railway_gauge/DE", "parking_bay_length"]
+)
+def test_one_thing_alone_is_not_usable(what: str) -> None:
+    assert record_of(0, known_lengths=[(100, 100, 300, 100, what)]).status == "low_confidence"
+
+
+def _record_of_things(*whats: str) -> GsdEstimate:
+    """Lines at things of known size, all at 0.05 m/px."""
+    lines = []
+    for k, what in enumerate(whats):
+        metres = lengths_of(what)[1][0].metres
+        lines.append((100, 100 + 9 * k, 100 + metres / 0.05, 100 + 9 * k, what))
+    return record_of(0, known_lengths=lines)
 
 
 def test_two_things_of_one_family_are_one_witness() -> None:
-    def record(*whats: str) -> Any:
-        metres = {what: standards()[what].variants[0].metres for what in whats}
-        lines = [
-            (100, 100 + 9 * k, 100 + metres[what] / 0.05, 100 + 9 * k, what)
-            for k, what in enumerate(whats)
-        ]
-        return record_of(0, known_lengths=lines)
-
-    same = record("iso_container_20ft", "iso_container_width")
-    assert (same.status, same.gsd_m_per_px) == ("ok", pytest.approx(0.05, rel=0.01))
-    assert record("iso_container_20ft", "semi_trailer").confidence == pytest.approx(
-        same.confidence, abs=0.02
-    )
+    same = _record_of_things("iso_container_20ft", "iso_container_width")
+    assert same.status == "low_confidence"
+    assert same.gsd_m_per_px == pytest.approx(0.05, rel=0.01)
+    other = _record_of_things("iso_container_20ft", "semi_trailer")
+    assert other.confidence == pytest.approx(same.confidence, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -205,6 +217,35 @@ def test_a_wrong_name_in_a_table_is_refused_by_its_line(tmp_path: Any) -> None:
         KnownLengthError, match="line 2: there is no thing of known size 'pool_51m'"
     ):
         lines_in(table, [tmp_path / "a.png"])
+
+
+def _refusal(name: str) -> str:
+    """Refuse an unknown name, and return the message."""
+    with pytest.raises(KnownLengthError) as caught:
+        check_name(name)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"),
+    [
+        ("pool_51m", "pool_50m"),
+        ("Tennis-Court", "tennis_court_width"),
+        ("container_20ft/DE", "iso_container_20ft"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_nearest_names(name: str, nearest: str) -> None:
+    message = _refusal(name)
+    named = [thing for thing in standards() if thing in message]
+    assert nearest in named
+    assert len(named) == 5
+
+
+@pytest.mark.parametrize("name", ["", "zzz", "x" * 10_000])
+def test_the_error_about_an_unknown_name_is_short(name: str) -> None:
+    message = _refusal(name)
+    assert len(message) < 550
+    assert "'vehanchor models --sizes'" in message
 
 
 def test_the_command_lists_every_thing() -> None:

@@ -219,13 +219,35 @@ def test_a_usable_scale_has_no_reason() -> None:
     assert (found.usable, found.reason) == (True, None)
 
 
+def _without_floor(gsd: float, shared: tuple[Shared, ...] = ()) -> Witness:
+    """Make a witness that cannot be wrong, and excludes all scales except those near ``gsd``."""
+    right = normalised(np.where(lognormal(gsd, 0.01) > 1e-6, 1.0, 0.0))
+    return Witness("sure", gsd, right=right, chance_wrong=0.0, shared=shared)
+
+
 def test_a_witness_without_a_floor_does_not_break_the_product() -> None:
-    sure = Witness(
-        "sure",
-        0.1,
-        right=normalised(np.where(lognormal(0.1, 0.01) > 1e-6, 1.0, 0.0)),
-        chance_wrong=0.0,
-    )
-    found = answer([sure, _point(0.5)])
+    found = answer([_without_floor(0.1), _point(0.5)])
     assert found is not None
     assert found.gsd_m_per_px == pytest.approx(0.1, rel=0.05)
+
+
+@pytest.mark.parametrize("second_gsd", [0.101, 0.5], ids=["they agree", "they exclude each other"])
+@pytest.mark.parametrize("chance_wrong", [0.0, 0.02])
+@pytest.mark.filterwarnings("error")
+def test_witnesses_without_a_floor_that_share_an_error_give_finite_numbers(
+    second_gsd: float, chance_wrong: float
+) -> None:
+    shared = (Shared("height", 0.12, chance_wrong),)
+    witnesses = [_without_floor(0.1, shared), _without_floor(second_gsd, shared)]
+    found = answer(witnesses)
+    assert np.isfinite(_numbers(found)).all()
+    assert found is not None
+    assert np.isfinite(found.density).all()
+    assert np.isfinite(found.p_right).all()
+
+
+def test_witnesses_without_a_floor_that_exclude_each_other_are_not_sure() -> None:
+    shared = (HEIGHT,)
+    contradiction = answer([_without_floor(0.1, shared), _without_floor(0.5, shared)])
+    assert contradiction is not None
+    assert (contradiction.usable, contradiction.reason) == (False, "disagree")

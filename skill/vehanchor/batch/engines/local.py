@@ -38,7 +38,9 @@ def local_workers(n_tasks: int) -> int:
     return max(1, min(n_cpus, n_tasks))
 
 
-def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[BatchRow]:
+def local_rows(
+    job: BatchJob, tasks: Sequence[Task], workers: int
+) -> Iterator[tuple[Task, BatchRow]]:
     """Make the rows of all tasks.
 
     Args:
@@ -47,7 +49,7 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[B
         workers: number of processes; 1 uses this process alone.
 
     Yields:
-        A row for each task, in order of completion.
+        Each task with its row, in order of completion.
 
     Raises:
         WorkerDiedError: a process was killed, usually for lack of memory.
@@ -56,7 +58,7 @@ def local_rows(job: BatchJob, tasks: Sequence[Task], workers: int) -> Iterator[B
     if workers == 1:
         worker = Worker(job)
         for task in tasks:
-            yield worker.row(task)
+            yield task, worker.row(task)
         return
 
     # A forked copy of a process with threads can deadlock, so each worker starts anew.
@@ -100,6 +102,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _make_row(task: Task) -> BatchRow:
+def _make_row(task: Task) -> tuple[Task, BatchRow]:
     assert _worker is not None  # The pool starts each process with _start_worker.
-    return _worker.row(task)
+    return task, _worker.row(task)

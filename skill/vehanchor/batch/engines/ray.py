@@ -7,7 +7,6 @@ import math
 import os
 import socket
 from contextlib import contextmanager
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.batch.row import BatchRow
@@ -53,15 +52,15 @@ class _Actor:
             self._worker = Worker.for_this_process(job)
         rows = []
         for file, path in zip(block["file"], block["path"], strict=True):
-            task = Task(str(file), str(path))
+            task = Task(str(file), os.fsdecode(path))
             row = self._worker.row(task)
             rows.append(row.model_dump_json())
-        return {"row": rows}
+        return {"number": block["number"], "row": rows}
 
 
 def ray_rows(
     job: BatchJob, tasks: Sequence[Task], workers: int | None, address: str | None
-) -> Iterator[BatchRow]:
+) -> Iterator[tuple[Task, BatchRow]]:
     """Make the rows of all tasks.
 
     Args:
@@ -72,7 +71,7 @@ def ray_rows(
             a local Ray.
 
     Yields:
-        A row for each task, in order of completion.
+        Each task with its row, in order of completion.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -85,7 +84,11 @@ def ray_rows(
         ray.data.DataContext.get_current().enable_progress_bars = False
         n_workers = min(workers or _cluster_cpus(ray), len(tasks))
         n_blocks = max(n_workers, math.ceil(len(tasks) / _IMAGES_PER_BLOCK))
-        items = [asdict(task) for task in tasks]
+        # A name of a file can hold bytes that are not UTF-8, and Arrow's strings cannot.
+        items = [
+            {"number": number, "file": task.file, "path": os.fsencode(task.path)}
+            for number, task in enumerate(tasks)
+        ]
         blocks = ray.data.from_items(items, override_num_blocks=n_blocks)
         rows = blocks.map_batches(
             _Actor,
@@ -97,7 +100,7 @@ def ray_rows(
         )
         try:
             for row in rows.iter_rows():
-                yield BatchRow.model_validate_json(row["row"])
+                yield tasks[int(row["number"])], BatchRow.model_validate_json(row["row"])
         except ray.exceptions.RayError as error:
             # The last line of Ray's long message names the cause.
             message = str(error).strip()

@@ -6,13 +6,19 @@ apply to the larger, so a small container cannot hide a huge image.
 
 from __future__ import annotations
 
-import math
 import struct
-from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
-from vehanchor.imagery.formats.boxes import boxes
+from vehanchor.imagery.formats.heif import (
+    Bits,
+    ItemLimits,
+    item_pieces,
+    largest_size,
+    property_values,
+    read_image_properties,
+    read_meta,
+)
 from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
@@ -21,12 +27,11 @@ if TYPE_CHECKING:
     from vehanchor.imagery.formats.boxes import Box
     from vehanchor.imagery.formats.ifd import ReadAt
 
-_MAX_META_BYTES = 1 << 20
-_MAX_ITEMS = 300
-"""Maximum number of items; a grid has at most 256, plus EXIF, XMP and alpha."""
+_LIMITS = ItemLimits(items=300, pieces=1, list_bytes=1 << 14)
+"""Limits on the items: a grid has at most 256, plus EXIF, XMP and alpha.
 
-_MAX_ILOC_BYTES = 1 << 14
-"""Bytes of the list of items to read: 300 items take up to 46 bytes each."""
+300 items take up to 46 bytes each in their list.
+"""
 
 _MAX_OBUS = 100
 """Maximum number of units (OBU) in an item, which is one image."""
@@ -88,7 +93,7 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
         ImageTooLargeError: the file has more parts than a photograph needs.
         struct.error: the file ends within its header.
     """
-    parts = _read_meta(read_at)
+    parts = read_meta(read_at, "AVIF")
     properties = _read_properties(read_at, parts[b"iprp"])
     decoded_px = properties.width_px * properties.height_px
     complete = True
@@ -107,29 +112,6 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
     )
 
 
-def _read_meta(read_at: ReadAt) -> dict[bytes, Box]:
-    """Find the parts of the "meta" box by their kinds; "iprp" and "iloc" are among them.
-
-    Raises:
-        ImageDecodeError: the box or one of the two parts is missing, or the file is an animation.
-        ImageTooLargeError: the box is larger than a photograph needs.
-    """
-    meta = next((box for box in boxes(read_at) if box.kind in (b"meta", b"moov")), None)
-    if meta is None or meta.end is None:
-        raise ImageDecodeError("the AVIF has no 'meta' box: truncated or damaged")
-    if meta.kind == b"moov":
-        raise ImageDecodeError("the AVIF is an animation; save one frame as PNG and send that")
-    if meta.end - meta.start > _MAX_META_BYTES:
-        raise ImageTooLargeError(
-            f"the AVIF's header is larger than {_MAX_META_BYTES} bytes; save it again"
-        )
-    # Version and flags, 4 bytes, precede the boxes.
-    parts = {box.kind: box for box in boxes(read_at, meta.start + 4, meta.end)}
-    if b"iprp" not in parts or b"iloc" not in parts:
-        raise ImageDecodeError("the AVIF does not declare where its images are: damaged")
-    return parts
-
-
 def _read_properties(read_at: ReadAt, iprp: Box) -> _Properties:
     """Read the properties of all images together.
 
@@ -137,29 +119,20 @@ def _read_properties(read_at: ReadAt, iprp: Box) -> _Properties:
         ImageDecodeError: there is no size, or there are several rotations.
         struct.error: the file ends within a property.
     """
-    containers = [box for box in boxes(read_at, iprp.start, iprp.end) if box.kind == b"ipco"]
-    properties: list[Box] = []
-    for container in containers:
-        properties.extend(boxes(read_at, container.start, container.end))
-
-    def read_values(kind: bytes, values_format: str, skip: int = 0) -> set[tuple[int, ...]]:
-        """Read the distinct values of a kind of property, after ``skip`` bytes."""
-        n_bytes = struct.calcsize(values_format)
-        starts = [box.start + skip for box in properties if box.kind == kind]
-        return {struct.unpack(values_format, read_at(start, n_bytes)) for start in starts}
-
-    sizes = read_values(b"ispe", ">II", skip=4)
-    turns = read_values(b"irot", "B")
-    mirrors = read_values(b"imir", "B")
-    if not sizes or len(turns) > 1 or len(mirrors) > 1:
+    properties = read_image_properties(read_at, iprp)
+    size = largest_size(read_at, properties)
+    turns = property_values(read_at, properties, b"irot", values_format="B")
+    mirrors = property_values(read_at, properties, b"imir", values_format="B")
+    if size is None or len(turns) > 1 or len(mirrors) > 1:
         raise ImageDecodeError(
             "the AVIF declares no size or several rotations: damaged, or not a photograph; save it "
             "again"
         )
-    width, height = max(sizes, key=math.prod)
+    width, height = size
     quarter_turns = next((turn & 3 for (turn,) in turns), 0)
     mirror_axis = next((axis & 1 for (axis,) in mirrors), None)
-    third_bytes = [third for _, _, third in read_values(b"av1C", "3B")]
+    configurations = property_values(read_at, properties, b"av1C", values_format="3B")
+    third_bytes = [third for _, _, third in configurations]
     return _Properties(
         width,
         height,
@@ -177,45 +150,16 @@ def _item_spans(read_at: ReadAt, iloc: Box, idat: Box | None) -> Iterator[tuple[
         ImageTooLargeError: there are too many items.
         struct.error: the file ends within the list of items.
     """
-    read_bits = _Bits(read_at(iloc.start, _MAX_ILOC_BYTES))
-    version = read_bits(8)
-    read_bits(24)  # flags
-    offset_bits = 8 * read_bits(4)
-    length_bits = 8 * read_bits(4)
-    base_bits = 8 * read_bits(4)
-    index_bits = 8 * read_bits(4)
-    number_bits = 32 if version == 2 else 16
-    n_items = read_bits(number_bits)
-    if n_items > _MAX_ITEMS:
-        raise ImageTooLargeError(f"the AVIF has more than {_MAX_ITEMS} parts; save it again")
-    for _ in range(n_items):
-        read_bits(number_bits)  # number of the item
-        is_in_idat = False
-        if version:
-            construction_method = read_bits(16) & 15
-            is_in_idat = construction_method == 1
-            if construction_method > 1 or (is_in_idat and idat is None):
-                raise ImageDecodeError(
-                    "the AVIF stores an image within another, or nowhere; save it again"
-                )
-        read_bits(16)  # number of the file that holds the data
-        start = read_bits(base_bits)
-        n_pieces = read_bits(16)
-        if n_pieces > 1:
-            raise ImageDecodeError("the AVIF stores an image in several pieces; save it again")
-        if n_pieces == 0:
-            continue
-        if version:
-            read_bits(index_bits)
-        start += read_bits(offset_bits)
-        if is_in_idat and idat is not None:
-            start += idat.start
-        length = read_bits(length_bits)
-        if length == 0:
+    for piece in item_pieces(read_at, iloc, idat, name="AVIF", limits=_LIMITS):
+        if not piece.in_file:
+            raise ImageDecodeError(
+                "the AVIF stores an image within another, or nowhere; save it again"
+            )
+        if piece.length == 0:
             raise ImageDecodeError(
                 "the AVIF does not declare the length of an image; save it again"
             )
-        yield start, start + length
+        yield piece.start, piece.start + piece.length
 
 
 def _largest_frame_px(read_at: ReadAt, position: int, end: int) -> int:
@@ -242,7 +186,7 @@ def _largest_frame_px(read_at: ReadAt, position: int, end: int) -> int:
             position += n_bytes
         if kind == _OBU_SEQUENCE_HEADER:
             header = read_at(position, min(length, _MAX_SEQUENCE_HEADER_BYTES))
-            width, height = _sequence_size(_Bits(header))
+            width, height = _sequence_size(Bits(header))
             largest_px = max(largest_px, width * height)
         position += length
     raise ImageTooLargeError(f"the AVIF has an image of more than {_MAX_OBUS} parts; save it again")
@@ -263,20 +207,7 @@ def _leb128(data: bytes) -> tuple[int, int]:
     raise struct.error
 
 
-class _Bits:
-    """Reader of numbers of any width in bits; a call reads the next one."""
-
-    def __init__(self, data: bytes) -> None:
-        self._digits = iter("".join(f"{byte:08b}" for byte in data))
-
-    def __call__(self, n: int) -> int:
-        digits = "".join(islice(self._digits, n))
-        if len(digits) < n:
-            raise struct.error
-        return int(digits or "0", 2)
-
-
-def _sequence_size(read_bits: _Bits) -> tuple[int, int]:
+def _sequence_size(read_bits: Bits) -> tuple[int, int]:
     """Read the largest frame size of a sequence (AV1 specification, section 5.5.1)."""
     read_bits(4)  # profile, still picture
     has_reduced_header = read_bits(1)
@@ -302,7 +233,7 @@ def _sequence_size(read_bits: _Bits) -> tuple[int, int]:
     return width, height
 
 
-def _skip_timing(read_bits: _Bits) -> int:
+def _skip_timing(read_bits: Bits) -> int:
     """Skip the timing information; return the width of the decoder delay in bits, 0 without one."""
     has_timing = read_bits(1)
     if not has_timing:

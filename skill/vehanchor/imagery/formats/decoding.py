@@ -13,18 +13,9 @@ from vehanchor.imagery.formats.header import without_ancillary_chunks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.formats.image_header import ImageHeader, TiffLayout
+    from vehanchor.imagery.formats.image_header import ImageHeader
 
 _NO_MEMORY = -4  # cv::Error::StsNoMem
-
-# TIFF's SampleFormat and PhotometricInterpretation.
-_UNSIGNED = 1
-_FLOAT = 3
-_WHITE_IS_ZERO = 0
-_BLACK_IS_ZERO = 1
-_RGB = 2
-_PALETTE = 3
-_YCBCR = 6
 
 
 def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
@@ -36,16 +27,12 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
     Args:
         data: the encoded image.
         source: name of the image in messages.
-        header: its header.
+        header: its header, which has been checked (``file_check``).
 
     Raises:
         ImageDecodeError: the image is truncated or damaged.
         OutOfMemoryError: the machine has too little free memory.
     """
-    if not header.complete:
-        raise ImageDecodeError(
-            f"the {header.format} ({source}) is truncated: its end mark is missing"
-        )
     if header.format == "PNG":
         data = without_ancillary_chunks(data)
     try:
@@ -70,17 +57,3 @@ def decode(data: bytes, source: str, header: ImageHeader) -> NDArray[Any]:
             )
         raise ImageDecodeError(message)
     return pixels
-
-
-def decodes_tiff(layout: TiffLayout) -> bool:
-    """Test whether OpenCV decodes a TIFF of this layout correctly and without loss."""
-    if layout.bands not in (1, 3, 4) or layout.planar:
-        return False
-    bits = set(layout.bits)
-    if layout.sample_format == _FLOAT:
-        return bits in ({32}, {64}) and layout.photometric in (_BLACK_IS_ZERO, _RGB)
-    if layout.sample_format != _UNSIGNED or bits not in ({1}, {8}, {16}):
-        return False
-    if layout.photometric == _WHITE_IS_ZERO:
-        return bits != {16}
-    return layout.photometric in (_BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR)

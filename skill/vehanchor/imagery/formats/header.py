@@ -12,6 +12,7 @@ from typing import NamedTuple
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.avif import read_avif
 from vehanchor.imagery.formats.boxes import still_format
+from vehanchor.imagery.formats.heif import read_heic
 from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES, ReadAt, exif_orientation
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader
 from vehanchor.imagery.formats.jpeg import EXIF_PREFIX, MAX_SEGMENTS, read_jpeg
@@ -30,6 +31,9 @@ IMAGE_FORMATS: dict[str, tuple[str, ...]] = {
     "HEIC": (".heic",),
 }
 """Suffixes of each image format; help, messages and lists of files derive from it."""
+
+FORMAT_BYTES = 32
+"""First bytes of a file, by which its format is recognised."""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _SIGNATURES: dict[str, bytes | tuple[bytes, ...]] = {
@@ -111,14 +115,14 @@ def image_format(start: bytes) -> str | None:
 
 
 def read_header(read_at: ReadAt) -> ImageHeader:
-    """Read format, declared size, orientation and completeness of any format but HEIC.
+    """Read format, declared size, orientation and completeness of an image.
 
     Raises:
         ImageDecodeError: the format is unknown, or the header is damaged.
         ImageTooLargeError: the file has more parts than an image needs.
         ImageFormatError: the file is a camera's raw file.
     """
-    start = read_at(0, 32)
+    start = read_at(0, FORMAT_BYTES)
     name = image_format(start) or ""
     readers = {
         "JPEG": read_jpeg,
@@ -128,6 +132,7 @@ def read_header(read_at: ReadAt) -> ImageHeader:
         "BMP": _read_bmp,
         "AVIF": read_avif,
         "JPEG 2000": read_jpeg2000,
+        "HEIC": read_heic,
     }
     reader = readers.get(name)
     if reader is None:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.errors import ImageDecodeError, MissingExtraError, OutOfMemoryError, VehAnchorError
+from vehanchor.errors import ImageDecodeError, ImageError, OutOfMemoryError, VehAnchorError
+from vehanchor.imagery.file_check import missing_heif
+from vehanchor.imagery.formats.boxes import boxes
+from vehanchor.imagery.formats.heif import HEIC_PIXEL_BYTES
+from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.formats.image_header import ImageHeader
 from vehanchor.imagery.limits import check_header
 from vehanchor.imagery.sources.arrays import ArrayRaster
@@ -17,8 +22,11 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ImageLimits
 
-_BYTES_PER_PIXEL = 12
-"""Memory for decoding: two 16-bit planes of HEVC's colours, and RGB with alpha twice."""
+_DESCRIBES = b"cdsc"
+"""Kind of the reference from metadata to the image that they describe."""
+
+_UNKNOWN = b"free"
+"""Kind of a reference that libheif ignores."""
 
 
 def open_heic(data: bytes, source: str, *, bands: BandChoice, limits: ImageLimits) -> Raster:
@@ -38,13 +46,14 @@ def open_heic(data: bytes, source: str, *, bands: BandChoice, limits: ImageLimit
     """
     heif = _import_heif(source)
     try:
-        image = heif.open_heif(io.BytesIO(data))
+        image = heif.open_heif(io.BytesIO(_without_metadata(data)))
+        # The container's size has been checked; this is the one that libheif allocates.
         width_px, height_px = image.size
         header = ImageHeader(
             "HEIC",
             width_px,
             height_px,
-            decoding_bytes=width_px * height_px * _BYTES_PER_PIXEL,
+            decoding_bytes=width_px * height_px * HEIC_PIXEL_BYTES,
         )
         check_header(header, limits)
         # libheif owns this memory and frees it with the image. Its rows can be longer than the
@@ -56,7 +65,8 @@ def open_heic(data: bytes, source: str, *, bands: BandChoice, limits: ImageLimit
         ) from error
     except VehAnchorError:
         raise
-    except (ValueError, RuntimeError, EOFError, OSError, SyntaxError) as error:
+    # A file without a primary image gives an IndexError.
+    except (ValueError, RuntimeError, LookupError, OSError, SyntaxError, EOFError) as error:
         raise ImageDecodeError(f"the HEIC ({source}) cannot be decoded: {error}") from error
     return ArrayRaster(pixels, source, bands, alpha=True)
 
@@ -73,8 +83,20 @@ def _import_heif(source: str) -> Any:
         try:
             import pi_heif as heif
         except ImportError:
-            raise MissingExtraError(
-                f"reading a HEIC ({source}) needs pi-heif: pip install 'vehanchor[heic]', or "
-                "convert it to JPEG"
-            ) from None
+            raise missing_heif(source) from None
     return heif
+
+
+def _without_metadata(data: bytes) -> bytes:
+    """Detach EXIF and XMP from the images of a HEIC; nothing here reads them.
+
+    pi-heif 1.4 crashes on metadata whose type is not UTF-8.
+    """
+    changed = bytearray(data)
+    # Lengths that make no sense end the loop; libheif cannot read beyond them, either.
+    with suppress(ImageError):
+        for box in boxes(in_memory(data)):
+            if box.kind == b"meta":
+                content = changed[box.start : box.end]
+                changed[box.start : box.end] = content.replace(_DESCRIBES, _UNKNOWN)
+    return bytes(changed)

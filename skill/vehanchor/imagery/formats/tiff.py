@@ -65,6 +65,14 @@ _RAW_PHOTOMETRIC = (32803, 34892)
 _THREE_BAND_PHOTOMETRIC = (3, 6)
 """Palette and YCbCr, which OpenCV decodes to three bands."""
 
+# TIFF's SampleFormat and PhotometricInterpretation.
+_UNSIGNED = 1
+_FLOAT = 3
+_WHITE_IS_ZERO = 0
+_BLACK_IS_ZERO = 1
+_RGB = 2
+_PALETTE = 3
+_YCBCR = 6
 _PLANAR = 2
 _ALPHA_SAMPLES = {1, 2}
 _MIN_BLOCK_PIXEL_BYTES = 4
@@ -109,6 +117,20 @@ def read_tiff(read_at: ReadAt) -> ImageHeader:
         tiff=layout,
         decoding_bytes=COPIES * width * height * pixel_bytes + block_bytes,
     )
+
+
+def decoded_by_opencv(layout: TiffLayout) -> bool:
+    """Test whether OpenCV decodes a TIFF of this layout correctly and without loss."""
+    if layout.bands not in (1, 3, 4) or layout.planar:
+        return False
+    bits = set(layout.bits)
+    if layout.sample_format == _FLOAT:
+        return bits in ({32}, {64}) and layout.photometric in (_BLACK_IS_ZERO, _RGB)
+    if layout.sample_format != _UNSIGNED or bits not in ({1}, {8}, {16}):
+        return False
+    if layout.photometric == _WHITE_IS_ZERO:
+        return bits != {16}
+    return layout.photometric in (_BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR)
 
 
 def _layout(read_at: ReadAt, tags: _Tags, *, width: int, height: int) -> TiffLayout:

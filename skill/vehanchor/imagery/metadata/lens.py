@@ -38,6 +38,20 @@ _SENSOR_LOG_SD = 0.03
 _TABLE_LOG_SD = 0.02
 """Root mean square of sixteen sensors of the table against OpenAthena's calibrations."""
 
+_CHANCE_WRONG = 0.01
+"""Chance that a lens is wrong by its usual sources: a calibration, the table of sensors, a 35 mm
+equivalent. A choice."""
+
+_PITCH_CHANCE_WRONG = 0.3
+"""Chance that a pixel pitch is wrong for a camera that the table lacks.
+
+Programs that resize a picture keep its pitch and change its sizes. A choice: such a lens alone
+makes no scale usable.
+"""
+
+_MAX_CONTRADICTION = 0.15
+"""Largest log ratio of two sources that describe one lens: three errors of two equivalents."""
+
 _CENTRE_TOLERANCE = 0.05
 """Distance of an optical centre from the middle, relative to half the width."""
 
@@ -49,11 +63,13 @@ class Lens(NamedTuple):
         pixels: focal length in pixels of the image: height in metres over metres per pixel.
         log_sd: standard deviation of its log.
         source: data on which it rests, in words.
+        chance_wrong: 0..1, chance that the data belong to another picture.
     """
 
     pixels: float
     log_sd: float
     source: str
+    chance_wrong: float = _CHANCE_WRONG
 
 
 def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
@@ -105,10 +121,15 @@ def lens(
     lenses = _lenses_of_metadata(image, camera, ratio)
     if not lenses:
         return None
-    # Half of the largest contradiction is a further error.
+    # Half of the largest contradiction is a further error. Another source bears out the best one,
+    # unless they differ by more than both may err.
     best = lenses[0]
     contradiction = max(abs(math.log(best.pixels / other.pixels)) for other in lenses)
-    return best._replace(log_sd=math.hypot(best.log_sd, contradiction / 2))
+    chance_wrong = best.chance_wrong
+    if contradiction <= _MAX_CONTRADICTION:
+        chance_wrong = min(source.chance_wrong for source in lenses)
+    log_sd = math.hypot(best.log_sd, contradiction / 2)
+    return best._replace(log_sd=log_sd, chance_wrong=chance_wrong)
 
 
 def _lenses_of_metadata(image: ImageFacts, camera: CameraMetadata, ratio: float) -> list[Lens]:
@@ -148,6 +169,7 @@ def _lenses_of_metadata(image: ImageFacts, camera: CameraMetadata, ratio: float)
                 camera.focal_mm / camera.pixel_mm / ratio,
                 _SENSOR_LOG_SD,
                 f"{camera.focal_mm:g} mm on pixels of {1000 * camera.pixel_mm:.3g} um",
+                chance_wrong=_PITCH_CHANCE_WRONG,
             )
         )
     if camera.focal_35mm and camera.focal_35mm > 0:

@@ -10,7 +10,7 @@ import numpy as np
 
 from vehanchor.errors import ImageFormatError
 from vehanchor.imagery.bands import check_dtype, check_finite, choose_bands, is_alpha, merge_bands
-from vehanchor.imagery.limits import check_side
+from vehanchor.imagery.limits import check_side, check_whole_size
 from vehanchor.imagery.raster import Raster, StoredPixels, Window
 from vehanchor.imagery.stretch import SAMPLE_PX
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.bands import BandChoice
+    from vehanchor.options import ImageLimits
 
 
 class ArrayRaster(Raster):
@@ -55,7 +56,7 @@ class ArrayRaster(Raster):
         super().__init__(source, width, height, orientation=orientation, notes=notes)
         self._channels: tuple[int, ...] = channels
         if bgr and n_bands >= 3:
-            stored_order = (2, 1, 0, 3)
+            stored_order = (2, 1, 0, *range(3, n_bands))
             self._channels = tuple(stored_order[channel] for channel in channels)
         self._pixels = pixels
 
@@ -113,6 +114,17 @@ class ArrayRaster(Raster):
         return StoredPixels(rgb, valid)
 
 
+def check_array_size(pixels: NDArray[Any], limits: ImageLimits) -> None:
+    """Check the caller's array against the limit of pixels of an image that is held whole.
+
+    Raises:
+        ImageTooLargeError: it has too many pixels.
+    """
+    if pixels.ndim >= 2:
+        height, width = pixels.shape[:2]
+        check_whole_size("array", width, height_px=height, limits=limits)
+
+
 def _check_array(pixels: NDArray[Any]) -> NDArray[Any]:
     """Check an array.
 
@@ -133,7 +145,7 @@ def _check_array(pixels: NDArray[Any]) -> NDArray[Any]:
     hint = "; an array's bands come last" if height in (1, 3, 4) else ""
     check_side(width, height, hint)
     dtype = pixels.dtype.newbyteorder("=")
-    if pixels.dtype == np.float16:
+    if dtype == np.float16:
         dtype = np.dtype(np.float32)
     check_dtype(dtype)
     return pixels.astype(dtype, copy=False)

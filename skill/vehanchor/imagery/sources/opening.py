@@ -7,7 +7,9 @@ Three libraries read the formats of ``IMAGE_FORMATS``:
   large to decode whole or that OpenCV cannot decode.
 * libheif (extra ``heic``) decodes HEIC.
 
-The choice depends on the file alone, never on installed packages (docs/decisions.md).
+The choice depends on the file alone, never on installed packages (docs/decisions.md). Every encoded
+image passes ``vehanchor.imagery.file_check`` first, which also lists the differences between the
+ways in. Arrays and Pillow images have the limit of pixels of a file that is decoded whole.
 """
 
 from __future__ import annotations
@@ -23,17 +25,17 @@ from numpy.typing import NDArray
 from vehanchor.errors import (
     ImageDecodeError,
     ImageNotFoundError,
-    ImageTooLargeError,
     InvalidParameterError,
 )
-from vehanchor.imagery.formats.decoding import decode, decodes_tiff
-from vehanchor.imagery.formats.header import image_format
+from vehanchor.imagery.file_check import check_file
+from vehanchor.imagery.formats.decoding import decode
+from vehanchor.imagery.formats.header import FORMAT_BYTES, image_format
 from vehanchor.imagery.formats.heic import open_heic
 from vehanchor.imagery.formats.ifd import in_memory
-from vehanchor.imagery.limits import WINDOWED_FORMATS, check_bytes, read_checked_header
+from vehanchor.imagery.limits import WINDOWED_FORMATS, check_bytes
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
-from vehanchor.imagery.sources.arrays import ArrayRaster
+from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size
 from vehanchor.imagery.sources.files import spelled_as_stored
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
@@ -66,9 +68,6 @@ ImageSource: TypeAlias = (
 """
 
 _MIB = 1 << 20
-_FORMAT_BYTES = 32
-"""First bytes of a file, by which its format is recognised."""
-
 _DEFAULT_READING = Reading()
 _WITH_ALPHA = frozenset({"PNG", "WebP", "AVIF"})
 """Formats whose fourth band is always alpha."""
@@ -106,6 +105,7 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
         MissingExtraError: the file needs rasterio or libheif, which is not installed.
     """
     if isinstance(image, np.ndarray):
+        check_array_size(image, reading.limits)
         return ArrayRaster(image, "array", reading.bands, bgr=reading.bgr)
     if isinstance(image, str | os.PathLike):
         path = spelled_as_stored(os.fspath(image))
@@ -113,7 +113,7 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
     if isinstance(image, bytes | bytearray | memoryview):
         # The size is checked before a bytearray or memoryview is copied.
         n_bytes = memoryview(image).nbytes
-        check_bytes(n_bytes, reading.limits)
+        check_bytes(n_bytes, reading.limits.max_bytes)
         return _open_bytes(bytes(image), "bytes", reading)
     if is_pillow(image):
         pixels = pillow_pixels(image, reading.limits)
@@ -139,7 +139,6 @@ def can_be_read_again(image: ImageSource) -> bool:
 
 def _open_path(path: str, reading: Reading) -> Raster:
     """Open a file; one that is read by windows is never loaded whole."""
-    limits = reading.limits
     with _open_regular_file(path) as file:
         n_bytes = os.fstat(file.fileno()).st_size
 
@@ -150,35 +149,29 @@ def _open_path(path: str, reading: Reading) -> Raster:
             file.seek(offset)
             return file.read(count)
 
-        header = None
-        start = read_at(0, _FORMAT_BYTES)
-        if image_format(start) in WINDOWED_FORMATS:
-            header = read_checked_header(read_at, limits)
-            if n_bytes > limits.max_bytes or _needs_windows(header, limits):
+        limits = reading.limits
+        if image_format(read_at(0, FORMAT_BYTES)) in WINDOWED_FORMATS:
+            checked = check_file(read_at, n_bytes, path, limits=limits, on_disk=True)
+            if checked.by_windows:
                 # An absolute path has no prefix that GDAL interprets, such as GTIFF_DIR:.
                 absolute = str(Path(path).absolute())
                 return _open_by_windows(
-                    absolute, path, header=header, reading=reading, read_at=read_at
+                    absolute, path, header=checked.header, reading=reading, read_at=read_at
                 )
-        check_bytes(n_bytes, limits)
+        check_bytes(n_bytes, limits.max_bytes)
         data = read_at(0, n_bytes)
-    return _open_bytes(data, path, reading, header=header)
+    # A file can change while it is read, so the check uses the bytes that will be decoded.
+    return _open_bytes(data, path, reading)
 
 
-def _open_bytes(
-    data: bytes, source: str, reading: Reading, *, header: ImageHeader | None = None
-) -> Raster:
-    """Open an encoded image in memory; ``header`` is its checked header, if that has been read."""
-    limits = reading.limits
-    check_bytes(len(data), limits)
-    if not data:
-        raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
-    if image_format(data[:_FORMAT_BYTES]) == "HEIC":
-        return open_heic(data, source, bands=reading.bands, limits=limits)
+def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
+    """Open an encoded image in memory."""
     read_at = in_memory(data)
-    if header is None:
-        header = read_checked_header(read_at, limits)
-    if _needs_windows(header, limits):
+    checked = check_file(read_at, len(data), source, limits=reading.limits, on_disk=False)
+    header = checked.header
+    if header.format == "HEIC":
+        return open_heic(data, source, bands=reading.bands, limits=reading.limits)
+    if checked.by_windows:
         return _open_by_windows(data, source, header=header, reading=reading, read_at=read_at)
     pixels = decode(data, source, header)
     if header.tiff is None:
@@ -202,15 +195,6 @@ def _open_by_windows(
     raster.encoded = file
     raster.camera = read_camera(read_at, header)
     return raster
-
-
-def _needs_windows(header: ImageHeader, limits: ImageLimits) -> bool:
-    """Test whether an image must be read by windows instead of being decoded whole."""
-    if header.tiff is None:
-        return header.format == "JPEG 2000"
-    n_pixels = header.width_px * header.height_px
-    too_large = n_pixels > limits.max_pixels or header.decoding_bytes > limits.max_decoded_bytes
-    return too_large or header.tiff.georeferenced or not decodes_tiff(header.tiff)
 
 
 def _open_regular_file(path: str) -> BinaryIO:
@@ -269,8 +253,5 @@ def _read_stream(stream: BinaryIO, limits: ImageLimits) -> bytes:
             )
         chunks.append(chunk)
         n_bytes += len(chunk)
-    if n_bytes > limits.max_bytes:
-        raise ImageTooLargeError(
-            f"the image's file object exceeds the limit of {limits.max_bytes} bytes"
-        )
+    check_bytes(n_bytes, limits.max_bytes)
     return b"".join(chunks)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
-from vehanchor.errors import ImageDecodeError, ImageTooLargeError, OutOfMemoryError
+from vehanchor.errors import ImageDecodeError, OutOfMemoryError
+from vehanchor.imagery.limits import check_decoding_memory, check_whole_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,22 +55,14 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
     from PIL import ImageOps
 
     width, height = image.size
-    if width * height > limits.max_pixels:
-        raise ImageTooLargeError(
-            f"the Pillow image has {width} x {height} px, the limit is {limits.max_pixels} pixels "
-            "(--max-megapixels, ImageLimits.max_pixels)"
-        )
+    check_whole_size("Pillow image", width, height_px=height, limits=limits)
     colour_mode = "RGBA" if getattr(image, "has_transparency_data", False) else "RGB"
     stored_bytes = _STORED_BYTES.get(image.mode, 4)
     array_bytes = _ARRAY_MODES.get(image.mode, len(colour_mode))
     # Pillow copies its pixels in pieces and then joins them, so the array is held twice.
     decoding_bytes = width * height * (stored_bytes + 2 * array_bytes)
-    if decoding_bytes > limits.max_decoded_bytes:
-        raise ImageTooLargeError(
-            f"decoding the Pillow image of {width} x {height} px ({image.mode}) takes "
-            f"{decoding_bytes} bytes, the limit is {limits.max_decoded_bytes} "
-            "(ImageLimits.max_decoded_bytes); convert it to RGB, or raise the limit"
-        )
+    size = f"{width} x {height} px ({image.mode})"
+    check_decoding_memory("Pillow image", decoding_bytes, size=size, limits=limits)
     try:
         upright = image
         # exif_transpose copies the image even if there is nothing to turn.

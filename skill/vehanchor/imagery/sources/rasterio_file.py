@@ -15,11 +15,11 @@ from vehanchor.errors import (
     ImageDecodeError,
     ImageFormatError,
     InvalidParameterError,
-    MissingExtraError,
     OutOfMemoryError,
     VehAnchorError,
 )
 from vehanchor.imagery.bands import check_dtype, choose_bands, is_alpha, merge_bands
+from vehanchor.imagery.file_check import missing_rasterio
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.metadata.georeference import Ground, dataset_gsd_m_per_px
 from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
@@ -43,11 +43,7 @@ It holds the blocks that two rows of tiles share in a wide image.
 _SAMPLE_GRID = 8
 """Windows of a sample per side: 64 windows of 128 x 128 px are ``SAMPLE_PX``."""
 
-_SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)
-"""TIFF's codes of grey from black, RGB, palette and YCbCr."""
-
 _DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG"}
-_OPENJPEG_SAMPLE_BYTES = 4
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
 Shape: TypeAlias = tuple[int, int]
@@ -90,6 +86,11 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
         raise ImageFormatError(
             f"the dataset's bands are {', '.join(sorted(inks))}: convert it to RGB"
         )
+    if _is_inverted(dataset):
+        raise ImageFormatError(
+            "the dataset is grey, and its white is zero (photometric interpretation 0), so that "
+            "its pixels are inverted; convert it to RGB"
+        )
     return DatasetRaster(dataset, "dataset", bands)
 
 
@@ -101,9 +102,9 @@ def open_file(
     Args:
         file: its absolute path, or its bytes.
         source: name of the image in messages.
-        header: its header.
+        header: its header, which has been checked (``file_check``).
         bands: bands to use as red, green and blue.
-        limits: limits to apply.
+        limits: limits to apply to the blocks as GDAL reads them.
 
     Raises:
         MissingExtraError: rasterio is not installed.
@@ -113,7 +114,6 @@ def open_file(
         ImageFormatError: the image cannot be measured.
     """
     layout = header.tiff
-    _check_layout(header, source, limits)
     rasterio = _import_rasterio(source, header)
     with ExitStack() as stack:
         # Sidecar files (.aux.xml, .ovr, .msk, .tfw) could override the file's content; a VRT could
@@ -133,10 +133,6 @@ def open_file(
                     f"the {header.format} ({source}) declares two different sizes: damaged"
                 )
             _check_block(dataset, header.format, limits)
-        if layout is not None:
-            check_block(
-                "TIFF's mask", layout.mask_block_px, samples=1, sample_bytes=1, limits=limits
-            )
         # A geotransform refers to the stored frame, so georeferenced files keep their stored
         # orientation.
         is_georeferenced = layout is not None and layout.georeferenced
@@ -145,29 +141,6 @@ def open_file(
             raster = DatasetRaster(dataset, source, bands, orientation=orientation)
         raster.closing = stack.pop_all()
     return raster
-
-
-def _check_layout(header: ImageHeader, source: str, limits: ImageLimits) -> None:
-    """Check a header before GDAL opens the file.
-
-    Raises:
-        ImageFormatError: the photometric interpretation is unsupported.
-        ImageTooLargeError: a tile of a JPEG 2000 has too many pixels.
-    """
-    layout = header.tiff
-    if layout is not None and layout.photometric not in _SUPPORTED_PHOTOMETRIC:
-        raise ImageFormatError(
-            f"the TIFF ({source}) has photometric interpretation {layout.photometric}, which is "
-            "neither grey (black is zero), RGB, palette nor YCbCr; convert it to RGB"
-        )
-    # A TIFF has no tile here: its pixels are 0.
-    check_block(
-        "JPEG 2000",
-        header.tile_px,
-        samples=header.bands,
-        sample_bytes=_OPENJPEG_SAMPLE_BYTES,
-        limits=limits,
-    )
 
 
 def _import_rasterio(source: str, header: ImageHeader) -> Any:
@@ -181,14 +154,7 @@ def _import_rasterio(source: str, header: ImageHeader) -> Any:
         import rasterio.enums
         import rasterio.errors
     except ImportError as error:
-        if header.tiff is None:
-            reason = "has a format that OpenCV does not decode safely"
-        else:
-            reason = "is georeferenced, too large or unsupported by OpenCV"
-        raise MissingExtraError(
-            f"the {header.format} ({source}) {reason}; reading it needs rasterio: pip install "
-            "'vehanchor[geo]'"
-        ) from error
+        raise missing_rasterio(header, source) from error
     return rasterio
 
 
@@ -253,6 +219,21 @@ def _largest_block_px(dataset: Any) -> int:
 def _band_roles(dataset: Any) -> list[str]:
     """List GDAL's name of each band's role, such as ``red``, ``alpha`` or ``undefined``."""
     return [role.name for role in dataset.colorinterp]
+
+
+def _is_inverted(dataset: Any) -> bool:
+    """Test whether GDAL reads a grey image inverted, because its white is zero.
+
+    A palette that GDAL makes of such an image has the right colours.
+    """
+    if _band_roles(dataset) == ["palette"]:
+        return False
+    while dataset is not None:
+        if dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
+            return True
+        # A warped view has the pixels of its source, but not the tag.
+        dataset = getattr(dataset, "src_dataset", None)
+    return False
 
 
 def _dtype(name: str) -> np.dtype[Any]:

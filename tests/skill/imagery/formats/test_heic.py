@@ -2,14 +2,13 @@
 
 Too large an image is refused by its declared size, before decoding.
 
-No encoder of HEVC is free of the GPL, so the picture is here as pillow-heif encoded it once. It has
-64 x 48 px: the upper left quarter is white, the upper right quarter black, the lower half green.
-Its container turns it to the right.
+The picture ``HEIC`` has 64 x 48 px: the upper left quarter is white, the upper right quarter black,
+the lower half green. Its container turns it to the right.
 """
 
 from __future__ import annotations
 
-import base64
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,23 +18,11 @@ import numpy as np
 import pytest
 
 import vehanchor
+from tests.skill.imagery.files import HEIC, header_of
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError, MissingExtraError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 
-HEIC = base64.b64decode(
-    "AAAAHGZ0eXBoZWl4AAAAAG1pZjFoZWl4bWlhZgAAAcltZXRhAAAAAAAAACFoZGxyAAAAAAAAAABwaWN0AAAAAAAAAAAA"
-    "AAAAAAAAADRpbG9jAAAAAERAAAIAAQAAAAAB7QABAAAAAAAAAMQAAgAAAAACsQABAAAAAAAAACQAAAA4aWluZgAAAAAA"
-    "AgAAABVpbmZlAgAAAAABAABodmMxAAAAABVpbmZlAgAAAQACAABFeGlmAAAAAA5waXRtAAAAAAABAAABCGlwcnAAAADn"
-    "aXBjbwAAAHdodmNDAQQIAAAAnjgAAAAAHvAA/P/4+AAADwNgAAEAF0ABDAH//wQIAAADAJ44AAADAAAeugJAYQABACpC"
-    "AQEECAAAAwCeOAAAAwAAHpAEECCy3VyU1zcBDQYEAAADAGQAAAMABCBiAAEACEQBwXMYMAiQAAAAE2NvbHJuY2x4AAEA"
-    "DQAGgAAAABRpc3BlAAAAAAAAAEAAAABAAAAAKGNsYXAAAABAAAAAAQAAADAAAAABAAAAAAAAAAL////wAAAAAgAAABBw"
-    "aXhpAAAAAAMICAgAAAAJaXJvdAMAAAAZaXBtYQAAAAAAAAABAAEGgQIDBYSGAAAAGmlyZWYAAAAAAAAADmNkc2MAAgAB"
-    "AAEAAADwbWRhdAAAAMAoAa8GOFtj5Wb/Su5JaK3xpPa5v+cNv//6XD//7SlxVQ3/u7Ur4I++nH7Y/03+agIZ/3dqV8Ef"
-    "fTj9sf6b/NX/zRnlDEjFJYob8WXUaP3S/3n772ztftfM0IQ1xhBKfsX+i6xQ/0FrxtrkEE2Vcp1C8EU0Kldd5xz/hCkE"
-    "ekIv/7X/vr/74sH5Y3aVPWZPL26irBJPr88ZBD6e227FRktwW7KmA5R8Atn2YtenfFfI3a2+Pvg1ehkS+Il9d83kFrsA"
-    "AAAGRXhpZgAATU0AKgAAAAgAAQESAAMAAAABAAYAAAAAAAA="
-)
 GREEN = (0, 200, 0)
 WHITE = (255, 255, 255)
 BLACK = (0, 0, 0)
@@ -73,7 +60,7 @@ def test_it_is_listed_among_the_images_of_a_folder(heic_path: Path) -> None:
 
 def test_too_many_pixels_are_refused_before_decoding() -> None:
     limits = ImageLimits(max_pixels=3000)
-    message = "the HEIC declares 48 x 64 px, the limit is 3000 pixels"
+    message = "the HEIC has 64 x 64 px, the limit is 3000 pixels"
     with pytest.raises(ImageTooLargeError, match=message):
         open_raster(HEIC, Reading(limits=limits))
 
@@ -102,3 +89,47 @@ def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(MissingExtraError, match=r"vehanchor\[heic\].*or convert it to JPEG"):
         open_raster(HEIC)
+
+
+def test_its_header_is_read_without_libheif(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("pi_heif", "pillow_heif"):
+        monkeypatch.setitem(sys.modules, name, None)
+    header = header_of(HEIC)
+    assert (header.format, header.width_px, header.height_px) == ("HEIC", 64, 64)
+    assert header.complete
+
+
+@pytest.mark.parametrize("share", [0.75, 0.9, 0.99])
+def test_its_header_shows_that_the_file_is_cut_off(share: float) -> None:
+    assert not header_of(HEIC[: int(share * len(HEIC))]).complete
+
+
+def test_a_header_without_a_size_is_damaged() -> None:
+    with pytest.raises(ImageDecodeError, match="HEIC declares no size"):
+        header_of(HEIC.replace(b"ispe", b"free"))
+
+
+def test_more_items_than_libheif_reads_are_refused() -> None:
+    n_items = HEIC.index(b"iloc") + 10
+    many = HEIC[:n_items] + (1001).to_bytes(2) + HEIC[n_items + 2 :]
+    with pytest.raises(ImageTooLargeError, match="more than 1000 parts"):
+        header_of(many)
+
+
+def test_metadata_of_a_type_that_is_no_text_do_not_end_the_process() -> None:
+    """Found by ``tests.fuzz``: pi-heif 1.4 crashed."""
+    data = HEIC.replace(b"Exif\0\0\0\0\x0epitm", b"E\xffif\0\0\0\0\x0epitm")
+    assert data != HEIC
+    code = "import sys; from vehanchor.imagery.sources.opening import open_raster\n"
+    code += "print(open_raster(sys.stdin.buffer).width_px)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], input=data, capture_output=True, check=False
+    )
+    assert done.stdout == b"48\n"
+
+
+def test_a_primary_image_that_libheif_cannot_use_is_damaged() -> None:
+    """Found by ``tests.fuzz``: pi-heif raised an IndexError."""
+    configuration = HEIC.index(b"ipma") + 19
+    with pytest.raises(ImageDecodeError, match="HEIC"):
+        open_raster(HEIC[:configuration] + b"\x20" + HEIC[configuration + 1 :])

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -294,7 +295,7 @@ def test_the_limit_on_pixels_holds_for_datasets(one_strip_path: Path) -> None:
     limits = ImageLimits(max_windowed_pixels=NOISE[..., 0].size - 1)
     with (
         rasterio.open(one_strip_path) as dataset,
-        pytest.raises(ImageTooLargeError, match="dataset declares 130 x 90 px"),
+        pytest.raises(ImageTooLargeError, match="dataset has 130 x 90 px"),
     ):
         open_raster(dataset, Reading(limits=limits))
 
@@ -396,3 +397,23 @@ def test_a_dataset_of_inks_cannot_be_measured(tmp_path: Path) -> None:
         pytest.raises(ImageFormatError, match="black, cyan, magenta, yellow: convert"),
     ):
         open_raster(dataset)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("warped", [False, True], ids=["as it is", "warped"])
+def test_a_dataset_whose_white_is_zero_is_refused(tmp_path: Path, dtype: str, warped: bool) -> None:
+    grey = np.full((64, 64, 1), 200, dtype)
+    path = geotiff(tmp_path / "a.tif", grey, photometric="MINISWHITE")
+    with ExitStack() as stack:
+        dataset: Any = stack.enter_context(rasterio.open(path))
+        if warped:
+            dataset = stack.enter_context(WarpedVRT(dataset))
+        with pytest.raises(ImageFormatError, match="its white is zero"):
+            open_raster(dataset)
+
+
+def test_a_dataset_of_one_bit_whose_white_is_zero_is_read_by_its_palette(tmp_path: Path) -> None:
+    ones = np.ones((64, 64, 1), np.uint8)
+    path = geotiff(tmp_path / "a.tif", ones, photometric="MINISWHITE", nbits=1)
+    with rasterio.open(path) as dataset, open_raster(dataset) as raster:
+        assert not raster.read().any()

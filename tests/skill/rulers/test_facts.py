@@ -1,0 +1,200 @@
+"""Facts of a caller: nothing that is repeated or guessed makes a scale sure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.skill.rulers.test_answers import CARS_GSD, record_of
+from tests.skill.rulers.test_camera import MAVIC, TRUE_GSD
+from vehanchor.records import GsdEstimate
+
+# A line of 1,000 px, across an image of 4000 x 3000 px.
+Line = tuple[float, float, float, float]
+LINE: Line = (100, 100, 1100, 100)
+WRONG = 1.5  # Factor of a wrong fact.
+
+
+def _measured(line: Line, gsd: float, basis: str = "measured") -> tuple[Any, ...]:
+    """Give a line the length that a scale makes it."""
+    x1, y1, x2, y2 = line
+    return (x1, y1, x2, y2, gsd * math.dist((x1, y1), (x2, y2)), basis)
+
+
+def _parts(line: Line, n: int) -> list[Line]:
+    """Cut a line into equal parts."""
+    x1, y1, x2, y2 = line
+    cuts = [(x1 + (x2 - x1) * k / n, y1 + (y2 - y1) * k / n) for k in range(n + 1)]
+    return [(*cuts[k], *cuts[k + 1]) for k in range(n)]
+
+
+def _shifted(line: Line, across: float) -> Line:
+    x1, y1, x2, y2 = line
+    return (x1 + across, y1 + across, x2 + across, y2 + across)
+
+
+def _swapped(line: Line) -> Line:
+    x1, y1, x2, y2 = line
+    return (x2, y2, x1, y1)
+
+
+def _codes(record: GsdEstimate) -> list[str]:
+    return [warning.code for warning in record.warnings]
+
+
+REPETITIONS = {
+    "three parts": _parts(LINE, 3),
+    "sixteen parts": _parts(LINE, 16),
+    "twice": [LINE, LINE],
+    "shifted": [LINE, _shifted(LINE, 0.5)],
+    "swapped": [LINE, _swapped(LINE)],
+}
+
+
+@pytest.mark.parametrize("lines", REPETITIONS.values(), ids=REPETITIONS)
+@pytest.mark.parametrize("basis", ["measured", "assumed"])
+def test_a_line_that_is_repeated_counts_once(lines: list[Line], basis: str) -> None:
+    once = record_of(30, known_lengths=[_measured(LINE, WRONG * CARS_GSD, basis)])
+    repeated = record_of(
+        30, known_lengths=[_measured(line, WRONG * CARS_GSD, basis) for line in lines]
+    )
+    assert repeated.confidence == pytest.approx(once.confidence, abs=0.01)
+    assert repeated.gsd_m_per_px == pytest.approx(once.gsd_m_per_px, rel=0.01)
+
+
+def test_three_lines_with_one_mistake_do_not_outvote_the_cars() -> None:
+    """One tape, one plan or one mistaken unit makes all of them wrong."""
+    lines: list[Line] = [LINE, (100, 900, 1100, 900), (500, 100, 500, 1100)]
+    record = record_of(171, known_lengths=[_measured(line, WRONG * CARS_GSD) for line in lines])
+    wrong = WRONG * CARS_GSD
+    assert not (record.status == "ok" and record.gsd_m_per_px == pytest.approx(wrong, rel=0.1))
+    assert "rulers_disagree" in _codes(record)
+
+
+def test_two_right_measured_lines_lead_and_are_surer_than_one() -> None:
+    line = _measured(LINE, CARS_GSD)
+    other = _measured((100, 900, 1100, 1400), CARS_GSD)
+    one = record_of(0, known_lengths=[line])
+    two = record_of(0, known_lengths=[line, other])
+    assert (one.status, two.status, two.leading_ruler) == ("ok", "ok", "known_length")
+    assert two.confidence >= one.confidence
+    assert _log_width(two) < _log_width(one)
+
+
+def _log_width(record: GsdEstimate) -> float:
+    assert record.gsd_ci95_low_m_per_px is not None
+    assert record.gsd_ci95_high_m_per_px is not None
+    return math.log(record.gsd_ci95_high_m_per_px / record.gsd_ci95_low_m_per_px)
+
+
+@given(
+    gsd=st.floats(0.05, 0.2),
+    n_parts=st.integers(1, 6),
+    across=st.floats(-0.7, 0.7),
+    swap=st.booleans(),
+    basis=st.sampled_from(["measured", "assumed"]),
+)
+def test_no_repetition_of_a_line_makes_a_scale_surer(
+    gsd: float, n_parts: int, across: float, swap: bool, basis: str
+) -> None:
+    once = record_of(12, known_lengths=[_measured(LINE, gsd, basis)])
+    lines = _parts(_shifted(LINE, across), n_parts)
+    if swap:
+        lines = [_swapped(line) for line in lines]
+    repeated = record_of(12, known_lengths=[_measured(line, gsd, basis) for line in [LINE, *lines]])
+    assert repeated.confidence <= once.confidence + 0.01
+    assert once.gsd_ci95_low_m_per_px is not None
+    assert once.gsd_ci95_high_m_per_px is not None
+    assert repeated.gsd_m_per_px is not None
+    assert (
+        0.99 * once.gsd_ci95_low_m_per_px
+        <= repeated.gsd_m_per_px
+        <= 1.01 * once.gsd_ci95_high_m_per_px
+    )
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.019, 1.021, 1.1, 1.3, 2.0])
+def test_a_guess_that_may_be_read_off_the_file_adds_next_to_nothing(factor: float) -> None:
+    alone = record_of(0, camera=MAVIC)
+    guess = record_of(
+        0, camera=MAVIC, known_lengths=[_measured(LINE, factor * TRUE_GSD, "assumed")]
+    )
+    assert guess.confidence <= alone.confidence + 0.02
+
+
+def test_a_measured_line_confirms_the_file() -> None:
+    alone = record_of(0, camera=MAVIC)
+    confirmed = record_of(0, camera=MAVIC, known_lengths=[_measured(LINE, TRUE_GSD)])
+    assert confirmed.confidence > alone.confidence
+    assert confirmed.status == "ok"
+
+
+def test_two_measured_facts_of_one_caller_do_not_outvote_cars() -> None:
+    """The file states the height above a hill, and the caller's facts follow from it."""
+    wrong_gsd = 0.4 * CARS_GSD
+    height_m = MAVIC.height_m or 0.0
+    camera = replace_height(height_m * wrong_gsd / TRUE_GSD)
+    record = record_of(
+        171,
+        camera=camera,
+        height_m=0.96 * (camera.height_m or 0.0),
+        height_basis="measured",
+        known_lengths=[_measured(LINE, wrong_gsd)],
+    )
+    assert not (record.status == "ok" and record.gsd_m_per_px == pytest.approx(wrong_gsd, rel=0.2))
+
+
+def test_a_right_line_and_a_right_height_correct_the_file() -> None:
+    camera = replace_height((MAVIC.height_m or 0.0) * 0.4 * CARS_GSD / TRUE_GSD)
+    record = record_of(
+        171,
+        camera=camera,
+        height_m=(MAVIC.height_m or 0.0) * CARS_GSD / TRUE_GSD,
+        height_basis="measured",
+        known_lengths=[_measured(LINE, CARS_GSD)],
+    )
+    assert (record.status, record.leading_ruler) == ("ok", "known_length")
+    assert record.gsd_m_per_px == pytest.approx(CARS_GSD, rel=0.02)
+
+
+def replace_height(height_m: float) -> Any:
+    """Give the camera another height above take-off."""
+    return replace(MAVIC, height_m=height_m)
+
+
+def test_a_line_that_the_cars_exclude_is_named_and_covered() -> None:
+    record = record_of(30, known_lengths=[_measured(LINE, 0.8 * CARS_GSD)])
+    assert "rulers_disagree" in _codes(record)
+    assert record.gsd_ci95_low_m_per_px is not None
+    assert record.gsd_ci95_high_m_per_px is not None
+    assert record.gsd_ci95_low_m_per_px < 0.8 * CARS_GSD
+    assert record.gsd_ci95_high_m_per_px > CARS_GSD
+
+
+def test_a_tape_a_few_percent_from_the_cars_is_no_contradiction() -> None:
+    record = record_of(30, known_lengths=[_measured(LINE, 0.95 * CARS_GSD)])
+    assert (record.status, _codes(record)) == ("ok", [])
+    assert record.gsd_m_per_px == pytest.approx(0.95 * CARS_GSD, rel=0.01)
+
+
+def test_a_pixel_pitch_of_an_unknown_camera_is_not_enough() -> None:
+    """Programs that resize a picture keep its pitch and change its sizes."""
+    unknown = replace(
+        MAVIC, make="SONY", model="ILCE-0000", height_m=None, focal_35mm=None, pixel_mm=0.0015
+    )
+    record = record_of(0, camera=unknown, height_m=100.0, height_basis="measured")
+    assert record.status == "low_confidence"
+    known = replace(unknown, focal_35mm=28.4)
+    assert record_of(0, camera=known, height_m=100.0, height_basis="measured").status == "ok"
+
+
+@pytest.mark.parametrize("n", [2, 3, 9])
+def test_any_number_of_guesses_is_not_usable(n: int) -> None:
+    lines: list[Line] = [(100, 100 + 200 * k, 1100, 100 + 200 * k) for k in range(n)]
+    record = record_of(0, known_lengths=[_measured(line, CARS_GSD, "assumed") for line in lines])
+    assert record.status == "low_confidence"
