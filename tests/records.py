@@ -1,7 +1,7 @@
 """Stored records of the bundled models on the scenes of ``examples/``, to see changes of results.
 
 ``python -m tests.records`` writes them anew, after new weights or after a change that is meant to
-change them.
+change them. A number that differs only by rounding stays as it is stored.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from vehanchor import estimate_gsd, measure_area
 _ROOT = Path(__file__).parent.parent
 KEPT = Path(__file__).with_suffix(".json")
 SCENES = sorted((_ROOT / "examples").glob("**/*.jpg"))
+ROUNDING = 1e-3
 QUICK_SCENE = "safe.jpg"
 CASES = [
     pytest.param(scene, id=scene.name)
@@ -56,6 +57,55 @@ def _stable(value: Any) -> Any:
     return value
 
 
+def is_alike(value: Any, stored: Any, where: str = "") -> bool:
+    """Test whether a value of a record is the stored one but for rounding.
+
+    Processors round the sums of a network differently.
+
+    Args:
+        value: a value without parts.
+        stored: the stored value.
+        where: path of the value in the record.
+    """
+    if isinstance(stored, float):
+        return bool(value == pytest.approx(stored, rel=ROUNDING, abs=ROUNDING))
+    if where.endswith("mask_area_px"):
+        return bool(value == pytest.approx(stored, rel=ROUNDING, abs=3))
+    # A message has rounded numbers, whose last digit may depend on the processor.
+    return bool(where.endswith("message") or value == stored)
+
+
+def keep_alike(value: Any, stored: Any, where: str = "") -> Any:
+    """Replace each value by the stored one if the two are alike.
+
+    Args:
+        value: a record or a part of one.
+        stored: the same part of the stored record; None for a new part.
+        where: path of the part in the record.
+    """
+    if isinstance(value, dict):
+        old = stored if isinstance(stored, dict) else {}
+        return {
+            key: keep_alike(item, old.get(key), f"{where}.{key}") for key, item in value.items()
+        }
+    if isinstance(value, list):
+        if not isinstance(stored, list) or len(stored) != len(value):
+            return value
+        return [keep_alike(item, old, where) for item, old in zip(value, stored, strict=True)]
+    if (
+        type(value) is type(stored)
+        and not where.endswith("message")
+        and is_alike(value, stored, where)
+    ):
+        return stored
+    return value
+
+
+def _main() -> None:
+    stored = json.loads(KEPT.read_text(encoding="utf-8"))
+    computed = {scene.relative_to(_ROOT).as_posix(): records_of(scene) for scene in SCENES}
+    KEPT.write_text(json.dumps(keep_alike(computed, stored), indent=1) + "\n", encoding="utf-8")
+
+
 if __name__ == "__main__":
-    stored = {scene.relative_to(_ROOT).as_posix(): records_of(scene) for scene in SCENES}
-    KEPT.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+    _main()

@@ -3,17 +3,19 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jsonschema
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
+from pydantic import BaseModel
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path
+from vehanchor.options.option import UNLISTED, UNLISTED_KEY, Option
 from vehanchor_server.schemas import schema_files
-from vehanchor_server.tools.portable_schema import portable_schema
+from vehanchor_server.tools.portable_schema import listed, portable_schema, without_marks
 
 PUBLISHED = Path(__file__).parents[2] / "schemas"
 TOOLS = ("estimate_gsd", "measure_area", "measure_distance", "view_image")
@@ -127,3 +129,27 @@ def test_a_property_may_be_named_like_a_keyword() -> None:
             "oneOf": {"const": 3, "description": "kept", "type": "integer"},
         },
     }
+
+
+class _Marked(BaseModel):
+    """Arguments, of which some are for programs."""
+
+    path: str
+    exact: Annotated[bool, UNLISTED] = False
+    height_m: Annotated[float | None, Option("Height.", listed=False)] = None
+
+
+@pytest.fixture
+def marked() -> dict[str, Any]:
+    return portable_schema(_Marked.model_json_schema())
+
+
+def test_a_marked_field_is_not_listed_to_models(marked: dict[str, Any]) -> None:
+    assert list(listed(marked)["properties"]) == ["path"]
+
+
+def test_programs_see_a_marked_field_without_its_mark(marked: dict[str, Any]) -> None:
+    schema = without_marks(marked)
+    assert list(schema["properties"]) == ["path", "exact", "height_m"]
+    assert UNLISTED_KEY in str(marked)
+    assert UNLISTED_KEY not in str(schema)

@@ -34,10 +34,7 @@ const sizeOf = (record) => {
 };
 
 // The arguments that give a measurement the scale of this result: the server remembers its search.
-const SCALE_ARGUMENTS = [
-  "image", "coordinates", "frame", "known_lengths", "region", "reference_length_m", "height_m", "height_basis", "height_tolerance_m",
-  "focal_35mm", "metadata", "gsd_m_per_px", "gsd_basis", "gsd_tolerance", "drop", "add",
-];
+const SCALE_ARGUMENTS = document.body.dataset.scaleArguments.split(" ");
 
 async function measureBetween(kind, ends, record, given = call.arguments) {
   const asked = Object.fromEntries(SCALE_ARGUMENTS.filter((name) => given[name] !== undefined).map((name) => [name, given[name]]));

@@ -13,6 +13,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
+from vehanchor.options import declared_options
 from vehanchor.rulers.standards import standards
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
 
@@ -87,6 +88,16 @@ def view_html() -> str:
     )
 
 
+def scale_arguments() -> list[str]:
+    """List the arguments of a result that a measurement with the same scale repeats."""
+    options = [
+        name
+        for name, declared in declared_options().items()
+        if declared.option.tools in ("all", "measure")
+    ]
+    return ["image", *options]
+
+
 def _options(names: Iterable[str]) -> str:
     """Return the entries of a drop-down list."""
     entries = [f'<option value="{name}">{name.replace("_", " ")}</option>' for name in names]
@@ -129,6 +140,7 @@ def _assembled(
     values = {
         "list": photograph_list,
         "suffixes": _accepted_files(),
+        "scale_arguments": " ".join(scale_arguments()),
         "regions": _options((*REGIONS, *COUNTRY_LENGTHS_M)),
         "known_sizes": _options(standards()),
         "policy": policy,

@@ -1,73 +1,23 @@
-"""Compact answers for models: the deciding fields, with three digits."""
+"""Compact answers for models: the fields that records mark as ``Short``, with three digits."""
 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, OtherObject
+from pydantic import BaseModel
+
+from vehanchor.records import AreaMeasurement, GsdEstimate, OtherObject
 from vehanchor.records.notices import NoticeCode
+from vehanchor.records.record import Short
 from vehanchor_server.calls.remedies import advice_on
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from pydantic import BaseModel
+    from collections.abc import Sequence
 
 _DIGITS = 3
 _LONG_CHARS = 100  # a longer sentence is cut to its first clause
-
-SHORT_FIELDS: Mapping[type[BaseModel], tuple[str, ...]] = {
-    GsdEstimate: (
-        "status",
-        "gsd_m_per_px",
-        "gsd_ci95_low_m_per_px",
-        "gsd_ci95_high_m_per_px",
-        "confidence",
-        "n_vehicles",
-        "reason",
-        "leading_ruler",
-        "image_width_px",
-        "image_height_px",
-        "frame",
-    ),
-    AreaMeasurement: (
-        "status",
-        "area_m2",
-        "area_ci95_low_m2",
-        "area_ci95_high_m2",
-        "scale_confidence",
-        "gsd_m_per_px",
-        "length_m",
-        "width_m",
-        "inscribed_diameter_m",
-        "inscribed_diameter_ci95_low_m",
-        "inscribed_center",
-        "bounding_box",
-        "frame",
-        "mask_score",
-    ),
-    DistanceMeasurement: (
-        "status",
-        "distance_m",
-        "distance_ci95_low_m",
-        "distance_ci95_high_m",
-        "scale_confidence",
-        "gsd_m_per_px",
-    ),
-}
-"""The fields of each record in a short record, unless null."""
-
-_ONLY_IF_OK = (
-    "length_m",
-    "width_m",
-    "inscribed_diameter_m",
-    "inscribed_diameter_ci95_low_m",
-    "inscribed_center",
-)
-# Null states that there is no scale.
-_KEPT_WHEN_NULL = ("gsd_m_per_px", "area_m2", "distance_m", "scale_confidence")
-_OMITTED_IN_FRAME = ("width_px", "height_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px")
 
 
 def short_record(records: Sequence[BaseModel], warnings: Sequence[str] = ()) -> dict[str, Any]:
@@ -100,20 +50,9 @@ def brief(message: str) -> str:
 
 def _short(record: BaseModel) -> dict[str, Any]:
     """Return the deciding fields of a record; a record of another type stays whole."""
-    values = record.model_dump(mode="json")
-    if type(record) not in SHORT_FIELDS:
-        return values
-    short: dict[str, Any] = {}
-    for name in SHORT_FIELDS[type(record)]:
-        if name in _ONLY_IF_OK and values["status"] != "ok":
-            continue
-        value = values[name]
-        if name == "frame" and value is not None:
-            value = {key: item for key, item in value.items() if key not in _OMITTED_IN_FRAME}
-        if value is not None or name in _KEPT_WHEN_NULL:
-            short[name] = _rounded(name, value)
-    if isinstance(record, GsdEstimate) and record.details.by_hand is not None:
-        short["by_hand"] = values["details"]["by_hand"]
+    short = _marked(record)
+    if isinstance(record, GsdEstimate):
+        short |= _marked(record.details)
     reason = getattr(getattr(record, "estimate", None), "reason", None)
     if reason is not None:
         short["reason"] = reason
@@ -122,6 +61,42 @@ def _short(record: BaseModel) -> dict[str, Any]:
             short["alternatives"] = [_size(other) for other in record.alternatives]
         _drop_superfluous_box(short, record)
     return short
+
+
+def _marked(record: BaseModel) -> dict[str, Any]:
+    """Return the fields of a record that are marked as ``Short``; all if none is marked."""
+    marks = short_fields(type(record))
+    if not marks:
+        return record.model_dump(mode="json")
+    is_ok = getattr(record, "status", "ok") == "ok"
+    values: dict[str, Any] = {}
+    for name, mark in marks.items():
+        value = getattr(record, name)
+        if mark.only_if_ok and not is_ok:
+            continue
+        if value is not None or mark.when_null:
+            values[name] = _shortened(name, value, mark)
+    return values
+
+
+@cache
+def short_fields(kind: type[BaseModel]) -> dict[str, Short]:
+    """List the fields of a type of record that are marked as ``Short``, with their marks."""
+    return {
+        name: mark
+        for name, field in kind.model_fields.items()
+        for mark in field.metadata
+        if isinstance(mark, Short)
+    }
+
+
+def _shortened(name: str, value: Any, mark: Short) -> Any:
+    """Shorten the record in a field, or round the number in it."""
+    if isinstance(value, BaseModel):
+        return _rounded(name, _marked(value))
+    if mark.round_down and value is not None:
+        return math.floor(value * 10**_DIGITS) / 10**_DIGITS
+    return _rounded(name, value)
 
 
 def _drop_superfluous_box(short: dict[str, Any], area: AreaMeasurement) -> None:
@@ -150,14 +125,11 @@ def _size(other: OtherObject) -> dict[str, Any]:
 
 
 def _rounded(name: str, value: Any) -> Any:
-    """Round the numbers of a field: to the precision of its unit, and chances downward."""
+    """Round the numbers of a field to the precision of its unit."""
     if isinstance(value, dict):
         return {key: _rounded(key, item) for key, item in value.items()}
     if not isinstance(value, float):
         return value
-    if name in ("confidence", "scale_confidence", "mask_score"):
-        # Downward, so that no rounded chance passes a limit that the chance itself misses.
-        return math.floor(value * 10**_DIGITS) / 10**_DIGITS
     if name.endswith("_px") and not name.endswith("_per_px"):
         return round(value, 1)
     return float(f"{value:.{_DIGITS}g}")

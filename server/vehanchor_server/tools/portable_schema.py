@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.options import declared_options
+from vehanchor.options.option import UNLISTED_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -61,16 +61,13 @@ def _portable(node: Any, definitions: dict[str, Any]) -> Any:
     return result
 
 
-def _unlisted_arguments() -> set[str]:
-    """Return the names of the arguments that are for programs only."""
-    names = {"detail", "tolerance_m", "object_height_m"}
-    for name, declared in declared_options().items():
-        if not declared.option.listed:
-            names.add(name)
-    return names
-
-
-_UNLISTED_ARGUMENTS = _unlisted_arguments()
+def without_marks(node: Any) -> Any:
+    """Remove the marks of fields that are not listed to models."""
+    if isinstance(node, list):
+        return [without_marks(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    return {key: without_marks(value) for key, value in node.items() if key != UNLISTED_KEY}
 
 
 def listed(
@@ -78,9 +75,10 @@ def listed(
 ) -> dict[str, Any]:
     """Reduce a portable schema to the names, types and required fields that a model needs.
 
-    Arguments for programs are left out, at any depth. Optional arguments lose their null type. A
-    union of an object and a text becomes the text, which every host passes unchanged. The server
-    still checks the limits that are dropped here. A value of the listed shape has a valid shape.
+    Fields that their declaration marks as unlisted are left out, at any depth. Optional arguments
+    lose their null type. A union of an object and a text becomes the text, which every host passes
+    unchanged. The server still checks the limits that are dropped here. A value of the listed shape
+    has a valid shape.
 
     Args:
         node: the portable schema.
@@ -99,7 +97,7 @@ def listed(
             result[key] = {
                 name: listed(field, kinds, described=described)
                 for name, field in value.items()
-                if name not in _UNLISTED_ARGUMENTS
+                if UNLISTED_KEY not in field
             }
         elif key == "additionalProperties":
             # Below the arguments, only an image with fields of two kinds would be ambiguous.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeAlias, TypeVar, g
 from pydantic import BeforeValidator, Field
 
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
-from vehanchor.options.option import Option
+from vehanchor.options.option import UNLISTED, Option
 from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.signature import set_signature
 from vehanchor_server.calls.reply import Detail, PictureRequest
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from vehanchor_server.resources import Resources
     from vehanchor_server.settings import Settings
 
-DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field, for programs.")]
+DetailArgument: TypeAlias = Annotated[
+    Detail, Field(description="full: every field, for programs."), UNLISTED
+]
 
 CallerOptions: TypeAlias = "Mapping[str, Any]"
 """Options that the caller gave, by keyword."""

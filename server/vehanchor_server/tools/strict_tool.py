@@ -19,7 +19,7 @@ from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import EXAMPLE_PATH
 from vehanchor_server.request_log import log_call
 from vehanchor_server.tools.complaints import complaints
-from vehanchor_server.tools.portable_schema import listed, portable_schema
+from vehanchor_server.tools.portable_schema import listed, portable_schema, without_marks
 
 # All but StrictTool are the SDK's. Tools import them from here when they are created, because the
 # SDK loads slowly.
@@ -90,8 +90,9 @@ class StrictTool(Tool):
         tool.fn_metadata.arg_model = types.new_class(
             arguments.__name__, (arguments,), {"extra": "forbid"}
         )
-        tool.full_parameters = portable_schema({"additionalProperties": False, **tool.parameters})
-        tool.parameters = listed(tool.full_parameters, image_kinds)
+        marked = portable_schema({"additionalProperties": False, **tool.parameters})
+        tool.full_parameters = without_marks(marked)
+        tool.parameters = listed(marked, image_kinds)
         if record is not None:
             tool.record = record
             tool.fn_metadata.output_schema = _answer_schema(record, listed_fields)

@@ -13,7 +13,7 @@ from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.cli.terminal import FAILED, counts_text, printable, report
 from vehanchor.errors import OutputError, PromptError
-from vehanchor.export.geojson import SUFFIX, check_geojson_path, write_features
+from vehanchor.export.geojson import SUFFIXES, check_geojson_path, write_features
 from vehanchor.imagery.sources.files import canonical_path, find_images
 from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets, read_targets
 from vehanchor.records.text import count
@@ -52,7 +52,7 @@ def measure_table(
         OutputError: the file exists, or cannot be written.
         ImageNotFoundError: as ``find_images``.
     """
-    as_geojson = output.suffix.lower() == SUFFIX
+    as_geojson = output.suffix.lower() in SUFFIXES
     if as_geojson:
         check_geojson_path(output)
     else:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Feature: TypeAlias = dict[str, Any]
 
-SUFFIX = ".geojson"
+SUFFIXES = (".geojson",)
 PIXELS_WKT = (
     'LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],'
     'AXIS["x",EAST],AXIS["y",SOUTH]]'
@@ -38,7 +38,7 @@ def check_geojson_path(path: Path) -> None:
         OutputError: the suffix is another one, or the folder does not exist.
     """
     check_output_path(
-        path, (SUFFIX,), kind="GeoJSON", also="ogr2ogr and geopandas convert it to other formats"
+        path, SUFFIXES, kind="GeoJSON", also="ogr2ogr and geopandas convert it to other formats"
     )
 
 

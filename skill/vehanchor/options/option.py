@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
-from pydantic import BeforeValidator, ConfigDict, Strict, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationError
 from pydantic.dataclasses import dataclass as validated
 from pydantic_core import PydanticCustomError, core_schema
 
@@ -23,7 +23,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from dataclasses import dataclass as group  # mypy understands it; ``group`` below is used
 
-__all__ = ["Flag", "Limits", "Number", "Option", "group", "in_order", "refusal", "set_frozen"]
+__all__ = [
+    "UNLISTED",
+    "UNLISTED_KEY",
+    "Flag",
+    "Limits",
+    "Number",
+    "Option",
+    "group",
+    "in_order",
+    "refusal",
+    "set_frozen",
+]
 
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
 _INCH_M = 0.0254
@@ -160,6 +171,15 @@ class Limits(NamedTuple):
         return {"type": "integer" if self.whole else "number", **self.schema}
 
 
+UNLISTED_KEY = "x-unlisted"
+"""Key of a JSON schema whose field tools do not list to models."""
+
+UNLISTED = Field(json_schema_extra={UNLISTED_KEY: True})
+"""Mark of a field, within ``Annotated``, that tools take from programs but do not list to models.
+
+An ``Option`` has ``listed`` instead.
+"""
+
 Number: TypeAlias = Annotated[float, Limits()]
 Flag: TypeAlias = Annotated[bool, Strict()]
 
@@ -193,7 +213,10 @@ class Option:
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         """Describe the option by its help."""
-        return {**handler(schema), "description": self.help}
+        described = {**handler(schema), "description": self.help}
+        if not self.listed:
+            described[UNLISTED_KEY] = True
+        return described
 
 
 def _shown(value: Any) -> str:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from vehanchor.errors import InvalidParameterError, KnownLengthError
-from vehanchor.options.option import Flag, Limits, Number, Option, group, in_order
+from vehanchor.options.option import UNLISTED, Flag, Limits, Number, Option, group, in_order
 from vehanchor.scale.defaults import MAX_GSD_M_PER_PX, MIN_GSD_M_PER_PX
 
 GSD_M_PER_PX = Limits(MIN_GSD_M_PER_PX, MAX_GSD_M_PER_PX)
@@ -23,6 +23,7 @@ OBJECT_HEIGHT = Option(
     "length.",
     metavar="M",
     flag="object-height",
+    listed=False,
 )
 
 ObjectHeight: TypeAlias = Annotated[Annotated[float, OBJECT_HEIGHT_M] | None, OBJECT_HEIGHT]
@@ -229,7 +230,7 @@ class KnownLength(Segment):
 
     metres: _Length | _Name
     basis: Basis = "assumed"
-    tolerance_m: _Length | None = None
+    tolerance_m: Annotated[_Length | None, UNLISTED] = None
 
     def __post_init__(self) -> None:
         if self.what is not None and (self.basis == "measured" or self.tolerance_m is not None):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.notices import Notice
-from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion, Short
 from vehanchor.records.ruler_registry import RulerKind
 from vehanchor.scale.defaults import Aggregation, Preset, Reason, Stopped
 
@@ -46,7 +46,7 @@ class FrameScale(Record):
 
     width_px: int = Field(gt=0, description="Width of the caller's copy of the image, pixels.")
     height_px: int = Field(gt=0, description="Height of the caller's copy of the image, pixels.")
-    gsd_m_per_px: float | None = Field(
+    gsd_m_per_px: Annotated[float | None, Short(when_null=True)] = Field(
         description="Metres per pixel of that copy; null without a scale."
     )
     gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
@@ -134,7 +134,7 @@ class EstimateDetails(Record):
         description="N: vehicles before the outlier filter, after corrections by hand; null "
         "without the ruler vehicles.",
     )
-    by_hand: VehiclesByHand | None = Field(
+    by_hand: Annotated[VehiclesByHand | None, Short()] = Field(
         default=None, description="Corrections by the caller; null without any."
     )
     working_scale: float | None = Field(
@@ -219,49 +219,53 @@ class KnownScale(Record, strict=True):
 class GsdEstimate(Record):
     """Metric scale of an aerial image: the paper's <GSD, C, N', P_mode> with its evidence."""
 
-    status: Status = Field(
+    status: Annotated[Status, Short()] = Field(
         description="ok: the scale is right within 20 % in at least 9 of 10 such photographs. "
         "low_confidence: do not act on the scale. no_scale: no ruler found anything."
     )
-    gsd_m_per_px: float | None = Field(
+    gsd_m_per_px: Annotated[float | None, Short(when_null=True)] = Field(
         description="Ground sampling distance, metres per pixel of the full image; null without a "
         "scale."
     )
-    confidence: float = Field(
+    confidence: Annotated[float, Short(round_down=True)] = Field(
         ge=0,
         le=1,
         description="Chance that the scale is right within 20 %; the status is ok from 0.9 on. "
         "With the preset paper, the composite C; the status is ok from 0.5 on.",
     )
-    n_vehicles: int | None = Field(
+    n_vehicles: Annotated[int | None, Short()] = Field(
         ge=0,
         description="N': vehicles kept after the outlier filter; null without the ruler vehicles.",
     )
     mode_length_px: float | None = Field(
         description="P_mode: modal vehicle length, pixels; null without vehicles."
     )
-    gsd_ci95_low_m_per_px: float | None = Field(
+    gsd_ci95_low_m_per_px: Annotated[float | None, Short()] = Field(
         description="Lower end of the 95 % interval of the GSD."
     )
-    gsd_ci95_high_m_per_px: float | None = Field(
+    gsd_ci95_high_m_per_px: Annotated[float | None, Short()] = Field(
         description="Upper end of the 95 % interval of the GSD."
     )
-    reason: Reason | None = Field(
+    reason: Annotated[Reason | None, Short()] = Field(
         description="Why the scale is not usable; null for a usable scale. too_coarse: the "
         "vehicles have too few pixels. too_few: there is too little evidence. not_cars: the "
         "vehicles may not be cars. disagree: rulers, or the directions of the image, contradict "
         "each other. assumed: it rests on assumed facts alone. imprecise: the fleet or the known "
         "fact is too uncertain."
     )
-    leading_ruler: RulerKind | None = Field(
+    leading_ruler: Annotated[RulerKind | None, Short()] = Field(
         description="Of the rulers that are probably right, the one without which the interval "
         "would be widest; null without a scale."
     )
     rulers: tuple[RulerScale, ...] = Field(
         description="All rulers with evidence; empty without a scale."
     )
-    image_width_px: int = Field(gt=0, description="Width of the full image, pixels.")
-    image_height_px: int = Field(gt=0, description="Height of the full image, pixels.")
+    image_width_px: Annotated[int, Short()] = Field(
+        gt=0, description="Width of the full image, pixels."
+    )
+    image_height_px: Annotated[int, Short()] = Field(
+        gt=0, description="Height of the full image, pixels."
+    )
     georeference_gsd_m_per_px: float | None = Field(
         description="Scale by the geotransform of the file, for comparison only; null without one."
     )
@@ -269,7 +273,7 @@ class GsdEstimate(Record):
         description="Tilt of the camera above 10 degrees, from the metadata; gsd_m_per_px is then "
         "the scale of the image's centre. Null at nadir or for an unknown tilt."
     )
-    frame: FrameScale | None = Field(
+    frame: Annotated[FrameScale | None, Short()] = Field(
         description="The scale in the caller's resized copy; null without a frame."
     )
     scale: KnownScale | None = Field(

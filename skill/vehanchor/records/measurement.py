@@ -8,13 +8,14 @@ from pydantic import Field
 
 from vehanchor.records.gsd_estimate import GsdEstimate, KnownScale, Status
 from vehanchor.records.notices import Notice
-from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion, Short
 
 ScaleSource = Literal["estimated", "given", "reused"]
 
 # Fields that the records of areas and of distances share.
 ScaleConfidence = Annotated[
     float | None,
+    Short(when_null=True, round_down=True),
     Field(
         ge=0,
         le=1,
@@ -23,6 +24,7 @@ ScaleConfidence = Annotated[
 ]
 MeasuredGsd = Annotated[
     float | None,
+    Short(when_null=True),
     Field(
         description="Ground sampling distance, metres per pixel of the full image; null without a "
         "scale."
@@ -113,10 +115,10 @@ class FrameArea(Record):
 
     width_px: int = Field(gt=0, description="Width of the caller's copy of the image, pixels.")
     height_px: int = Field(gt=0, description="Height of the caller's copy of the image, pixels.")
-    gsd_m_per_px: float | None = Field(
+    gsd_m_per_px: Annotated[float | None, Short(when_null=True)] = Field(
         description="Metres per pixel of that copy; null without a scale."
     )
-    bounding_box: BoundingBox | None = Field(
+    bounding_box: Annotated[BoundingBox | None, Short(when_null=True)] = Field(
         description="The object's box in pixels of that copy; null without a mask."
     )
 
@@ -133,19 +135,21 @@ class OtherObject(Record):
 class AreaMeasurement(Record):
     """Area of an object: the pixels of its mask times the square of the scale."""
 
-    status: Status = Field(
+    status: Annotated[Status, Short()] = Field(
         description="ok: scale and mask are usable. low_confidence: the scale is not usable, the "
         "score of the mask is below the model's limit, or there is no mask. no_scale: there is no "
         "scale, so sizes are in pixels only."
     )
-    area_m2: float | None = Field(
+    area_m2: Annotated[float | None, Short(when_null=True)] = Field(
         description="mask_area_px times GSD squared, square metres, summed over the ground plane "
         "for a tilted camera; null without a scale."
     )
-    area_ci95_low_m2: float | None = Field(
+    area_ci95_low_m2: Annotated[float | None, Short()] = Field(
         description="Lower end of its 95 % interval, from the errors of scale and mask."
     )
-    area_ci95_high_m2: float | None = Field(description="Upper end of its 95 % interval.")
+    area_ci95_high_m2: Annotated[float | None, Short()] = Field(
+        description="Upper end of its 95 % interval."
+    )
     scale_confidence: ScaleConfidence
     gsd_m_per_px: MeasuredGsd
     n_vehicles: MeasuredVehicles
@@ -154,27 +158,31 @@ class AreaMeasurement(Record):
     )
     scale_source: ScaleSourceField
     mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
-    mask_score: float = Field(ge=0, le=1, description="The segmenter's estimate of the mask's IoU.")
+    mask_score: Annotated[float, Short(round_down=True)] = Field(
+        ge=0, le=1, description="The segmenter's estimate of the mask's IoU."
+    )
     perimeter_m: float | None = Field(
         description="Length of the mask's outline with its holes, metres."
     )
-    length_m: float | None = Field(
+    length_m: Annotated[float | None, Short(only_if_ok=True)] = Field(
         description="Longer side of the smallest rotated rectangle, metres."
     )
-    width_m: float | None = Field(description="Shorter side of that rectangle, metres.")
-    inscribed_diameter_m: float | None = Field(
+    width_m: Annotated[float | None, Short(only_if_ok=True)] = Field(
+        description="Shorter side of that rectangle, metres."
+    )
+    inscribed_diameter_m: Annotated[float | None, Short(only_if_ok=True)] = Field(
         description="Diameter of the largest circle inside the mask, metres, for landing sites."
     )
-    inscribed_diameter_ci95_low_m: float | None = Field(
+    inscribed_diameter_ci95_low_m: Annotated[float | None, Short(only_if_ok=True)] = Field(
         description="Lower end of its 95 % interval."
     )
     inscribed_diameter_ci95_high_m: float | None = Field(
         description="Upper end of its 95 % interval."
     )
-    inscribed_center: ImagePoint | None = Field(
+    inscribed_center: Annotated[ImagePoint | None, Short(only_if_ok=True)] = Field(
         description="Centre of that circle, pixels of the full image; null without a mask."
     )
-    bounding_box: BoundingBox | None = Field(
+    bounding_box: Annotated[BoundingBox | None, Short()] = Field(
         description="The mask's box, pixels of the full image; null without a mask."
     )
     alternatives: tuple[OtherObject, ...] = Field(
@@ -187,7 +195,7 @@ class AreaMeasurement(Record):
     )
     image_width_px: ImageWidth
     image_height_px: ImageHeight
-    frame: FrameArea | None = Field(
+    frame: Annotated[FrameArea | None, Short()] = Field(
         description="The object in the caller's resized copy; null without a frame."
     )
     scale: ScaleField
@@ -212,19 +220,21 @@ class AreaMeasurement(Record):
 class DistanceMeasurement(Record):
     """Length of a line on the ground: its pixels times the scale."""
 
-    status: Status = Field(
+    status: Annotated[Status, Short()] = Field(
         description="ok: the scale is usable. low_confidence: the scale is not usable. no_scale: "
         "there is no scale, so the length is in pixels only."
     )
-    distance_m: float | None = Field(
+    distance_m: Annotated[float | None, Short(when_null=True)] = Field(
         description="length_px times GSD, metres, along the ground plane for a tilted camera; null "
         "without a scale."
     )
-    distance_ci95_low_m: float | None = Field(
+    distance_ci95_low_m: Annotated[float | None, Short()] = Field(
         description="Lower end of its 95 % interval, from the error of the scale and one pixel of "
         "error per point."
     )
-    distance_ci95_high_m: float | None = Field(description="Upper end of its 95 % interval.")
+    distance_ci95_high_m: Annotated[float | None, Short()] = Field(
+        description="Upper end of its 95 % interval."
+    )
     scale_confidence: ScaleConfidence
     gsd_m_per_px: MeasuredGsd
     n_vehicles: MeasuredVehicles

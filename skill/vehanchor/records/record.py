@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from html import escape
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,24 @@ SchemaVersion = Annotated[
 _SHOWN_FLOAT_DIGITS = 4
 # Types of pandas that have a missing value.
 _FRAME_TYPES = {float: "float64", int: "Int64", bool: "boolean", str: "string"}
+
+
+@dataclass(frozen=True)
+class Short:
+    """Mark of a field, within ``Annotated``: short answers for language models have it, too.
+
+    They have a marked field of ``EstimateDetails`` beside the others. Of a nested record they have
+    the marked fields, or all if none is marked.
+
+    Attributes:
+        when_null: whether they have it even if it is null, which then is a fact by itself.
+        only_if_ok: whether they leave it out unless the status of the record is ``ok``.
+        round_down: whether they round it down, so that it does not pass a limit by rounding.
+    """
+
+    when_null: bool = False
+    only_if_ok: bool = False
+    round_down: bool = False
 
 
 class Record(BaseModel):

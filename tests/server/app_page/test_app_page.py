@@ -20,8 +20,11 @@ from mcp.types import CallToolResult, TextResourceContents, Tool
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path, picture_of
-from vehanchor_server.app_page.page import APP_URI, page_html, view_html
+from vehanchor_server.app_page.page import APP_URI, page_html, scale_arguments, view_html
 from vehanchor_server.app_page.panel import PANEL_KEY
+from vehanchor_server.services import create_services
+from vehanchor_server.settings import Settings
+from vehanchor_server.tools.registry import create_tools
 
 CAR_AXIS = {"x1": 100.0, "y1": 480.0, "x2": 132.0, "y2": 480.0}  # where cars.png has none
 SHOWS_PAGES = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
@@ -239,6 +242,19 @@ def panel_of(result: CallToolResult) -> dict[str, Any]:
     assert result.meta is not None
     panel: dict[str, Any] = result.meta[PANEL_KEY]
     return panel
+
+
+@pytest.mark.parametrize("page", [page_html(), view_html()], ids=["host", "view"])
+def test_the_page_knows_the_arguments_of_a_scale(page: str) -> None:
+    [names] = re.findall(r'<body data-scale-arguments="([^"]+)">', page)
+    assert names.split(" ") == scale_arguments()
+    assert {"image", "region", "drop", "gsd_m_per_px"} <= set(scale_arguments())
+
+
+@pytest.mark.parametrize("tool", ["measure_area", "measure_distance"])
+def test_a_measurement_takes_all_arguments_of_a_scale(tool: str) -> None:
+    tools = {each.name: each for each in create_tools(create_services(Settings()))}
+    assert set(scale_arguments()) <= set(tools[tool].full_parameters["properties"])
 
 
 @pytest.mark.parametrize("page", [page_html(), view_html()], ids=["host", "view"])
