@@ -24,8 +24,8 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import Lengths, ScaleOptions, Search
 from vehanchor.rulers.active import needs_search
 from vehanchor.rulers.camera_tilt import metadata_tilt
+from vehanchor.rulers.fleet import select
 from vehanchor.rulers.ruler import View
-from vehanchor.rulers.vehicles import select
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.journal import Journal, Source

@@ -1,7 +1,7 @@
 """Vehicles as a ruler: the fleet among the detections, its votes for the scale, and its doubts.
 
-1. ``select`` separates the fleet (cars of one image differ by less than a factor of 1.5) from
-   things of other sizes.
+1. ``vehanchor.rulers.fleet.select`` separates the fleet from things of other sizes: cars of one
+   image differ by less than a factor of 1.5.
 2. The ruler's own scale is the paper's: ``L_ref / P_mode``, the reference length in metres over the
    modal length in pixels.
 3. The evidence for the posterior is not that single number, but the votes of all boxes: each is a
@@ -24,11 +24,17 @@ import numpy as np
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import rectified
+from vehanchor.rulers.fleet import select
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import Ruler
-from vehanchor.scale.defaults import CAR_LENGTH_M
+from vehanchor.rulers.vehicle_notices import (
+    DOUBT_CODES,
+    added_outliers,
+    capped_tiles,
+    detail_missing,
+    doubts,
+)
 from vehanchor.scale.density import (
-    GRID,
     UNCALIBRATED,
     blurred,
     credible_interval,
@@ -39,10 +45,7 @@ from vehanchor.scale.density import (
 )
 from vehanchor.scale.lengths import (
     GROUP_LOG_REACH,
-    MIN_SCORE,
-    dominant_group,
     guard_length,
-    inlier_mask,
     modal_length,
     statistical_log_sds,
 )
@@ -61,12 +64,10 @@ from vehanchor.scale.reliability import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
-    from vehanchor.detection.detections import Appearance, Detections
-    from vehanchor.detection.detector_errors import LookAlikeLimits
-    from vehanchor.options import Lengths
+    from vehanchor.rulers.fleet import Fleet
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
@@ -77,116 +78,6 @@ if TYPE_CHECKING:
 _FITTING_SHARE = 0.5
 # Score of a car that is beyond doubt.
 _CLEAR_SCORE = 1.0
-# Interquartile range of a normal distribution, in standard deviations.
-_QUARTILES_PER_SD = 1.349
-
-
-@dataclass(frozen=True, eq=False)
-class Fleet:
-    """Vehicles behind the scale.
-
-    Attributes:
-        detections: all detections.
-        kept: ``[n]`` bool, the detections of the fleet.
-        main_reduction: reduction of the image copy with most of the fleet, by score; None without
-            vehicles.
-        rival_share: evidence of the strongest group of other lengths over the fleet's; 0 without
-            any.
-    """
-
-    detections: Detections
-    kept: NDArray[np.bool_]
-    main_reduction: float | None
-    rival_share: float = 0.0
-
-    @property
-    def is_stated(self) -> bool:
-        """Whether the caller states that most of these vehicles are cars."""
-        n_stated = int((self.detections.stated & self.kept).sum())
-        return bool(2 * n_stated > self.kept.sum())
-
-    @property
-    def centres(self) -> NDArray[np.float64]:
-        """``[m, 2]`` centres x, y in pixels of the image."""
-        return np.asarray(self.detections.boxes[self.kept, :2])
-
-    @property
-    def lengths(self) -> NDArray[np.float64]:
-        """``[m]`` lengths in pixels of the image."""
-        return np.asarray(self.detections.boxes[self.kept, 2])
-
-    @property
-    def scores(self) -> NDArray[np.float64]:
-        """``[m]`` detection scores."""
-        return np.asarray(self.detections.scores[self.kept])
-
-    @property
-    def appearance(self) -> Appearance | None:
-        """Appearance of the vehicles that have any; None without such vehicles."""
-        appearance = self.detections.appearance
-        if appearance is None:
-            return None
-        # Only the first detections have an appearance.
-        kept = self.kept[: len(appearance)]
-        if not kept.any():
-            return None
-        return appearance.take(kept)
-
-
-def select(detections: Detections, lengths: Lengths, expected: Density | None = None) -> Fleet:
-    """Select the fleet by the outlier filter and, after a search over scales, by one modal length.
-
-    A vehicle that the caller adds is one clear vote: it joins the fleet, or is an outlier like
-    others.
-
-    Args:
-        detections: vehicles in pixels of the image.
-        lengths: options with the filter's factor.
-        expected: ``[g]`` density of the scale to identify cars; None without any.
-
-    Returns:
-        The fleet, empty if nothing was found.
-    """
-    lengths_px = detections.boxes[:, 2]
-    rival_share = 0.0
-    if detections.reductions is None or len(lengths_px) == 0:
-        kept = inlier_mask(lengths_px, lengths.alpha)
-    else:
-        # A search over scales also finds things of a car's shape that are larger or smaller.
-        weights = _evidence_of_cars(detections, expected)
-        kept, rival_share = dominant_group(lengths_px, weights)
-        kept[kept] = inlier_mask(lengths_px[kept], lengths.alpha)
-    return Fleet(detections, kept, _main_reduction(detections, kept), rival_share)
-
-
-def _evidence_of_cars(detections: Detections, expected: Density | None) -> NDArray[np.float64]:
-    """Weigh each box ``[n]`` by its squared score, and by how likely it is as long as a car.
-
-    The square reduces the weight of false alarms, most of which have low scores.
-
-    Args:
-        detections: vehicles in pixels of the image.
-        expected: as in ``select``.
-    """
-    weights = np.maximum(detections.scores, MIN_SCORE) ** 2
-    if expected is None:
-        return np.asarray(weights)
-    # The scale at which each box would be as long as a car, and how likely that scale is.
-    log_scales = np.log(CAR_LENGTH_M / detections.boxes[:, 2])
-    likely = np.interp(log_scales, GRID, expected / expected.max())
-    return np.asarray(np.where(detections.stated, 1.0, likely) * weights)
-
-
-def _main_reduction(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
-    """Find the reduction with most of the kept vehicles, by score; the finer of equals."""
-    if not kept.any():
-        return None
-    if detections.reductions is None:
-        return 1.0
-    # Negative reductions sort finer copies first; argmax takes the first of equals.
-    negative, inverse = np.unique(-detections.reductions[kept], return_inverse=True)
-    scores = np.bincount(inverse, weights=detections.scores[kept])
-    return float(-negative[np.argmax(scores)])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -262,7 +153,7 @@ class VehicleWitness(Witness):
     @property
     def doubted(self) -> bool:
         """Whether the vehicles may be look-alikes, stretched, or too coarse."""
-        return self.coarseness > 1.0 or any(notice.code in _DOUBT_CODES for notice in self.notices)
+        return self.coarseness > 1.0 or any(notice.code in DOUBT_CODES for notice in self.notices)
 
     def fitted_to(self, gsd_m_per_px: float) -> VehicleWitness:
         """Keep the vehicles whose lengths fit a scale, if most of the fleet does not.
@@ -465,7 +356,7 @@ class Vehicles(Ruler):
             n=len(fleet.lengths),
             # Cars that the caller points at are as wrong as the caller's other guesses.
             shared=(POINTING,) if fleet.is_stated else (),
-            notices=_capped(detections),
+            notices=capped_tiles(detections),
             fleet=fleet,
             card=card,
             reference=reference_length(
@@ -488,9 +379,13 @@ class Vehicles(Ruler):
             notices=(
                 *vehicles.notices,
                 *_unlikely_guess(vehicles),
-                *_added_outliers(fleet),
-                *_detail_missing(vehicles),
-                *_doubts(fleet, stretch, card.errors.look_alikes),
+                *added_outliers(fleet),
+                *detail_missing(
+                    vehicles.seen_length_px,
+                    guard_px=vehicles.guard_length_px,
+                    detail_share=vehicles.detail_share,
+                ),
+                *doubts(fleet, stretch, card.errors.look_alikes),
             ),
         )
 
@@ -513,118 +408,6 @@ def _unlikely_guess(vehicles: VehicleWitness) -> tuple[Notice, ...]:
         "fleet was measured, give its calibration."
     )
     return (Notice(code=NoticeCode.REFERENCE_LENGTH_UNLIKELY, message=message),)
-
-
-def _added_outliers(fleet: Fleet) -> tuple[Notice, ...]:
-    """Warn of vehicles that the caller added, and whose lengths do not fit the fleet."""
-    outliers = fleet.detections.stated & ~fleet.kept
-    if not outliers.any():
-        return ()
-    ratio = float(np.median(fleet.detections.boxes[outliers, 2]) / np.median(fleet.lengths))
-    cause = "a lorry?" if ratio > 1 else "only a part of one?"
-    message = (
-        f"A vehicle that you added is {ratio:.1f} times as long as the {fleet.kept.sum()} others: "
-        f"{cause} It does not count. If the others are not cars, drop them."
-    )
-    return (Notice(code=NoticeCode.ADDED_VEHICLE_UNLIKE, message=message),)
-
-
-_STRETCHED = Notice(
-    code=NoticeCode.STRETCHED,
-    message=(
-        "The vehicles would have a car's proportions only if the image were narrower or wider. It "
-        "was stretched in one direction or taken at a tilt, so that its width and height have "
-        "different scales."
-    ),
-)
-_LOOK_ALIKES = Notice(
-    code=NoticeCode.LOOK_ALIKES,
-    message=(
-        "The vehicles are more alike than cars of different makes, or unlike any known car. They "
-        "may be lorries, caravans or containers of one model, roof units or boats. The scale is "
-        "then wrong by the ratio of their length to a car's."
-    ),
-)
-_DOUBT_CODES = (_STRETCHED.code, _LOOK_ALIKES.code)
-
-
-def _doubts(fleet: Fleet, stretch: float | None, limits: LookAlikeLimits) -> tuple[Notice, ...]:
-    """Doubt that the vehicles are cars of true proportions, after a search over scales.
-
-    Without such a search, the vehicles were not chosen by their length, and no doubt arises. A
-    caller who states that most of the vehicles are cars resolves the doubt that they are
-    look-alikes.
-
-    Args:
-        fleet: the vehicles.
-        stretch: see ``vehanchor.detection.detections.Detections``; None if it is not doubted.
-        limits: of look-alikes.
-    """
-    if fleet.detections.reductions is None:
-        return ()
-    doubts = []
-    if stretch is not None and abs(stretch) > 1.0:
-        doubts.append(_STRETCHED)
-    if not fleet.is_stated and look_alikes(fleet.lengths, fleet.appearance, limits):
-        doubts.append(_LOOK_ALIKES)
-    return tuple(doubts)
-
-
-def look_alikes(lengths: ArrayLike, appearance: Appearance | None, limits: LookAlikeLimits) -> bool:
-    """Test whether vehicles may be equal things, such as lorries, caravans or boats in rows.
-
-    One of two signs is enough. Either their lengths and their appearances
-    spread less than those of cars of different makes (interquartile range over 1.349), or they look
-    less like cars than any fleet.
-
-    Args:
-        lengths: ``[n]`` pixels.
-        appearance: appearance of the vehicles that have any; None without a chip network.
-        limits: the detector's limits, among them the least number of vehicles.
-    """
-    lengths_px = np.asarray(lengths, dtype=np.float64)
-    if len(lengths_px) < limits.min_vehicles:
-        return False
-    equal_lengths = _spread(np.log(lengths_px)) < limits.log_sd
-    if appearance is None or len(appearance) < limits.min_vehicles:
-        return equal_lengths
-    if appearance.logits.mean() < limits.min_mean_logit:
-        return True
-    return equal_lengths and _spread(appearance.log_lengths) < limits.log_sd
-
-
-def _spread(values: NDArray[np.float64]) -> float:
-    """Estimate the standard deviation by the quartiles, which outliers hardly move."""
-    low, high = np.percentile(values, [25, 75])
-    return float(high - low) / _QUARTILES_PER_SD
-
-
-def _capped(detections: Detections) -> tuple[Notice, ...]:
-    """Warn of tiles in which the model returned its largest number of boxes."""
-    if not detections.n_capped_tiles:
-        return ()
-    message = (
-        f"{detections.n_capped_tiles} of {detections.n_tiles} tiles reached the model's largest "
-        "number of boxes: vehicles may be missing. Export the model without nms=True, or use "
-        "smaller tiles."
-    )
-    return (Notice(code=NoticeCode.DETECTIONS_CAPPED, message=message),)
-
-
-def _detail_missing(vehicles: VehicleWitness) -> tuple[Notice, ...]:
-    """Warn of vehicles that have enough pixels, but not enough detail."""
-    length_px = vehicles.seen_length_px
-    guard_px = vehicles.guard_length_px
-    detailed_px = length_px * vehicles.detail_share
-    if length_px < guard_px or detailed_px >= guard_px:
-        return ()
-    finest_px = 1 / vehicles.detail_share
-    message = (
-        f"The image has no detail finer than {finest_px:.2g} px, perhaps because it was enlarged "
-        f"or blurred: vehicles of {length_px:.1f} px have the detail of {detailed_px:.1f} px, and "
-        f"{guard_px:.1f} px are needed. Give the original image."
-    )
-    return (Notice(code=NoticeCode.DETAIL_MISSING, message=message),)
 
 
 def vehicle_witness(witnesses: Iterable[Witness]) -> VehicleWitness | None:
