@@ -126,8 +126,10 @@ class Canvas(NamedTuple):
         )
         picture = np.asarray(bordered, dtype=np.uint8)
         if gsd_m_per_px is not None:
-            draw_scale_bar(picture, gsd_m_per_px / float(self.placement.scale[0]))
-        return np.concatenate([picture, caption_panel(picture.shape[1], lines)])
+            enlargement = float(self.placement.scale[0])
+            draw_scale_bar(picture, gsd_m_per_px / enlargement)
+        panel = caption_panel(picture.shape[1], lines)
+        return np.concatenate([picture, panel])
 
 
 def open_canvas(
@@ -198,7 +200,8 @@ def read_reduced(raster: Raster, part: Window | None = None) -> RgbImage:
             height_px=last_row - first_row,
         )
         size = (width, bottom - top)
-        reduced[top:bottom] = cv2.resize(raster.read(strip), size, interpolation=cv2.INTER_AREA)
+        pixels = raster.read(strip)
+        reduced[top:bottom] = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     return reduced
 
 
@@ -252,14 +255,17 @@ def draw_vehicles(picture: RgbImage, analysis: ScaleEvidence, placement: Placeme
     if not len(boxes):
         return
     corners = placement.to_opencv(box_corners(boxes))
-    drawn_length = float(np.median(boxes[:, 2]) * placement.scale.mean())
+    median_length = np.median(boxes[:, 2])
+    drawn_length = float(median_length * placement.scale.mean())
     line = line_px(picture, drawn_length / _LENGTH_PER_LINE)
     if drawn_length >= _MIN_HALO_PX:
         _draw_shapes(picture, corners, colour=_PANEL_RGB, line=line + 2)
     kept = corners[analysis.kept]
     dropped = corners[~analysis.kept]
     # The diagonals of the dropped boxes.
-    crosses = np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]])
+    falling = dropped[:, [0, 2]]
+    rising = dropped[:, [1, 3]]
+    crosses = np.concatenate([falling, rising])
     _draw_shapes(picture, kept, colour=KEPT_RGB, line=line)
     _draw_shapes(picture, dropped, colour=DROPPED_RGB, line=line)
     _draw_shapes(picture, crosses, closed=False, colour=DROPPED_RGB, line=1)
@@ -292,14 +298,16 @@ def _write_numbers(picture: RgbImage, detections: Detections, placement: Placeme
     Many small vehicles have no numbers.
     """
     enlargement = placement.scale.mean()
-    is_many = len(detections.boxes) > _MANY_VEHICLES
-    if is_many and np.median(detections.boxes[:, 2]) * enlargement < _NUMBERED_PX:
-        return
+    if len(detections.boxes) > _MANY_VEHICLES:
+        median_length = np.median(detections.boxes[:, 2])
+        if median_length * enlargement < _NUMBERED_PX:
+            return
     is_written = np.zeros(picture.shape[:2], bool)
     for box, number in zip(detections.boxes, detections.numbers, strict=True):
         text = str(number)
         x, y = placement.to_picture(box[:2])
-        capital = int(np.clip(_NUMBER_SHARE * box[3] * enlargement, *_NUMBER_RANGE_PX))
+        fitting = _NUMBER_SHARE * box[3] * enlargement
+        capital = int(np.clip(fitting, *_NUMBER_RANGE_PX))
         width = text_width(text, capital)
         left = round(x - width / 2)
         baseline = round(y + capital / 2)
@@ -315,7 +323,11 @@ def _round_length(metres: float) -> float:
     """Round to 1, 2 or 5 times a power of ten, nearest by ratio."""
     power = 10.0 ** math.floor(math.log10(metres))
     lengths = [multiple * power for multiple in (1.0, 2.0, 5.0, 10.0)]
-    return min(lengths, key=lambda length: abs(math.log(length / metres)))
+
+    def log_distance(length: float) -> float:
+        return abs(math.log(length / metres))
+
+    return min(lengths, key=log_distance)
 
 
 def draw_scale_bar(picture: RgbImage, m_per_px: float) -> None:
@@ -332,7 +344,9 @@ def draw_scale_bar(picture: RgbImage, m_per_px: float) -> None:
     top = bottom - thickness
     black = (0, 0, 0)
     white = (255, 255, 255)
-    _fill_rectangle(picture, (left - rim, top - rim), (right + rim, bottom + rim), colour=black)
+    outer_first = (left - rim, top - rim)
+    outer_last = (right + rim, bottom + rim)
+    _fill_rectangle(picture, outer_first, outer_last, colour=black)
     _fill_rectangle(picture, (left, top), (right, bottom), colour=white)
     start = (left, top - rim - capital // 2)
     write_on(picture, f"{metres:g} m", start, capital_px=capital)
@@ -421,7 +435,12 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
                 _fill_rectangle(panel, (x, baseline - side), (x + side, baseline), colour=colour)
                 x += round(_SWATCH_WIDTH * capital)
             put_text(
-                panel, text, (x, baseline), capital_px=capital, colour=_TEXT_RGB, stroke=stroke
+                panel,
+                text,
+                (x, baseline),
+                capital_px=capital,
+                colour=_TEXT_RGB,
+                stroke=stroke,
             )
             x += text_width(text, capital) + round(_TEXT_GAP * capital)
     return panel
