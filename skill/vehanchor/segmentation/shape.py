@@ -85,7 +85,8 @@ def touches_edge(mask: Mask, sides: tuple[bool, bool, bool, bool] = _ALL_SIDES) 
     right = mask[:, -1]
     bottom = mask[-1]
     lines = (left, top, right, bottom)
-    return any(line.any() for counts, line in zip(sides, lines, strict=True) if counts)
+    counted = [line for line, counts in zip(lines, sides, strict=True) if counts]
+    return any(line.any() for line in counted)
 
 
 def piece_areas_px(mask: Mask) -> NDArray[np.int64]:
@@ -115,7 +116,8 @@ def perimeter(mask: Mask) -> float:
     for rings in _simplify(contours, tolerance_px):
         for ring in rings:
             sides = ring - np.roll(ring, 1, axis=0)
-            length += float(np.linalg.norm(sides, axis=1).sum())
+            side_lengths = np.linalg.norm(sides, axis=1)
+            length += float(side_lengths.sum())
     return length
 
 
@@ -169,7 +171,8 @@ def inscribed_circle(mask: Mask) -> Circle | None:
         diameter_px = 2 * largest - 1
     # The last bit of OpenCV's result depends on the array's address in memory: take the first of
     # equal circles.
-    index = int(np.argmax(distance >= largest * (1 - _EQUAL_SHARE)))
+    is_largest = distance >= largest * (1 - _EQUAL_SHARE)
+    index = int(np.argmax(is_largest))
     row, column = np.unravel_index(index, distance.shape)
     # The padding adds one pixel before the mask.
     x = float(column) * step_px + first_px - 1
@@ -247,8 +250,9 @@ def _midpoints_along_rows(cells: Cells) -> list[NDArray[np.int64]]:
     rows = np.flatnonzero(cells.any(axis=1))
     set_rows = cells[rows]
     backwards = set_rows[:, ::-1]
+    last_column = cells.shape[1] - 1
     first = np.argmax(set_rows, axis=1)
-    last = cells.shape[1] - 1 - np.argmax(backwards, axis=1)
+    last = last_column - np.argmax(backwards, axis=1)
     middle_of_row = 2 * rows + 1
     first_sides = np.stack([2 * first, middle_of_row], axis=1)
     last_sides = np.stack([2 * last + 2, middle_of_row], axis=1)
@@ -277,10 +281,11 @@ def _trace_contours(mask: Mask) -> _Contours:
         return _Contours([], np.zeros(2), 1)
     cells = _crop_to_bounds(mask, bounds)
     # A huge mask is sampled at the middle of larger cells, to bound memory.
-    cell_px = max(1, math.ceil(math.sqrt(cells.size / _MAX_LATTICE_PX)))
+    excess = cells.size / _MAX_LATTICE_PX
+    cell_px = max(1, math.ceil(math.sqrt(excess)))
     if cell_px > 1:
-        middle = cell_px // 2
-        cells = np.ascontiguousarray(cells[middle::cell_px, middle::cell_px])
+        middles = slice(cell_px // 2, None, cell_px)
+        cells = np.ascontiguousarray(cells[middles, middles])
     lattice = np.pad(_closed_lattice(cells), _RIM)
     contours, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings = []
@@ -321,9 +326,9 @@ def _restore_corners(ring: Ring) -> Ring:
     is_even = ring % 2 == 0
     corner = np.where(is_even, ring, following)
     # A corner behind every point, then only those of slanted steps.
-    with_corners = np.stack([ring, corner], axis=1).reshape(-1, 2)
+    with_corners = np.stack([ring, corner], axis=1)
     is_point = np.ones(len(ring), dtype=bool)
-    is_kept = np.stack([is_point, is_slanted], axis=1).reshape(-1)
+    is_kept = np.stack([is_point, is_slanted], axis=1)
     kept = np.ascontiguousarray(with_corners[is_kept])
     return kept.reshape(-1, 1, 2)
 
@@ -347,5 +352,5 @@ def _simplify_ring(ring: Ring, tolerance: float) -> Ring:
     if len(simple) < 3:
         x1, y1 = ring.min(axis=(0, 1))
         x2, y2 = ring.max(axis=(0, 1))
-        simple = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
+        simple = np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2)])
     return np.asarray(simple, dtype=np.int32)
