@@ -248,21 +248,41 @@ def kde_density(
     bandwidth = smoothing * scott_bandwidth(values, shares)
     if bandwidth == 0.0:
         return np.zeros(len(points))
-    return _mixture(points, values, shares=shares, bandwidth=bandwidth)
+    mixture = _NormalMixture(values, shares, bandwidth)
+    return mixture.density_at(points)
 
 
-def _mixture(points: Lengths, values: Lengths, shares: Weights, bandwidth: float) -> KernelDensity:
-    """Compute a mixture of normal densities at points ``[g]``, in blocks that bound the memory."""
-    density = np.empty(len(points))
-    points_at_once = max(1, _BLOCK_VALUES // max(1, len(values)))
-    for start in range(0, len(points), points_at_once):
-        block = slice(start, start + points_at_once)
-        offsets = points[block, None] - values[None, :]
-        deviations = offsets / bandwidth
-        kernels = np.exp(-0.5 * deviations * deviations)
-        density[block] = kernels @ shares
-    norm = bandwidth * np.sqrt(2 * np.pi)
-    return np.asarray(density / norm)
+class _NormalMixture(NamedTuple):
+    """Kernel density: a mixture of normal densities of one width.
+
+    Attributes:
+        values: ``[n]`` means, the lengths.
+        shares: ``[n]`` weights, their sum 1 for all lengths.
+        bandwidth: standard deviation of each.
+    """
+
+    values: Lengths
+    shares: Weights
+    bandwidth: float
+
+    def density_at(self, points: Lengths) -> KernelDensity:
+        """Compute the density at points ``[g]``, in blocks that bound the memory."""
+        density = np.empty(len(points))
+        points_at_once = max(1, _BLOCK_VALUES // max(1, len(self.values)))
+        for start in range(0, len(points), points_at_once):
+            block = slice(start, start + points_at_once)
+            offsets = points[block, None] - self.values[None, :]
+            deviations = offsets / self.bandwidth
+            kernels = np.exp(-0.5 * deviations * deviations)
+            density[block] = kernels @ self.shares
+        norm = self.bandwidth * np.sqrt(2 * np.pi)
+        return np.asarray(density / norm)
+
+    def near(self, point: float) -> _NormalMixture:
+        """Leave out the normal densities that are negligible around a point."""
+        # Beyond 12 bandwidths a Gaussian adds less than 1e-31.
+        is_near = np.abs(self.values - point) < 12 * self.bandwidth
+        return _NormalMixture(self.values[is_near], self.shares[is_near], self.bandwidth)
 
 
 def kde_mode(
@@ -295,7 +315,8 @@ def kde_mode(
     step = _GRID_STEP * bandwidth
     n_steps = int(np.ceil((high - low) / step))
     points = np.linspace(low, high, n_steps + 2)
-    density = _mixture(points, values, shares=shares, bandwidth=bandwidth)
+    mixture = _NormalMixture(values, shares, bandwidth)
+    density = mixture.density_at(points)
 
     # A peak of the grid is at least as high as its left neighbour and higher than its right one.
     padded = np.pad(density, 1, constant_values=-np.inf)
@@ -304,44 +325,35 @@ def kde_mode(
     is_peak = (density >= left) & (density > right)
     may_be_highest = density >= _MAY_BE_HIGHEST * density.max()
     peaks = np.flatnonzero(is_peak & may_be_highest).tolist()
-    modes = [
-        _refined_peak(points, peak, values=values, shares=shares, bandwidth=bandwidth)
-        for peak in peaks
-    ]
-    heights = _mixture(np.array(modes), values, shares=shares, bandwidth=bandwidth)
+    modes = [_refined_peak(mixture, points, peak) for peak in peaks]
+    heights = mixture.density_at(np.array(modes))
     highest = np.argmax(heights)
     return float(modes[highest])
 
 
-def _refined_peak(
-    points: Lengths, index: int, values: Lengths, shares: Weights, bandwidth: float
-) -> float:
+def _refined_peak(mixture: _NormalMixture, points: Lengths, index: int) -> float:
     """Refine the peak of the density beside a point of the grid, to 1e-5 px.
 
     Args:
+        mixture: the density.
         points: ``[g]`` grid.
         index: index of the highest point of this peak.
-        values: ``[n]`` lengths.
-        shares: ``[n]`` weights, their sum 1.
-        bandwidth: standard deviation of the kernel.
     """
     last = len(points) - 1
     left = points[max(index - 1, 0)]
     right = points[min(index + 1, last)]
-    # Beyond 12 bandwidths a Gaussian adds less than 1e-31.
-    near = np.abs(values - points[index]) < 12 * bandwidth
-    near_values = values[near]
-    near_shares = shares[near]
+    near = mixture.near(points[index])
     # Golden-section search: the part beside the lower of two inner points is dropped.
     golden = (np.sqrt(5) - 1) / 2
     while right - left > 1e-5:
         step = golden * (right - left)
-        inner = np.array([right - step, left + step])
-        heights = _mixture(inner, near_values, shares=near_shares, bandwidth=bandwidth)
-        if heights[0] >= heights[1]:
-            right = inner[1]
+        inner_left = right - step
+        inner_right = left + step
+        height_left, height_right = near.density_at(np.array([inner_left, inner_right]))
+        if height_left >= height_right:
+            right = inner_right
         else:
-            left = inner[0]
+            left = inner_left
     return float((left + right) / 2)
 
 
