@@ -19,6 +19,7 @@ from vehanchor.scale.posterior import Mark
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from vehanchor.options.reading import Place
     from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
     from vehanchor.pictures.placement import Colour, Placement, Points, RgbImage
     from vehanchor.pictures.scale import CaptionLine
@@ -78,7 +79,8 @@ def _extent(analysis: AreaEvidence) -> Points:
         points += [(x1, y1), (x2, y2)]
     mask_box = analysis.measurement.bounding_box
     if mask_box is not None:
-        points += [(mask_box.x1_px, mask_box.y1_px), (mask_box.x2_px, mask_box.y2_px)]
+        points.append((mask_box.x1_px, mask_box.y1_px))
+        points.append((mask_box.x2_px, mask_box.y2_px))
     return np.array(points, dtype=np.float64)
 
 
@@ -114,10 +116,11 @@ def _draw_mask(picture: RgbImage, analysis: AreaEvidence, placement: Placement) 
     """
     mask = analysis.segmentation.mask
     window = analysis.segmentation.window
-    first_corner = (window.x_px, window.y_px)
-    last_corner = (window.x_px + window.width_px, window.y_px + window.height_px)
-    corners = placement.to_picture([first_corner, last_corner])
-    (left, top), (right, bottom) = np.rint(corners).astype(int).tolist()
+    image_right = window.x_px + window.width_px
+    image_bottom = window.y_px + window.height_px
+    corners = [(window.x_px, window.y_px), (image_right, image_bottom)]
+    in_picture = np.rint(placement.to_picture(corners)).astype(int)
+    (left, top), (right, bottom) = in_picture.tolist()
     # The part of the mask's window that the picture shows.
     height, width = picture.shape[:2]
     x1 = max(0, left)
@@ -138,7 +141,8 @@ def _draw_mask(picture: RgbImage, analysis: AreaEvidence, placement: Placement) 
     is_object = np.asarray(coverage[rows, columns] > 127)
     region = picture[y1:y2, x1:x2]
     tint = np.array(MEASURED_RGB, dtype=np.float64)
-    tinted = (1 - _TINT_OPACITY) * region[is_object] + _TINT_OPACITY * tint
+    pixels = region[is_object]
+    tinted = (1 - _TINT_OPACITY) * pixels + _TINT_OPACITY * tint
     region[is_object] = np.rint(tinted).astype(np.uint8)
     # The padding closes outlines at the border of the region.
     padded = np.pad(is_object.astype(np.uint8), 1)
@@ -210,7 +214,7 @@ def _area_text(record: AreaMeasurement) -> str:
     return f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
 
 
-def _path_points(record: DistanceMeasurement) -> tuple[tuple[float, float], ...]:
+def _path_points(record: DistanceMeasurement) -> tuple[Place, ...]:
     return tuple((point.x_px, point.y_px) for point in record.path)
 
 
