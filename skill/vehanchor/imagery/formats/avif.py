@@ -92,7 +92,8 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
     properties = _read_properties(read_at, parts[b"iprp"])
     decoded_px = properties.width_px * properties.height_px
     complete = True
-    for start, end in _item_spans(read_at, parts[b"iloc"], parts.get(b"idat")):
+    spans = _item_spans(read_at, parts[b"iloc"], parts.get(b"idat"))
+    for start, end in spans:
         has_last_byte = len(read_at(end - 1, 1)) == 1
         complete = complete and has_last_byte
         decoded_px = max(decoded_px, _largest_frame_px(read_at, start, end))
@@ -114,7 +115,8 @@ def _read_meta(read_at: ReadAt) -> dict[bytes, Box]:
         ImageDecodeError: the box or one of the two parts is missing, or the file is an animation.
         ImageTooLargeError: the box is larger than a photograph needs.
     """
-    meta = next((box for box in boxes(read_at) if box.kind in (b"meta", b"moov")), None)
+    candidates = (box for box in boxes(read_at) if box.kind in (b"meta", b"moov"))
+    meta = next(candidates, None)
     if meta is None or meta.end is None:
         raise ImageDecodeError("the AVIF has no 'meta' box: truncated or damaged")
     if meta.kind == b"moov":
@@ -137,10 +139,10 @@ def _read_properties(read_at: ReadAt, iprp: Box) -> _Properties:
         ImageDecodeError: there is no size, or there are several rotations.
         struct.error: the file ends within a property.
     """
-    containers = [box for box in boxes(read_at, iprp.start, iprp.end) if box.kind == b"ipco"]
     properties: list[Box] = []
-    for container in containers:
-        properties.extend(boxes(read_at, container.start, container.end))
+    for container in boxes(read_at, iprp.start, iprp.end):
+        if container.kind == b"ipco":
+            properties.extend(boxes(read_at, container.start, container.end))
 
     def read_values(kind: bytes, values_format: str, skip: int = 0) -> set[tuple[int, ...]]:
         """Read the distinct values of a kind of property, after ``skip`` bytes."""
@@ -157,9 +159,14 @@ def _read_properties(read_at: ReadAt, iprp: Box) -> _Properties:
             "again"
         )
     width, height = max(sizes, key=math.prod)
-    quarter_turns = next((turn & 3 for (turn,) in turns), 0)
-    mirror_axis = next((axis & 1 for (axis,) in mirrors), None)
-    third_bytes = [third for _, _, third in read_values(b"av1C", "3B")]
+    quarter_turns = 0
+    for (turn,) in turns:
+        quarter_turns = turn & 3
+    mirror_axis = None
+    for (axis,) in mirrors:
+        mirror_axis = axis & 1
+    configurations = read_values(b"av1C", "3B")
+    third_bytes = [third for _, _, third in configurations]
     return _Properties(
         width,
         height,

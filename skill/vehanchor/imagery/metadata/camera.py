@@ -188,7 +188,11 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
 
 
 def _first_quantity(
-    statements: Statements, makers: Sequence[Maker], *, field: str, units: Mapping[str, float]
+    statements: Statements,
+    makers: Sequence[Maker],
+    *,
+    field: str,
+    units: Mapping[str, float],
 ) -> tuple[float | None, str]:
     """Read a quantity of the first maker that has it, and the maker's and the property's name."""
     for maker in makers:
@@ -230,7 +234,10 @@ def _attitude(statements: Statements, makers: Sequence[Maker]) -> tuple[float | 
                 "angles"
             )
             continue
-        from_nadir = math.radians(pitch + 90 if is_from_horizon else pitch)
+        pitch_from_nadir = pitch
+        if is_from_horizon:
+            pitch_from_nadir += 90
+        from_nadir = math.radians(pitch_from_nadir)
         # A gimbal's roll turns the image about the optical axis, so it does not tilt the camera.
         if maker.level_below_deg == math.inf:
             # Any angle becomes one of 0 to 180 degrees.
@@ -248,7 +255,8 @@ def _attitude(statements: Statements, makers: Sequence[Maker]) -> tuple[float | 
 
 def _position(tags: Sequence[ExifTags]) -> tuple[float | None, float | None]:
     """Get latitude and longitude from the first block with a position; None if one is invalid."""
-    block = next((block for block in tags if "GPSLatitude" in block), {})
+    with_position = (block for block in tags if "GPSLatitude" in block)
+    block = next(with_position, {})
     latitude = block.get("GPSLatitude")
     longitude = block.get("GPSLongitude")
     if not isinstance(latitude, float) or not isinstance(longitude, float):
