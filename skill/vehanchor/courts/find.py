@@ -261,7 +261,8 @@ def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
     This is lazy because large images have thousands of proposals and the first few suffice.
     """
     kept: list[Proposal] = []
-    for proposal in sorted(proposals, key=lambda proposal: -proposal.share):
+    best_first = sorted(proposals, key=lambda proposal: -proposal.share)
+    for proposal in best_first:
         if not any(_is_same(proposal, better) for better in kept):
             kept.append(proposal)
             yield proposal
@@ -352,7 +353,8 @@ def _measured_court(raster: Raster, candidate: _Match) -> Court | None:
     outline = project(best.fit.matrix, template.outline)
     corners = best.patch.points_in_image(outline)
     image_size = (raster.width_px, raster.height_px)
-    if (corners < 0).any() or (corners > image_size).any():
+    is_outside = (corners < 0) | (corners > image_size)
+    if is_outside.any():
         return None
     if not _is_supported(best):
         return None
@@ -421,22 +423,29 @@ def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch
     y = (pose.y + 0.5) / factor
     width = raster.width_px // factor
     height = raster.height_px // factor
-    left = int(np.clip(x - half, 0, width - 1))
-    top = int(np.clip(y - half, 0, height - 1))
-    right = int(np.clip(x + half, left + 1, width))
-    bottom = int(np.clip(y + half, top + 1, height))
-    window = Window(left, top, width_px=right - left, height_px=bottom - top)
+    left, columns = _clipped_span(x, half, width)
+    top, rows = _clipped_span(y, half, height)
+    window = Window(left, top, width_px=columns, height_px=rows)
     pixels = read_reduced_window(raster, window, factor)
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     grey_levels = np.asarray(grey, np.float32)
     return _Patch(grey_levels, factor, left=left, top=top)
 
 
+def _clipped_span(centre: float, half: float, side_px: int) -> tuple[int, int]:
+    """Clip an interval around a centre to a side of the image; return its start and length."""
+    start = int(np.clip(centre - half, 0, side_px - 1))
+    end = int(np.clip(centre + half, start + 1, side_px))
+    return start, end - start
+
+
 def _pose_of(matrix: NDArray[np.float64]) -> Pose:
     """Convert a similarity matrix to a pose."""
     cos, _, x = matrix[0]
     sin, _, y = matrix[1]
-    return Pose(float(x), float(y), angle=math.atan2(sin, cos), px_per_m=math.hypot(cos, sin))
+    angle = math.atan2(sin, cos)
+    px_per_m = math.hypot(cos, sin)
+    return Pose(float(x), float(y), angle, px_per_m)
 
 
 def _lies_in_any(point: tuple[float, float], courts: Sequence[Court]) -> bool:
@@ -480,7 +489,8 @@ def axes(grey: GreyImage, x: float, y: float, radius: float) -> list[float]:
     bins_around = np.arange(-_APART_BINS, _APART_BINS + 1)
     while len(directions) < 2:
         peak = int(rest.argmax())
-        if directions and rest[peak] < _SECOND_SHARE * histogram.max():
+        min_height = _SECOND_SHARE * histogram.max()
+        if directions and rest[peak] < min_height:
             break
         before = histogram[peak - 1]
         after = histogram[(peak + 1) % _BINS]
@@ -488,7 +498,8 @@ def axes(grey: GreyImage, x: float, y: float, radius: float) -> list[float]:
         shift = 0.0
         if bend < 0:
             shift = (before - after) / (2 * bend)
-        directions.append((peak + 0.5 + shift) * _QUARTER / _BINS)
+        position = peak + 0.5 + shift
+        directions.append(position * _QUARTER / _BINS)
         around_peak = (peak + bins_around) % _BINS
         rest[around_peak] = 0.0
     return directions

@@ -98,10 +98,12 @@ def match(
     # Half sides of the patch: the largest court at the farthest place.
     halves = []
     for template, template_sizes in zip(templates, sizes, strict=True):
-        half_sides_m = np.array([template.length_m, template.width_m]) / 2
-        halves.append((half_sides_m + _MARGIN_M) * template_sizes[-1])
+        sides_m = np.array([template.length_m, template.width_m])
+        largest_size = template_sizes[-1]
+        halves.append((sides_m / 2 + _MARGIN_M) * largest_size)
     largest_half = np.max(halves, axis=0)
-    reach = np.ceil(largest_half) + places[-1] + 2
+    farthest = places[-1]
+    reach = np.ceil(largest_half) + farthest + 2
     half_x = int(reach[0])
     half_y = int(reach[1])
     ends = [
@@ -153,8 +155,9 @@ def _rotated_sums(
     )
     along, across = ridges(np.asarray(rotated, np.float32))
     # Wider lines tolerate an offset of one pixel.
-    wide_along = cv2.dilate(along, np.ones((3, 1)))
-    wide_across = cv2.dilate(across, np.ones((1, 3)))
+    brush = np.ones((3, 1))
+    wide_along = cv2.dilate(along, brush)
+    wide_across = cv2.dilate(across, brush.T)
     rows, columns = along.shape
     sums = np.zeros((2 * rows + 1, columns + 1), np.float32)
     sums_along = sums[:rows, 1:]
