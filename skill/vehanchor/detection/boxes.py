@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     Boxes: TypeAlias = NDArray[np.float64]
     """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
 
+    Corners: TypeAlias = NDArray[np.float64]
+    """``[n, 4, 2]`` x, y in pixels, in order around each box."""
+
     Vectors: TypeAlias = NDArray[np.float64]
     """``[2, ..., k]`` x and y, pixels."""
 
@@ -72,7 +75,7 @@ def canonical_boxes(boxes: ArrayLike) -> Boxes:
     return rows
 
 
-def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
+def box_corners(boxes: ArrayLike) -> Corners:
     """Compute the corners of oriented boxes, in order around each box.
 
     Args:
@@ -85,10 +88,9 @@ def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
     centre = rows[:, :2]
     half_lengths = rows[:, 2:3] / 2
     half_widths = rows[:, 3:4] / 2
-    cosine = np.cos(rows[:, 4])
-    sine = np.sin(rows[:, 4])
-    along = half_lengths * np.stack([cosine, sine], axis=1)
-    across = half_widths * np.stack([-sine, cosine], axis=1)
+    along_axis, across_axis = _unit_axes(rows)
+    along = half_lengths * along_axis
+    across = half_widths * across_axis
     corners = [
         centre - along - across,
         centre + along - across,
@@ -96,6 +98,16 @@ def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
         centre - along + across,
     ]
     return np.stack(corners, axis=1)
+
+
+def _unit_axes(boxes: Boxes) -> tuple[Vectors, Vectors]:
+    """Compute the unit vectors ``[n, 2]`` along and across boxes."""
+    angles = boxes[:, 4]
+    cosine = np.cos(angles)
+    sine = np.sin(angles)
+    along = np.column_stack([cosine, sine])
+    across = np.column_stack([-sine, cosine])
+    return along, across
 
 
 def boxes_from_corners(corners: ArrayLike) -> Boxes:
@@ -137,7 +149,7 @@ def pair_iou(first: Boxes, second: Boxes) -> Overlaps:
     sine = np.sin(turn)
     # Centre of the second box in the frame of the first one.
     offset = second[:, :2] - first[:, :2]
-    shift = _turned(offset.T, np.cos(first_angles), -np.sin(first_angles))
+    shift = _turned(offset.T, cosine=np.cos(first_angles), sine=-np.sin(first_angles))
     half_a = first[:, 2:4].T / 2
     half_b = second[:, 2:4].T / 2
 
@@ -156,7 +168,9 @@ def pair_iou(first: Boxes, second: Boxes) -> Overlaps:
         parallel = shared_sides[0] * shared_sides[1]
         slanted = _slanted_overlap(half_a, half_b, shift=shift, cosine=cosine, sine=sine)
         shared = np.where(is_parallel, parallel, slanted)
-        areas = 4 * (half_a.prod(axis=0) + half_b.prod(axis=0))
+        quarter_a = half_a.prod(axis=0)
+        quarter_b = half_b.prod(axis=0)
+        areas = 4 * (quarter_a + quarter_b)
         iou = shared / (areas - shared)
     iou = np.nan_to_num(iou, nan=0.0)
     return np.asarray(np.clip(iou, 0.0, 1.0))
@@ -193,8 +207,10 @@ def _slanted_overlap(
     signs = corner_signs[:, :, None]
     # Each box's corners and edges in the frame of the other.
     centre_b = shift[:, None]
-    corners_b = centre_b + _turned(signs * half_b[:, None], cosine, sine)
-    corners_a = _turned(signs * half_a[:, None] - centre_b, cosine, -sine)
+    own_corners_a = signs * half_a[:, None]
+    own_corners_b = signs * half_b[:, None]
+    corners_b = centre_b + _turned(own_corners_b, cosine, sine)
+    corners_a = _turned(own_corners_a - centre_b, cosine, -sine)
     edges_b = np.roll(corners_b, -1, axis=1) - corners_b
     edges_a = np.roll(corners_a, -1, axis=1) - corners_a
     # Cross products about the first centre; those of the first box's own edges are all equal.
@@ -269,10 +285,7 @@ def box_axes(boxes: Boxes) -> tuple[tuple[Vectors, Vectors], ...]:
     Returns:
         Two pairs of ``[n, 2]`` points.
     """
-    cosine = np.cos(boxes[:, 4])
-    sine = np.sin(boxes[:, 4])
-    along = np.column_stack([cosine, sine])
-    across = np.column_stack([-sine, cosine])
+    along, across = _unit_axes(boxes)
     centres = boxes[:, :2]
     half_long = along * boxes[:, 2:3] / 2
     half_short = across * boxes[:, 3:4] / 2
@@ -321,7 +334,10 @@ def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = 
         of_best = best[better]
 
         dropped = _overlapping(
-            rows, better[of_best], worse=worse[of_best], iou_threshold=iou_threshold
+            rows,
+            better[of_best],
+            worse=worse[of_best],
+            iou_threshold=iou_threshold,
         )
         is_open[dropped] = False
         is_open &= ~best
@@ -375,15 +391,19 @@ def _overlap_candidates(rows: Boxes, iou_threshold: float) -> tuple[Indices, Ind
         parts.append(pairs)
     first, second = np.concatenate(parts, axis=1)
 
-    smaller = np.minimum(areas[first], areas[second])
-    larger = np.maximum(areas[first], areas[second])
+    first_areas = areas[first]
+    second_areas = areas[second]
+    smaller = np.minimum(first_areas, second_areas)
+    larger = np.maximum(first_areas, second_areas)
     offsets = centres[second] - centres[first]
     distances = np.hypot(*offsets.T)
     possible = smaller > iou_threshold * larger
     possible &= distances <= reaches[first] + reaches[second]
     first = first[possible]
     second = second[possible]
-    return np.minimum(first, second), np.maximum(first, second)
+    better = np.minimum(first, second)
+    worse = np.maximum(first, second)
+    return better, worse
 
 
 def _near_pairs(first: Vectors, second: Vectors, reach: float) -> tuple[Indices, Indices]:
@@ -417,8 +437,10 @@ def _near_pairs(first: Vectors, second: Vectors, reach: float) -> tuple[Indices,
     # Runs of candidates in the sorted points: three consecutive cells in each of three columns.
     column_steps = np.array([-1, 0, 1]) * _COLUMN_STEP
     middles = (cells[:, None] + column_steps).ravel()
-    starts = np.searchsorted(other_cells, middles - 1, sorter=order)
-    ends = np.searchsorted(other_cells, middles + 1, side="right", sorter=order)
+    first_cells = middles - 1
+    last_cells = middles + 1
+    starts = np.searchsorted(other_cells, first_cells, sorter=order)
+    ends = np.searchsorted(other_cells, last_cells, side="right", sorter=order)
     counts = ends - starts
 
     # Blocks of runs with about as many pairs, to bound the memory.

@@ -95,7 +95,8 @@ class ChipAnswers(NamedTuple):
         """``[n, 2]`` standard deviations of the logs of length and width."""
         first_sd = self.edge_sd[:, ::2]
         second_sd = self.edge_sd[:, 1::2]
-        return np.asarray(np.hypot(first_sd, second_sd) / self.sizes)
+        size_sd = np.hypot(first_sd, second_sd)
+        return np.asarray(size_sd / self.sizes)
 
 
 def bodies(boxes: Boxes, answers: ChipAnswers) -> Boxes:
@@ -150,10 +151,12 @@ def with_appearance(
 
     boxes = candidates.boxes.copy()
     boxes[:most] = bodies(examined, answers)
-    boxes[:most, :2] = np.clip(boxes[:most, :2], 0, image_px)
+    centres = boxes[:most, :2]
+    np.clip(centres, 0, image_px, out=centres)
     if len(boxes) > most:
         median_size = np.median(answers.sizes, axis=0)
-        boxes[most:, 2:4] = boxes[most:, 2:3] * median_size
+        lengths = boxes[most:, 2:3]
+        boxes[most:, 2:4] = lengths * median_size
     weights = Weights(*network.card.weights)
     scores = candidates.scores.copy()
     scores[:most] = weights.score(scores[:most], answers.logit)
@@ -175,7 +178,8 @@ def read_appearance(boxes: Boxes, answers: ChipAnswers, image_px: tuple[int, int
     # Mean of the log GSD by length and by width, weighted by the inverse variances.
     variances = answers.log_size_sd**2 + _CUT_LOG_SD**2 * is_cut
     precisions = 1 / variances
-    weights = precisions / precisions.sum(axis=1, keepdims=True)
+    total_precision = precisions.sum(axis=1, keepdims=True)
+    weights = precisions / total_precision
     sizes_px = answers.sizes * boxes[:, 2:3]
     log_gsds = answers.log_metres - np.log(sizes_px)
     mean_log_gsd = (weights * log_gsds).sum(axis=1)

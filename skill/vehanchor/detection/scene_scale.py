@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     Tiles: TypeAlias = NDArray[np.uint8]
     """``[n, 3, 160, 160]`` RGB."""
 
+    LevelTiles: TypeAlias = tuple[int, list[Window]]
+    """Reduction factor of a level, and its tiles in pixels of the reduced image."""
+
     LevelPrediction: TypeAlias = tuple[int, NDArray[np.float64]]
     """Reduction factor of a level, and ``[bins]`` mean of its tiles' log-probabilities."""
 
@@ -137,7 +140,7 @@ class SceneScalePrior:
         return np.asarray(odds)
 
 
-def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]]:
+def tile_windows(width_px: int, height_px: int) -> list[LevelTiles]:
     """Spread tiles evenly over an image, at every resolution that still holds one.
 
     Args:
@@ -166,7 +169,8 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
 def _tile_starts(side_px: int, n_tiles: int) -> list[int]:
     """Spread the first pixels of tiles evenly over a side of the image."""
     last = max(0, side_px - TILE_PX)
-    starts: list[int] = np.linspace(0, last, n_tiles).astype(int).tolist()
+    positions = np.linspace(0, last, n_tiles)
+    starts: list[int] = positions.astype(int).tolist()
     return starts
 
 
@@ -211,7 +215,8 @@ def scene_density(levels: Sequence[LevelPrediction], calibration: SceneCalibrati
         probs = (1 - doubt) * probs / probs.sum() + doubt / bins
         log_probs_mixed = np.log(np.maximum(probs, _MIN_PROBABILITY))
         # A pixel of the reduced image is ``factor`` times as large as one of the image.
-        centres = calibration.first_log_gsd + calibration.log_step * np.arange(bins)
+        steps = calibration.log_step * np.arange(bins)
+        centres = calibration.first_log_gsd + steps
         log_gsds_of_level = GRID + np.log(factor)
         total += np.interp(log_gsds_of_level, centres, log_probs_mixed)
     # Power of the geometric mean: 1 for dependent levels, their number for independent ones.

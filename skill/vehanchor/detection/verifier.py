@@ -122,12 +122,13 @@ def _cuts(boxes: Boxes, image_px: tuple[int, int], side_px: int, length_px: floa
     step = boxes[:, 2] / length_px
 
     # The part reaches beyond the corners of the turned chip.
-    reach = (0.75 * side_px * step + 2)[:, None]
+    reach = 0.75 * side_px * step + 2
+    lowest = centres - reach[:, None]
+    highest = centres + reach[:, None] + 1
     image_end = np.array(image_px)
-    start = np.clip(centres - reach, 0, image_end - 1)
-    end = np.clip(centres + reach + 1, 1, image_end)
-    first = start.astype(np.intp)
-    last = np.maximum(end.astype(np.intp), first + 1)
+    first = np.clip(lowest, 0, image_end - 1).astype(np.intp)
+    last = np.clip(highest, 1, image_end).astype(np.intp)
+    last = np.maximum(last, first + 1)
 
     # The part is reduced, so that bilinear sampling averages all of its pixels.
     extent = last - first
@@ -139,8 +140,8 @@ def _cuts(boxes: Boxes, image_px: tuple[int, int], side_px: int, length_px: floa
     # From the chip to the image: a rotation about the centre with the candidate's scale.
     cosine = np.cos(angles)
     sine = np.sin(angles)
-    rotations = np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
-    turn = step[:, None, None] * rotations
+    rotations = np.array([[cosine, -sine], [sine, cosine]])
+    turn = step[:, None, None] * rotations.transpose(2, 0, 1)
     chip_centre = (side_px / 2, side_px / 2)
     origin = centres - first - turn @ chip_centre
     # From the image to the reduced part.
@@ -182,11 +183,9 @@ class Weights(NamedTuple):
         detector = np.clip(detector, _SCORE_MARGIN, 1 - _SCORE_MARGIN)
         verifier = np.asarray(logits, np.float64)
         size = np.asarray(size_odds, np.float64)
+        odds = detector / (1 - detector)
         total = (
-            self.detector * np.log(detector / (1 - detector))
-            + self.verifier * verifier
-            + self.bias
-            + self.size * size
+            self.detector * np.log(odds) + self.verifier * verifier + self.bias + self.size * size
         )
         logit = np.clip(total, -_MAX_LOGIT, _MAX_LOGIT)
         return np.asarray(1 / (1 + np.exp(-logit)))
