@@ -51,7 +51,8 @@ def on_grid(gsd_m_per_px: float) -> bool:
     """Test whether a scale is possible: 3 mm to 3 m per pixel."""
     if gsd_m_per_px <= 0:
         return False
-    return bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
+    log_gsd = math.log(gsd_m_per_px)
+    return bool(GRID[0] <= log_gsd <= GRID[-1])
 
 
 def lognormal(gsd_m_per_px: float, log_sd: float) -> Density:
@@ -111,14 +112,16 @@ def product(*densities: Density) -> Density:
     logs = [np.log(np.maximum(density, MIN_PROBABILITY)) for density in densities]
     log_product = np.sum(logs, axis=0)
     # The largest cell becomes 1 before the exponential, so that no product underflows.
-    return normalised(np.exp(log_product - log_product.max()))
+    relative = log_product - log_product.max()
+    return normalised(np.exp(relative))
 
 
 def shifted(density: Density, offset: float) -> Density:
     """Shift a density ``[g]`` of log scale down by ``offset``, to another photograph's pixels."""
     if offset == 0:
         return density
-    return normalised(np.interp(GRID + offset, GRID, density))
+    moved = np.interp(GRID + offset, GRID, density)
+    return normalised(moved)
 
 
 def quantile(density: Density, probability: float) -> float:

@@ -111,7 +111,9 @@ class Spread(NamedTuple):
 
 
 def dominant_group(
-    lengths: ArrayLike, weights: ArrayLike, stated: ArrayLike | None = None
+    lengths: ArrayLike,
+    weights: ArrayLike,
+    stated: ArrayLike | None = None,
 ) -> tuple[IsMember, float]:
     """Split lengths of any scale into the fleet with the largest weight and the rest.
 
@@ -142,8 +144,9 @@ def dominant_group(
     if members.all():
         return members, 0.0
     rivals = _near_strongest_mode(cells, shares, ~members) & ~members
-    rival_weight = shares[rivals].sum() / shares[members].sum()
-    return members, float(rival_weight)
+    weight = shares[members].sum()
+    rival_weight = shares[rivals].sum()
+    return members, float(rival_weight / weight)
 
 
 def _near_strongest_mode(cells: Cells, shares: Weights, voting: IsMember) -> IsMember:
@@ -164,7 +167,8 @@ def _near_strongest_mode(cells: Cells, shares: Weights, voting: IsMember) -> IsM
     kernel = np.exp(-0.5 * deviations**2)
     n_cells = int(cells.max()) + 1
     mass = np.bincount(cells[voting], weights=shares[voting], minlength=n_cells)
-    density = np.convolve(mass, kernel)[reach : reach + n_cells]
+    convolved = np.convolve(mass, kernel)
+    density = convolved[reach : reach + n_cells]
     # The first of equal maxima, whatever the rounding.
     is_maximum = density > density.max() * (1 - 1e-9)
     mode = int(np.argmax(is_maximum))
@@ -185,7 +189,8 @@ def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> IsMe
     values = np.asarray(lengths, dtype=np.float64)
     if alpha is None or len(values) == 0:
         return np.ones(len(values), dtype=bool)
-    return np.asarray(values <= alpha * np.median(values))
+    longest = alpha * np.median(values)
+    return np.asarray(values <= longest)
 
 
 def scott_bandwidth(values: Lengths, weights: Weights) -> float:
@@ -309,7 +314,8 @@ def kde_mode(
     low = float(values.min())
     high = float(values.max())
     bandwidth = smoothing * scott_bandwidth(values, shares)
-    if high - low <= 1e-9 * high or bandwidth <= 1e-9 * high:
+    negligible = 1e-9 * high
+    if high - low <= negligible or bandwidth <= negligible:
         return float(np.sum(shares * values))
 
     step = _GRID_STEP * bandwidth
@@ -443,17 +449,20 @@ def resampled_modes(
     Returns:
         ``[400]`` modal lengths.
     """
-    bandwidth = smoothing * scott_bandwidth(values, weights / weights.sum())
+    shares = weights / weights.sum()
+    bandwidth = smoothing * scott_bandwidth(values, shares)
     low = float(values.min())
     high = float(values.max())
     if bandwidth <= 1e-9 * high:
         mode = kde_mode(values, weights, smoothing=smoothing)
         return np.full(_BOOTSTRAP_REPLICATES, mode)
-    n_steps = np.ceil((high - low) / (_GRID_STEP * bandwidth))
+    step = _GRID_STEP * bandwidth
+    n_steps = np.ceil((high - low) / step)
     n_cells = int(np.clip(n_steps, 8, 1024))
-    counts, edges = np.histogram(values, bins=n_cells, range=(low, high))
+    ends = (low, high)
+    counts, edges = np.histogram(values, bins=n_cells, range=ends)
     if block is None:
-        mass, _ = np.histogram(values, bins=n_cells, range=(low, high), weights=weights)
+        mass, _ = np.histogram(values, bins=n_cells, range=ends, weights=weights)
         mean_weights = mass / np.maximum(counts, 1)
         masses = _resampled_lengths(counts, mean_weights)
     else:
@@ -506,7 +515,10 @@ def _resampled_blocks(
     n_blocks = int(block.max()) + 1
     chances = np.full(n_blocks, 1 / n_blocks)
     times_drawn = rng.multinomial(n_blocks, chances, size=_BOOTSTRAP_REPLICATES)
-    masses = [np.bincount(cells, weights * times[block], n_cells) for times in times_drawn]
+    masses = []
+    for times in times_drawn:
+        drawn_weights = weights * times[block]
+        masses.append(np.bincount(cells, drawn_weights, n_cells))
     return np.array(masses)
 
 
