@@ -129,8 +129,10 @@ class SamContract(LoadedModel, ABC):
         # input by their strides, unless the two contradict each other.
         embedding = self._side(self.embedding)
         mask_prompt = self._side("mask_input")
-        if embedding is not None and mask_prompt in (None, embedding * _MASK_PER_EMBEDDING):
-            return embedding * SAM_STRIDE_PX
+        if embedding is not None:
+            fitting_mask_prompt = embedding * _MASK_PER_EMBEDDING
+            if mask_prompt in (None, fitting_mask_prompt):
+                return embedding * SAM_STRIDE_PX
         if embedding is None and mask_prompt is not None:
             return mask_prompt * SAM_STRIDE_PX // _MASK_PER_EMBEDDING
         raise ModelContractError(
@@ -163,7 +165,8 @@ class SamContract(LoadedModel, ABC):
         n_planes = _fixed(shape[1:2])
         if len(shape) != 4 or n_planes not in ([], [3]):
             raise ModelContractError(f"{described}: not [b, 3, h, w]")
-        if any(side != self.input_px for side in _fixed(shape[-2:])):
+        sides = _fixed(shape[-2:])
+        if any(side != self.input_px for side in sides):
             raise ModelContractError(
                 f"{described}, but the input size is {self.input_px} px: only square inputs can "
                 "be used"
@@ -246,7 +249,8 @@ class SamContract(LoadedModel, ABC):
         """Run a session on its inputs, converted to its types; return the outputs by name."""
         inputs = {}
         for item in session.get_inputs():
-            inputs[item.name] = feeds[item.name].astype(DTYPES[item.type])
+            dtype = DTYPES[item.type]
+            inputs[item.name] = feeds[item.name].astype(dtype)
         names = [output.name for output in session.get_outputs()]
         shapes = [f"{name} {list(value.shape)}" for name, value in inputs.items()]
         results = run_session(
