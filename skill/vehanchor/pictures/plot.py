@@ -98,7 +98,15 @@ def plot_scale(analysis: ScaleEvidence) -> Figure:
         axes.spines["right"].set_visible(False)
     if not has_lengths and not has_posterior:
         rows[0].set_axis_off()
-        rows[0].text(0.5, 0.5, NO_SCALE, ha="center", va="center", fontsize=14, color=_INK)
+        rows[0].text(
+            0.5,
+            0.5,
+            NO_SCALE,
+            ha="center",
+            va="center",
+            fontsize=14,
+            color=_INK,
+        )
         return figure
     if has_lengths:
         _plot_lengths(figure, rows[0], analysis)
@@ -279,7 +287,12 @@ def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
     ticks = _ticks(*axes.get_xlim())
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
+    axes.legend(
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        fontsize=9,
+        frameon=False,
+    )
 
 
 def _plot_witness(axes: Axes, witness: Witness, ruler: RulerScale) -> None:

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from vehanchor.pictures.placement import Colour, RgbImage
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
+    Pixel: TypeAlias = tuple[int, int]
+    """Column and row."""
+
 CaptionLine: TypeAlias = "list[tuple[Colour | None, str]]"
 """Texts of one line, each with the colour of the swatch before it."""
 
@@ -114,7 +117,8 @@ class Canvas(NamedTuple):
         """
         height, width = self.picture.shape[:2]
         across = max(0, _MIN_CANVAS_PX - width)
-        down = max(0, 5 * text_px(width + across) - height)
+        min_height = 5 * text_px(width + across)
+        down = max(0, min_height - height)
         bordered = cv2.copyMakeBorder(
             self.picture,
             top=down // 2,
@@ -181,7 +185,8 @@ def read_reduced(raster: Raster, part: Window | None = None) -> RgbImage:
     if part is None:
         part = Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
     longer_side = max(part.width_px, part.height_px)
-    reduction = max(1, math.ceil(longer_side / (2 * MAX_SIDE_PX)))
+    max_side_px = 2 * MAX_SIDE_PX
+    reduction = max(1, math.ceil(longer_side / max_side_px))
     if reduction == 1:
         return raster.read(part)
     width = max(1, round(part.width_px / reduction))
@@ -311,9 +316,11 @@ def _write_numbers(picture: RgbImage, detections: Detections, placement: Placeme
         width = text_width(text, capital)
         left = round(x - width / 2)
         baseline = round(y + capital / 2)
-        rows = slice(max(0, baseline - capital), max(0, baseline))
-        columns = slice(max(0, left), max(0, left + width))
-        covered = is_written[rows, columns]
+        top = max(0, baseline - capital)
+        bottom = max(0, baseline)
+        first_column = max(0, left)
+        end_column = max(0, left + width)
+        covered = is_written[top:bottom, first_column:end_column]
         if covered.size and not covered.any():
             covered[:] = True
             write_on(picture, text, (left, baseline), capital_px=capital)
@@ -352,9 +359,7 @@ def draw_scale_bar(picture: RgbImage, m_per_px: float) -> None:
     write_on(picture, f"{metres:g} m", start, capital_px=capital)
 
 
-def _fill_rectangle(
-    picture: RgbImage, first: tuple[int, int], last: tuple[int, int], *, colour: Colour
-) -> None:
+def _fill_rectangle(picture: RgbImage, first: Pixel, last: Pixel, *, colour: Colour) -> None:
     """Fill a rectangle between two corner pixels, both included."""
     cv2.rectangle(picture, first, last, color=colour, thickness=cv2.FILLED)
 
@@ -369,7 +374,8 @@ def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
     if advice is None:
         lines = [[(None, scale)], [(None, confidence)]]
     else:
-        lines = [[(None, f"no usable scale: {advice.why}")], [(None, advice.helps)]]
+        objection = f"no usable scale: {advice.why}"
+        lines = [[(None, objection)], [(None, advice.helps)]]
         if estimate.gsd_m_per_px is not None:
             lines.append([(None, f"{scale}, {confidence}")])
     if estimate.tilt is not None:
@@ -422,7 +428,8 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
     margin = round(capital)
     pitch = round(_LINE_PITCH * capital)
     first_baseline = round(_FIRST_BASELINE * capital)
-    panel = np.full((pitch * len(lines) + margin, width_px, 3), _PANEL_RGB, np.uint8)
+    height_px = pitch * len(lines) + margin
+    panel = np.full((height_px, width_px, 3), _PANEL_RGB, np.uint8)
     for row, line in enumerate(lines):
         x = margin
         baseline = first_baseline + row * pitch
@@ -432,7 +439,9 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
         for colour, text in line:
             if colour is not None:
                 side = round(capital)
-                _fill_rectangle(panel, (x, baseline - side), (x + side, baseline), colour=colour)
+                first = (x, baseline - side)
+                last = (x + side, baseline)
+                _fill_rectangle(panel, first, last, colour=colour)
                 x += round(_SWATCH_WIDTH * capital)
             put_text(
                 panel,
@@ -458,7 +467,11 @@ def _fitting_capital(width_px: int, lines: list[CaptionLine]) -> float:
 
 
 def _line_width(line: CaptionLine, capital_px: float) -> float:
-    swatches = sum(_SWATCH_WIDTH * capital_px for colour, _ in line if colour is not None)
-    texts = sum(text_width(text, capital_px) for _, text in line)
+    swatches = 0.0
+    texts = 0
+    for colour, text in line:
+        texts += text_width(text, capital_px)
+        if colour is not None:
+            swatches += _SWATCH_WIDTH * capital_px
     gaps = _TEXT_GAP * capital_px * (len(line) - 1)
     return texts + swatches + gaps
