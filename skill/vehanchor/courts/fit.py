@@ -109,7 +109,12 @@ def pose_matrix(pose: Pose) -> Matrix:
     """Build the matrix ``[3, 3]`` from metres on a court to pixels."""
     cos = math.cos(pose.angle) * pose.px_per_m
     sin = math.sin(pose.angle) * pose.px_per_m
-    return np.array([[cos, -sin, pose.x], [sin, cos, pose.y], [0.0, 0.0, 1.0]])
+    rows = [
+        (cos, -sin, pose.x),
+        (sin, cos, pose.y),
+        (0.0, 0.0, 1.0),
+    ]
+    return np.array(rows)
 
 
 def project(matrix: Matrix, points: Points) -> Points:
@@ -265,9 +270,10 @@ def _line_offsets(
     at_end = (peaks.columns == 0) | (peaks.columns == last_column)
     height, width = grey.shape
     last_pixel = (width - 1, height - 1)
-    inside = ((starts >= 0) & (starts <= last_pixel)).all(axis=1)
+    is_inside = (starts >= 0) & (starts <= last_pixel)
+    shows_no_line = at_end | ~is_inside.all(axis=1)
     contrasts = (peaks.heights - min_contrast) / min_contrast
-    strengths = np.where(at_end | ~inside, 0.0, np.clip(contrasts, 0, 1))
+    strengths = np.where(shows_no_line, 0.0, np.clip(contrasts, 0, 1))
     return offsets, strengths
 
 
@@ -332,7 +338,8 @@ def _profiles(
         np.add(along_piece, across * normals[:, None, axis], out=plane)
     x, y = planes.reshape(2, count, -1)
     sampled = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled.reshape(shape).mean(axis=0))
+    samples_along = sampled.reshape(shape)
+    return np.asarray(samples_along.mean(axis=0))
 
 
 def _normals(starts: Points, ends: Points) -> Points:
@@ -382,7 +389,8 @@ def _solve(
         residuals = offsets - jacobian @ motion
         # The first turns are more tolerant, because the motion is unknown.
         width = _TUKEY_PX * (3 - min(turn, 2))
-        biweight = (1 - (residuals / width) ** 2) ** 2
+        relative = residuals / width
+        biweight = (1 - relative**2) ** 2
         is_inlier = np.abs(residuals) < width
         trust = weights * np.where(is_inlier, biweight, 0.0)
         weighted = (jacobian * trust[:, None]).T
