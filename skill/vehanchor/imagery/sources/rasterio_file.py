@@ -101,7 +101,12 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
 
 
 def open_file(
-    file: str | bytes, source: str, *, header: ImageHeader, bands: BandChoice, limits: ImageLimits
+    file: str | bytes,
+    source: str,
+    *,
+    header: ImageHeader,
+    bands: BandChoice,
+    limits: ImageLimits,
 ) -> DatasetRaster:
     """Open a TIFF or JPEG 2000; sidecar files are ignored.
 
@@ -135,14 +140,19 @@ def open_file(
             opened = rasterio.open(file, driver=driver, sharing=False, GEOREF_SOURCES="INTERNAL")
             dataset = stack.enter_context(opened)
             # The limits were applied to the size in the header.
-            if (dataset.width, dataset.height) != (header.width_px, header.height_px):
+            size = (dataset.width, dataset.height)
+            if size != (header.width_px, header.height_px):
                 raise ImageDecodeError(
                     f"the {header.format} ({source}) declares two different sizes: damaged"
                 )
             _check_block(dataset, header.format, limits)
         if layout is not None:
             check_block(
-                "TIFF's mask", layout.mask_block_px, samples=1, sample_bytes=1, limits=limits
+                "TIFF's mask",
+                layout.mask_block_px,
+                samples=1,
+                sample_bytes=1,
+                limits=limits,
             )
         # A geotransform refers to the stored frame, so georeferenced files keep their stored
         # orientation.
