@@ -59,8 +59,10 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
     # Centred on the prompt, then shifted into the image.
     left = math.floor((x1 + x2 - width) / 2 + 0.5)
     top = math.floor((y1 + y2 - height) / 2 + 0.5)
-    left = min(max(left, 0), image_width_px - width)
-    top = min(max(top, 0), image_height_px - height)
+    max_left = image_width_px - width
+    max_top = image_height_px - height
+    left = min(max(left, 0), max_left)
+    top = min(max(top, 0), max_top)
     return Window(left, top, width_px=width, height_px=height)
 
 
@@ -134,10 +136,11 @@ class _Neighbours(NamedTuple):
 
 
 def _neighbours(side_px: int, cells_per_px: float, n_cells: int) -> _Neighbours:
-    centres = (np.arange(side_px) + 0.5) * cells_per_px - 0.5
-    position = np.clip(centres, 0, n_cells - 1)
+    last = n_cells - 1
+    pixel_centres = np.arange(side_px) + 0.5
+    position = np.clip(pixel_centres * cells_per_px - 0.5, 0, last)
     before = position.astype(np.intp)
-    after = np.minimum(before + 1, n_cells - 1)
+    after = np.minimum(before + 1, last)
     weight = (position - before).astype(np.float32)
     return _Neighbours(before, after, weight)
 
