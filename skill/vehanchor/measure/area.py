@@ -239,8 +239,8 @@ def _outline(mask: Mask, left: int, top: int) -> tuple[OutlinePolygon, ...]:
 
 
 def _outline_ring(ring: NDArray[np.float64], left: int, top: int) -> OutlineRing:
-    in_image = np.add(ring, (left, top)).tolist()
-    points = [ImagePoint(x_px=x, y_px=y) for x, y in in_image]
+    in_image = np.add(ring, (left, top))
+    points = [ImagePoint(x_px=x, y_px=y) for x, y in in_image.tolist()]
     return OutlineRing(points=tuple(points))
 
 

@@ -199,8 +199,9 @@ def _read_target(row: Mapping[str, str | None]) -> Target:
     Raises:
         PromptError: a number or the kind is invalid, or the numbers do not fit the kind.
     """
+    columns = ["x1", "y1"]
     # A point has no x2 and y2.
-    columns = ["x1", "y1", *(column for column in ("x2", "y2") if row.get(column))]
+    columns += [column for column in ("x2", "y2") if row.get(column)]
     numbers = [_read_number(row, column) for column in columns]
     kind = row.get("kind")
     if not kind:
