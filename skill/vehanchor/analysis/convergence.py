@@ -171,4 +171,6 @@ def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
     last = checks[-rule.checks :]
     if len(last) < rule.checks:
         return False
-    return all(check.share < rule.share and check.change <= rule.change for check in last)
+    are_precise = all(check.share < rule.share for check in last)
+    are_stable = all(check.change <= rule.change for check in last)
+    return are_precise and are_stable
