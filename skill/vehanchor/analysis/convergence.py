@@ -96,10 +96,12 @@ def search_until_settled(search: ImageSearch, view: View) -> None:
         search: search of the image.
         view: view of the image, without detections.
     """
-    rule = stop_rule(view.options.search.effort, view.image.width_px * view.image.height_px)
+    n_pixels = view.image.width_px * view.image.height_px
+    rule = stop_rule(view.options.search.effort, n_pixels)
     checks: list[Convergence] = []
     for unseen_share in search:
-        so_far = replace(view, detections=search.result(ended=False, check_stretch=False))
+        detections = search.result(ended=False, check_stretch=False)
+        so_far = replace(view, detections=detections)
         check = convergence(so_far, unseen_share)
         if check.density is not None:
             # Resolutions that this scale makes superfluous are left out.
@@ -130,8 +132,8 @@ def convergence(view: View, unseen_share: float = 1.0) -> Convergence:
         share = math.hypot(resampling, spread) / fleet_log_sd
     if vehicles.n >= MIN_KDE_VEHICLES:
         change = resampling * math.sqrt(unseen_share)
-    density = product(*(witness.density for witness in witnesses))
-    return Convergence(share, change, density)
+    densities = [witness.density for witness in witnesses]
+    return Convergence(share, change, product(*densities))
 
 
 def _priors(view: View) -> list[Witness]:
@@ -155,7 +157,8 @@ def _status_is_settled(vehicles: VehicleWitness, so_far: Answer | None) -> bool:
         return False
     if so_far.usable:
         return True
-    return so_far.reason == "imprecise" and so_far.chance < USABLE_CHANCE - _CHANCE_MARGIN
+    is_far_below = so_far.chance < USABLE_CHANCE - _CHANCE_MARGIN
+    return so_far.reason == "imprecise" and is_far_below
 
 
 def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
@@ -168,4 +171,6 @@ def has_converged(checks: Sequence[Convergence], rule: StopRule) -> bool:
     last = checks[-rule.checks :]
     if len(last) < rule.checks:
         return False
-    return all(check.share < rule.share and check.change <= rule.change for check in last)
+    are_precise = all(check.share < rule.share for check in last)
+    are_stable = all(check.change <= rule.change for check in last)
+    return are_precise and are_stable

@@ -27,7 +27,8 @@ class AreaAnalysis(Analysis, AreaEvidence):
         from vehanchor.pictures.scale import read_reduced
 
         cut = cut_to_objects([self])
-        return draw_area(read_reduced(raster, cut.part), self, cut=cut)
+        image = read_reduced(raster, cut.part)
+        return draw_area(image, self, cut=cut)
 
     def full_mask(self) -> NDArray[np.bool_]:
         """Make the mask in the size of the image, ``[h, w]``.
@@ -66,8 +67,9 @@ class AreaAnalysis(Analysis, AreaEvidence):
         box = record.bounding_box
         if box is None:
             return sv.Detections.empty()
+        corners = (box.x1_px, box.y1_px, box.x2_px, box.y2_px)
         return sv.Detections(
-            xyxy=np.array([[box.x1_px, box.y1_px, box.x2_px, box.y2_px]], np.float32),
+            xyxy=np.array([corners], np.float32),
             mask=self.full_mask()[None],
             confidence=np.array([record.mask_score], np.float32),
             class_id=np.zeros(1, dtype=int),
@@ -92,7 +94,8 @@ class DistanceAnalysis(Analysis, DistanceEvidence):
         from vehanchor.pictures.scale import read_reduced
 
         cut = cut_to_lines([self.measurement])
-        return draw_distance(read_reduced(raster, cut.part), self, cut=cut)
+        image = read_reduced(raster, cut.part)
+        return draw_distance(image, self, cut=cut)
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
@@ -111,4 +114,5 @@ def _feature(record: AreaMeasurement | DistanceMeasurement, *names: str) -> dict
     """
     fields = ("status", *names, "gsd_m_per_px", "scale_confidence")
     properties = {name: getattr(record, name) for name in fields}
-    return {"type": "Feature", "geometry": record.__geo_interface__, "properties": properties}
+    geometry = record.__geo_interface__
+    return {"type": "Feature", "geometry": geometry, "properties": properties}

@@ -73,7 +73,8 @@ class Analysis:
             return None
         import cv2
 
-        bgr = np.ascontiguousarray(self.overlay()[:, :, ::-1])
+        rgb = self.overlay()
+        bgr = np.ascontiguousarray(rgb[:, :, ::-1])
         _, encoded = cv2.imencode(".png", bgr)
         return encoded.tobytes()
 
@@ -133,7 +134,9 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         """
         sv = import_supervision()
         corners = box_corners(self.detections.boxes)
-        upright = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
+        first_corner = corners.min(axis=1)
+        last_corner = corners.max(axis=1)
+        upright = np.concatenate([first_corner, last_corner], axis=1)
         return sv.Detections(
             xyxy=upright.astype(np.float32),
             confidence=self.detections.scores.astype(np.float32),
@@ -155,7 +158,8 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         features = []
         for k, ring in enumerate(corners):
             # GeoJSON closes a ring by repeating its first corner.
-            geometry = {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
+            closed_ring = [*ring, ring[0]]
+            geometry = {"type": "Polygon", "coordinates": [closed_ring]}
             properties = {
                 "number": int(detections.numbers[k]),
                 "kept": bool(kept[k]),

@@ -22,6 +22,9 @@ _CHUNK_ROWS = 4096  # rows that the Parquet writer holds in memory
 Rows: TypeAlias = "Iterable[Mapping[str, Any]]"
 """Values by column."""
 
+Columns: TypeAlias = "Mapping[str, type]"
+"""Names of the columns and types of their values, in order."""
+
 
 def check_table_path(path: Path) -> Path:
     """Check, before the work, that a table can be written to a path.
@@ -41,7 +44,7 @@ def check_table_path(path: Path) -> Path:
     return path
 
 
-def write_table(path: Path, rows: Rows, columns: Mapping[str, type] = COLUMNS) -> None:
+def write_table(path: Path, rows: Rows, columns: Columns = COLUMNS) -> None:
     """Write rows; they replace an existing file when all are written.
 
     Args:
@@ -58,7 +61,7 @@ def write_table(path: Path, rows: Rows, columns: Mapping[str, type] = COLUMNS) -
         write(partial, rows, columns)
 
 
-def _write_jsonl(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
+def _write_jsonl(path: Path, rows: Rows, columns: Columns) -> None:
     with path.open("w", encoding="ascii", newline="\n") as file:
         for row in rows:
             values = {name: row[name] for name in columns}
@@ -66,7 +69,7 @@ def _write_jsonl(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
             file.write(f"{line}\n")
 
 
-def _write_csv(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
+def _write_csv(path: Path, rows: Rows, columns: Columns) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(columns), lineterminator="\n")
         writer.writeheader()
@@ -75,7 +78,7 @@ def _write_csv(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
             writer.writerow(cells)
 
 
-def _write_parquet(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
+def _write_parquet(path: Path, rows: Rows, columns: Columns) -> None:
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
@@ -94,7 +97,7 @@ def _write_parquet(path: Path, rows: Rows, columns: Mapping[str, type]) -> None:
             writer.write_table(chunk_table)
 
 
-_WRITERS: dict[str, Callable[[Path, Rows, Mapping[str, type]], None]] = {
+_WRITERS: dict[str, Callable[[Path, Rows, Columns], None]] = {
     ".parquet": _write_parquet,
     ".csv": _write_csv,
     ".jsonl": _write_jsonl,

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from itertools import islice
 from operator import itemgetter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -35,6 +35,15 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
     from vehanchor.models.runtime import Runtime
+
+    GreyImage: TypeAlias = NDArray[np.float32]
+    """``[h, w]`` grey levels."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """``[n, 2]`` points in pixels."""
+
+    Gradients: TypeAlias = NDArray[np.float32]
+    """``[n]`` differences of grey levels along an axis, Scharr sums."""
 
 # Search around a proposal: log sizes, and pixels to either side. Proposals lie at a court's end as
 # often as at its centre.
@@ -108,7 +117,7 @@ class Court:
     """
 
     kind: str
-    corners: NDArray[np.float64]
+    corners: Points
     length_m: float
     width_m: float
     gsd_m_per_px: float
@@ -118,8 +127,8 @@ class Court:
     @property
     def centre(self) -> tuple[float, float]:
         """Mean of the corners."""
-        x, y = self.corners.mean(axis=0).tolist()
-        return x, y
+        mean = self.corners.mean(axis=0)
+        return float(mean[0]), float(mean[1])
 
 
 class _Patch(NamedTuple):
@@ -132,7 +141,7 @@ class _Patch(NamedTuple):
         top: row of the first pixel in the reduced image.
     """
 
-    grey: NDArray[np.float32]
+    grey: GreyImage
     factor: int
     left: int
     top: int
@@ -141,20 +150,29 @@ class _Patch(NamedTuple):
         """Convert a pose from the image to the patch."""
         x = (pose.x + 0.5) / self.factor - 0.5
         y = (pose.y + 0.5) / self.factor - 0.5
-        return Pose(x - self.left, y - self.top, pose.angle, pose.px_per_m / self.factor)
+        return Pose(
+            x - self.left,
+            y - self.top,
+            angle=pose.angle,
+            px_per_m=pose.px_per_m / self.factor,
+        )
 
     def pose_in_image(self, pose: Pose) -> Pose:
         """Convert a pose from the patch to the image."""
-        x = (pose.x + self.left + 0.5) * self.factor - 0.5
-        y = (pose.y + self.top + 0.5) * self.factor - 0.5
+        column = pose.x + self.left
+        row = pose.y + self.top
+        x = (column + 0.5) * self.factor - 0.5
+        y = (row + 0.5) * self.factor - 0.5
         return Pose(x, y, pose.angle, pose.px_per_m * self.factor)
 
-    def points_in_image(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points_in_image(self, points: Points) -> Points:
         """Convert points from the patch to the image.
 
         In the patch, 0 is the centre of the first pixel; in the image, its left and upper edge.
         """
-        return np.asarray((points + (self.left, self.top) + 0.5) * self.factor)
+        corner = (self.left, self.top)
+        from_edge = points + corner + 0.5
+        return np.asarray(from_edge * self.factor)
 
 
 class _Match(NamedTuple):
@@ -180,7 +198,9 @@ class _Match(NamedTuple):
 
 
 def find_courts(
-    raster: Raster, prior: SceneScalePrior | None = None, runtime: Runtime | None = None
+    raster: Raster,
+    prior: SceneScalePrior | None = None,
+    runtime: Runtime | None = None,
 ) -> list[Court]:
     """Find and measure the courts that lie completely inside an image taken at nadir.
 
@@ -241,7 +261,8 @@ def _distinct(proposals: Sequence[Proposal]) -> Iterator[Proposal]:
     This is lazy because large images have thousands of proposals and the first few suffice.
     """
     kept: list[Proposal] = []
-    for proposal in sorted(proposals, key=lambda proposal: -proposal.share):
+    best_first = sorted(proposals, key=lambda proposal: -proposal.share)
+    for proposal in best_first:
         if not any(_is_same(proposal, better) for better in kept):
             kept.append(proposal)
             yield proposal
@@ -251,8 +272,10 @@ def _is_same(proposal: Proposal, better: Proposal) -> bool:
     """Test whether a proposal is near a better one of like size."""
     if better.factor != proposal.factor:
         return False
-    distance_px = math.hypot(proposal.pose.x - better.pose.x, proposal.pose.y - better.pose.y)
-    return distance_px < TENNIS.length_m * _SAME_COURT * proposal.pose.px_per_m
+    pose = proposal.pose
+    dx = pose.x - better.pose.x
+    dy = pose.y - better.pose.y
+    return math.hypot(dx, dy) < TENNIS.length_m * _SAME_COURT * pose.px_per_m
 
 
 def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
@@ -269,13 +292,16 @@ def _matches(raster: Raster, proposal: Proposal) -> list[_Match]:
     templates = [game[0] for game in games]
     length_px = LENGTHS_M[proposal.which] * proposal.pose.px_per_m
     # The coarsest resolution that still shows the lines.
-    factor = 2 ** max(0, math.floor(math.log2(length_px / _MATCHED_PX)))
-    patch = _read(raster, proposal.pose, templates[0], factor)
+    octaves = math.floor(math.log2(length_px / _MATCHED_PX))
+    factor = 2 ** max(0, octaves)
+    proposed_template = templates[0]
+    patch = _read(raster, proposal.pose, proposed_template, factor)
     start = patch.pose_in_patch(proposal.pose)
-    radius_px = _AROUND * templates[0].length_m * start.px_per_m
-    directions = axes(patch.grey, start.x, start.y, radius_px)
-    # Either side of the rectangle may be the long one.
-    angles = [direction + turn for direction in directions for turn in (0.0, _QUARTER)]
+    radius_px = _AROUND * proposed_template.length_m * start.px_per_m
+    angles = []
+    for direction in axes(patch.grey, start.x, start.y, radius_px):
+        # Either side of the rectangle may be the long one.
+        angles += [direction, direction + _QUARTER]
     matched = match(
         patch.grey,
         templates,
@@ -300,8 +326,10 @@ def _measured_court(raster: Raster, candidate: _Match) -> Court | None:
     """
     patch = candidate.patch
     first_template = candidate.game[0]
-    first_fit = fit(patch.grey, first_template, pose_matrix(candidate.pose), SIMILARITY)
-    if first_template.length_m * first_fit.px_per_m * patch.factor < _MIN_PX:
+    start = pose_matrix(candidate.pose)
+    first_fit = fit(patch.grey, first_template, start, SIMILARITY)
+    length_px = first_template.length_m * first_fit.px_per_m * patch.factor
+    if length_px < _MIN_PX:
         return None
 
     # Match again at the fitted pose: a true court scores high there.
@@ -320,28 +348,48 @@ def _measured_court(raster: Raster, candidate: _Match) -> Court | None:
 
     # The rules whose lines are covered best.
     fits = [_fine_fit(raster, template, patch, pose) for template in candidate.game]
-    best = max(range(len(fits)), key=lambda index: fits[index][0].coverage)
-    template = candidate.game[best]
-    court_fit, patch = fits[best]
-    corners = patch.points_in_image(project(court_fit.matrix, template.outline))
-    if (corners < 0).any() or (corners > (raster.width_px, raster.height_px)).any():
+    best = max(fits, key=lambda fine_fit: fine_fit.fit.coverage)
+    template = best.template
+    outline = project(best.fit.matrix, template.outline)
+    corners = best.patch.points_in_image(outline)
+    image_size = (raster.width_px, raster.height_px)
+    is_outside = (corners < 0) | (corners > image_size)
+    if is_outside.any():
         return None
-    if not _is_supported(court_fit, template, patch):
+    if not _is_supported(best):
         return None
+    px_per_m = best.fit.px_per_m * best.patch.factor
     return Court(
         kind=template.kind,
         corners=corners,
         length_m=template.length_m,
         width_m=template.width_m,
-        gsd_m_per_px=float(1.0 / (court_fit.px_per_m * patch.factor)),
-        log_sd=court_fit.log_sd,
+        gsd_m_per_px=float(1.0 / px_per_m),
+        log_sd=best.fit.log_sd,
         score=score,
     )
 
 
-def _is_supported(court_fit: Fit, template: Template, patch: _Patch) -> bool:
+class _FineFit(NamedTuple):
+    """Fit of a template at the finest useful resolution.
+
+    Attributes:
+        fit: the fit, in pixels of the patch.
+        template: the template.
+        patch: patch of that resolution.
+    """
+
+    fit: Fit
+    template: Template
+    patch: _Patch
+
+
+def _is_supported(fine_fit: _FineFit) -> bool:
     """Test whether a fit covers the lines and the arcs of a court, and has its shape."""
-    if court_fit.coverage < _MIN_COVERAGE or not math.isfinite(court_fit.log_sd):
+    court_fit, template, patch = fine_fit
+    if court_fit.coverage < _MIN_COVERAGE:
+        return False
+    if not math.isfinite(court_fit.log_sd):
         return False
     arc_coverage = court_fit.line_coverage[len(template.lines) :]
     if len(arc_coverage) and arc_coverage.mean() < _MIN_ARC_COVERAGE:
@@ -351,53 +399,67 @@ def _is_supported(court_fit: Fit, template: Template, patch: _Patch) -> bool:
     return affine_fit.distortion <= _MAX_DISTORTION
 
 
-def _fine_fit(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> tuple[Fit, _Patch]:
+def _fine_fit(raster: Raster, template: Template, patch: _Patch, pose: Pose) -> _FineFit:
     """Fit at the resolution of the match, then at finer ones while the image has more pixels."""
     court_fit = fit(patch.grey, template, pose_matrix(pose), SIMILARITY)
-    while patch.factor > 1 and template.length_m * court_fit.px_per_m < _FITTED_PX:
+    while patch.factor > 1:
+        length_px = template.length_m * court_fit.px_per_m
+        if length_px >= _FITTED_PX:
+            break
         pose_in_image = patch.pose_in_image(_pose_of(court_fit.matrix))
         patch = _read(raster, pose_in_image, template, patch.factor // 2)
         start = pose_matrix(patch.pose_in_patch(pose_in_image))
         court_fit = fit(patch.grey, template, start, SIMILARITY)
-    return court_fit, patch
+    return _FineFit(court_fit, template=template, patch=patch)
 
 
 def _read(raster: Raster, pose: Pose, template: Template, factor: int) -> _Patch:
     """Read the patch that covers the whole search range of a court, clipped to the image."""
     half_diagonal_m = math.hypot(template.length_m, template.width_m) / 2
-    half = half_diagonal_m * pose.px_per_m / factor * _MARGIN + _WIDE_PLACES[-1]
+    half_diagonal_px = half_diagonal_m * pose.px_per_m / factor
+    farthest = _WIDE_PLACES[-1]
+    half = half_diagonal_px * _MARGIN + farthest
     x = (pose.x + 0.5) / factor
     y = (pose.y + 0.5) / factor
     width = raster.width_px // factor
     height = raster.height_px // factor
-    left = int(np.clip(x - half, 0, width - 1))
-    top = int(np.clip(y - half, 0, height - 1))
-    right = int(np.clip(x + half, left + 1, width))
-    bottom = int(np.clip(y + half, top + 1, height))
-    window = Window(left, top, width_px=right - left, height_px=bottom - top)
+    left, columns = _clipped_span(x, half, width)
+    top, rows = _clipped_span(y, half, height)
+    window = Window(left, top, width_px=columns, height_px=rows)
     pixels = read_reduced_window(raster, window, factor)
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    return _Patch(np.asarray(grey, np.float32), factor, left=left, top=top)
+    grey_levels = np.asarray(grey, np.float32)
+    return _Patch(grey_levels, factor, left=left, top=top)
+
+
+def _clipped_span(centre: float, half: float, side_px: int) -> tuple[int, int]:
+    """Clip an interval around a centre to a side of the image; return its start and length."""
+    start = int(np.clip(centre - half, 0, side_px - 1))
+    end = int(np.clip(centre + half, start + 1, side_px))
+    return start, end - start
 
 
 def _pose_of(matrix: NDArray[np.float64]) -> Pose:
     """Convert a similarity matrix to a pose."""
     cos, _, x = matrix[0]
     sin, _, y = matrix[1]
-    return Pose(float(x), float(y), math.atan2(sin, cos), math.hypot(cos, sin))
+    angle = math.atan2(sin, cos)
+    px_per_m = math.hypot(cos, sin)
+    return Pose(float(x), float(y), angle, px_per_m)
 
 
 def _lies_in_any(point: tuple[float, float], courts: Sequence[Court]) -> bool:
     """Test whether a point lies in the central part of a court."""
     for court in courts:
         middle = court.corners.mean(axis=0)
-        outline = np.asarray(middle + _CENTRAL * (court.corners - middle), np.float32)
+        central_part = middle + _CENTRAL * (court.corners - middle)
+        outline = np.asarray(central_part, np.float32)
         if cv2.pointPolygonTest(outline, point, measureDist=False) >= 0:
             return True
     return False
 
 
-def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[float]:
+def axes(grey: GreyImage, x: float, y: float, radius: float) -> list[float]:
     """Find the possible orientations of a rectangle of lines from the gradients around a point.
 
     Args:
@@ -410,19 +472,25 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
         One or two angles, radians from 0 to a quarter turn, the strongest first; each includes its
         perpendicular.
     """
-    rows, columns = np.ogrid[: grey.shape[0], : grey.shape[1]]
-    near = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
+    height, width = grey.shape
+    rows, columns = np.ogrid[:height, :width]
+    squared_distance = (columns - x) ** 2 + (rows - y) ** 2
+    near = squared_distance < radius**2
     smoothed = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
-    across = np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, 1, 0), np.float32)[near]
-    down = np.asarray(cv2.Scharr(smoothed, cv2.CV_32F, 0, 1), np.float32)[near]
+    gradient_x = cv2.Scharr(smoothed, cv2.CV_32F, 1, 0)
+    gradient_y = cv2.Scharr(smoothed, cv2.CV_32F, 0, 1)
+    across = np.asarray(gradient_x, np.float32)[near]
+    down = np.asarray(gradient_y, np.float32)[near]
     histogram = _direction_histogram(across, down)
 
     # Peaks of the histogram, each with the maximum of a parabola through it and its neighbours.
     directions: list[float] = []
     rest = histogram.copy()
+    bins_around = np.arange(-_APART_BINS, _APART_BINS + 1)
     while len(directions) < 2:
         peak = int(rest.argmax())
-        if directions and rest[peak] < _SECOND_SHARE * histogram.max():
+        min_height = _SECOND_SHARE * histogram.max()
+        if directions and rest[peak] < min_height:
             break
         before = histogram[peak - 1]
         after = histogram[(peak + 1) % _BINS]
@@ -430,15 +498,14 @@ def axes(grey: NDArray[np.float32], x: float, y: float, radius: float) -> list[f
         shift = 0.0
         if bend < 0:
             shift = (before - after) / (2 * bend)
-        directions.append((peak + 0.5 + shift) * _QUARTER / _BINS)
-        around_peak = (peak + np.arange(-_APART_BINS, _APART_BINS + 1)) % _BINS
+        position = peak + 0.5 + shift
+        directions.append(position * _QUARTER / _BINS)
+        around_peak = (peak + bins_around) % _BINS
         rest[around_peak] = 0.0
     return directions
 
 
-def _direction_histogram(
-    across: NDArray[np.float32], down: NDArray[np.float32]
-) -> NDArray[np.float64]:
+def _direction_histogram(across: Gradients, down: Gradients) -> NDArray[np.float64]:
     """Compute the smoothed histogram of the directions of clear gradients, modulo a quarter turn.
 
     Args:
@@ -451,7 +518,11 @@ def _direction_histogram(
     steepness = np.hypot(across, down)
     is_clear = steepness > np.quantile(steepness, _TEXTURE_SHARE)
     weights = np.minimum(steepness[is_clear], _MAX_STEEPNESS)
-    directions = np.arctan2(down[is_clear], across[is_clear]) % _QUARTER
-    bins = (directions / _QUARTER * _BINS).astype(np.intp) % _BINS
+    angles = np.arctan2(down[is_clear], across[is_clear])
+    directions = angles % _QUARTER
+    positions = directions / _QUARTER * _BINS
+    bins = positions.astype(np.intp) % _BINS
     counts = np.bincount(bins, weights, _BINS)
-    return (np.roll(counts, 1) + 2 * counts + np.roll(counts, -1)) / 4
+    before = np.roll(counts, 1)
+    after = np.roll(counts, -1)
+    return (before + 2 * counts + after) / 4

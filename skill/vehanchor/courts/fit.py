@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -13,6 +13,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.courts.templates import Pose, Template
+
+    GreyImage: TypeAlias = NDArray[np.float32]
+    """``[h, w]`` grey levels."""
+
+    Matrix: TypeAlias = NDArray[np.float64]
+    """``[3, 3]`` from metres on the court to pixels."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """``[n, 2]`` points, metres on the court or pixels."""
+
+    Offsets: TypeAlias = NDArray[np.float64]
+    """``[n]`` distances from the pieces to the visible lines, pixels along the normals."""
+
+    Jacobian: TypeAlias = NDArray[np.float64]
+    """``[pieces, freedom]`` pixels that each piece moves along its normal for each motion."""
 
 # Length of line over which a profile is averaged; a player hides one piece, not all.
 _PIECE_M = 2.4
@@ -66,7 +81,7 @@ class Fit(NamedTuple):
         log_sd: standard deviation of the log size, from the residuals.
     """
 
-    matrix: NDArray[np.float64]
+    matrix: Matrix
     coverage: float
     line_coverage: NDArray[np.float64]
     log_sd: float
@@ -74,30 +89,40 @@ class Fit(NamedTuple):
     @property
     def px_per_m(self) -> float:
         """Pixels per metre: square root of the scale of areas."""
-        return math.sqrt(abs(float(np.linalg.det(self.matrix[:2, :2]))))
+        local = self.matrix[:2, :2]
+        area_scale = abs(float(np.linalg.det(local)))
+        return math.sqrt(area_scale)
 
     @property
     def distortion(self) -> float:
         """Deviation from the shape in the rules: the larger of log stretch and shear."""
         local = self.matrix[:2, :2]
-        along = np.hypot(*local[:, 0])
-        across = np.hypot(*local[:, 1])
-        log_stretch = abs(math.log(along / across))
-        shear = abs(local[:, 0] @ local[:, 1]) / (along * across)
+        along, across = local.T
+        px_along = np.hypot(*along)
+        px_across = np.hypot(*across)
+        log_stretch = abs(math.log(px_along / px_across))
+        shear = abs(along @ across) / (px_along * px_across)
         return float(max(log_stretch, shear))
 
 
-def pose_matrix(pose: Pose) -> NDArray[np.float64]:
+def pose_matrix(pose: Pose) -> Matrix:
     """Build the matrix ``[3, 3]`` from metres on a court to pixels."""
     cos = math.cos(pose.angle) * pose.px_per_m
     sin = math.sin(pose.angle) * pose.px_per_m
-    return np.array([[cos, -sin, pose.x], [sin, cos, pose.y], [0.0, 0.0, 1.0]])
+    rows = [
+        (cos, -sin, pose.x),
+        (sin, cos, pose.y),
+        (0.0, 0.0, 1.0),
+    ]
+    return np.array(rows)
 
 
-def project(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def project(matrix: Matrix, points: Points) -> Points:
     """Project points ``[n, 2]`` through a matrix ``[3, 3]``, or through each of ``[k, 3, 3]``."""
-    turned = points @ matrix[..., :2, :2].swapaxes(-1, -2)
-    return np.asarray(turned + matrix[..., None, :2, 2])
+    linear = matrix[..., :2, :2]
+    translation = matrix[..., None, :2, 2]
+    turned = points @ linear.swapaxes(-1, -2)
+    return np.asarray(turned + translation)
 
 
 class _Pieces(NamedTuple):
@@ -111,9 +136,9 @@ class _Pieces(NamedTuple):
         line: ``[n]`` index of the line of each piece.
     """
 
-    starts: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    middles: NDArray[np.float64]
+    starts: Points
+    ends: Points
+    middles: Points
     lengths: NDArray[np.float64]
     line: NDArray[np.intp]
 
@@ -124,11 +149,14 @@ def _cut(template: Template) -> _Pieces:
     starts = []
     ends = []
     lines = []
-    for index, line in enumerate(np.concatenate([template.lines, template.arcs])):
-        length_m = np.hypot(line[2] - line[0], line[3] - line[1])
+    paint = np.concatenate([template.lines, template.arcs])
+    for index, line in enumerate(paint):
+        start = line[:2]
+        end = line[2:]
+        length_m = np.hypot(*(end - start))
         count = max(1, round(length_m / _PIECE_M))
         shares = np.linspace(0, 1, count + 1)[:, None]
-        points = (1 - shares) * line[:2] + shares * line[2:]
+        points = (1 - shares) * start + shares * end
         starts.append(points[:-1])
         ends.append(points[1:])
         lines += [index] * count
@@ -143,9 +171,7 @@ def _cut(template: Template) -> _Pieces:
     )
 
 
-def fit(
-    grey: NDArray[np.float32], template: Template, matrix: NDArray[np.float64], freedom: int
-) -> Fit:
+def fit(grey: GreyImage, template: Template, matrix: Matrix, freedom: int) -> Fit:
     """Fit a template to the lines of an image.
 
     Args:
@@ -163,22 +189,26 @@ def fit(
         motion = _solve(jacobian, offsets, strengths * pieces.lengths)
         if motion is None:
             break
-        step = np.tensordot(motion, _MOTIONS[: len(motion)], axes=1)
+        step = np.tensordot(motion, _MOTIONS[:freedom], axes=1)
         matrix = matrix @ (np.eye(3) + step)
 
-    offsets, strengths = _line_offsets(grey, pieces, matrix, _REACHES_PX[-1])
-    near = (strengths > 0) & (np.abs(offsets) <= _NEAR_PX)
+    # A piece is covered if the fitted template lies on a visible line there.
+    final_reach = _REACHES_PX[-1]
+    offsets, strengths = _line_offsets(grey, pieces, matrix, final_reach)
+    is_near = np.abs(offsets) <= _NEAR_PX
+    covered = (strengths > 0) & is_near
     lengths = np.bincount(pieces.line, pieces.lengths)
-    covered = np.bincount(pieces.line, pieces.lengths * near)
+    covered_lengths = np.bincount(pieces.line, pieces.lengths * covered)
+    coverage = covered_lengths.sum() / lengths.sum()
     return Fit(
         matrix,
-        coverage=float(covered.sum() / lengths.sum()),
-        line_coverage=covered / lengths,
-        log_sd=_size_error(jacobian[near], offsets[near]),
+        coverage=float(coverage),
+        line_coverage=covered_lengths / lengths,
+        log_sd=_size_error(jacobian[covered], offsets[covered]),
     )
 
 
-def _size_error(jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -> float:
+def _size_error(jacobian: Jacobian, residuals: Offsets) -> float:
     """Compute the standard deviation of a fit's log size from its residuals.
 
     Args:
@@ -195,14 +225,15 @@ def _size_error(jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -
     normal = jacobian.T @ jacobian
     if not np.linalg.cond(normal) < _MAX_CONDITION:
         return math.inf
-    residual = float(np.sqrt(np.mean(residuals**2)))
-    covariance = max(residual, _MIN_RESIDUAL_PX) ** 2 * np.linalg.inv(normal)
+    mean_square = np.mean(residuals**2)
+    residual_px = max(float(np.sqrt(mean_square)), _MIN_RESIDUAL_PX)
+    covariance = residual_px**2 * np.linalg.inv(normal)
     return math.sqrt(covariance[_SIZE, _SIZE])
 
 
 def _line_offsets(
-    grey: NDArray[np.float32], pieces: _Pieces, matrix: NDArray[np.float64], reach_px: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    grey: GreyImage, pieces: _Pieces, matrix: Matrix, reach_px: float
+) -> tuple[Offsets, NDArray[np.float64]]:
     """Measure the offset of the visible line from each piece.
 
     Args:
@@ -216,49 +247,70 @@ def _line_offsets(
     """
     starts = project(matrix, pieces.starts)
     ends = project(matrix, pieces.ends)
-    across = np.arange(-reach_px - _FLANK_PX, reach_px + _FLANK_PX + _STEP_PX / 2, _STEP_PX)
+    first = -reach_px - _FLANK_PX
+    last = reach_px + _FLANK_PX
+    across = np.arange(first, last + _STEP_PX / 2, _STEP_PX)
     profiles = _profiles(grey, starts, ends, across)
 
     # A line is brighter than the profile on both sides of it.
     flank = round(_FLANK_PX / _STEP_PX)
     inner = profiles[:, flank:-flank]
-    ridge = inner - np.maximum(profiles[:, : -2 * flank], profiles[:, 2 * flank :])
-    peak, height, shift = _highest(ridge)
-    offsets = across[flank:-flank][peak] + shift * _STEP_PX
+    before = profiles[:, : -2 * flank]
+    after = profiles[:, 2 * flank :]
+    ridges = inner - np.maximum(before, after)
+    peaks = _highest(ridges)
+    inner_across = across[flank:-flank]
+    offsets = inner_across[peaks.columns] + peaks.shifts * _STEP_PX
 
     # A peak at the end of the profile, or a piece outside the image, shows no line.
-    noise = np.median(np.abs(np.diff(inner[:, ::4], axis=1)))
-    least = max(_MIN_CONTRAST, _CONTRAST_PER_NOISE * float(noise))
-    at_end = (peak == 0) | (peak == ridge.shape[1] - 1)
-    inside = ((starts >= 0) & (starts <= np.array(grey.shape[::-1]) - 1)).all(axis=1)
-    strengths = np.where(at_end | ~inside, 0.0, np.clip((height - least) / least, 0, 1))
+    steps = np.diff(inner[:, ::4], axis=1)
+    noise = float(np.median(np.abs(steps)))
+    min_contrast = max(_MIN_CONTRAST, _CONTRAST_PER_NOISE * noise)
+    last_column = ridges.shape[1] - 1
+    at_end = (peaks.columns == 0) | (peaks.columns == last_column)
+    height, width = grey.shape
+    last_pixel = (width - 1, height - 1)
+    is_inside = (starts >= 0) & (starts <= last_pixel)
+    shows_no_line = at_end | ~is_inside.all(axis=1)
+    contrasts = (peaks.heights - min_contrast) / min_contrast
+    strengths = np.where(shows_no_line, 0.0, np.clip(contrasts, 0, 1))
     return offsets, strengths
 
 
-def _highest(
-    ridge: NDArray[np.float32],
-) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
-    """Find the highest value of each row ``[n, m]``.
+class _Peaks(NamedTuple):
+    """Highest value of each row.
 
-    Returns:
-        Its columns ``[n]``, its values ``[n]``, and the shifts ``[n]``, -0.5 to 0.5, from the
-        columns to the peaks of parabolas through the values and their neighbours.
+    Attributes:
+        columns: ``[n]`` columns of the values.
+        heights: ``[n]`` the values.
+        shifts: ``[n]`` -0.5 to 0.5, from the columns to the peaks of parabolas through the values
+            and their neighbours.
     """
-    rows = np.arange(len(ridge))
-    peak = ridge.argmax(axis=1)
-    height = ridge[rows, peak]
-    left = ridge[rows, np.maximum(peak - 1, 0)]
-    right = ridge[rows, np.minimum(peak + 1, ridge.shape[1] - 1)]
-    bend = np.minimum(left - 2 * height + right, -1e-6)
-    shift = np.clip((left - right) / (2 * bend), -0.5, 0.5)
-    return peak, height, shift
+
+    columns: NDArray[np.intp]
+    heights: NDArray[np.float32]
+    shifts: NDArray[np.float32]
+
+
+def _highest(ridges: NDArray[np.float32]) -> _Peaks:
+    """Find the highest value of each row ``[n, m]``."""
+    rows = np.arange(len(ridges))
+    last_column = ridges.shape[1] - 1
+    columns = ridges.argmax(axis=1)
+    left_columns = np.maximum(columns - 1, 0)
+    right_columns = np.minimum(columns + 1, last_column)
+    heights = ridges[rows, columns]
+    left = ridges[rows, left_columns]
+    right = ridges[rows, right_columns]
+    # The vertex of the parabola; a plateau has no bend.
+    bends = left - 2 * heights + right
+    bends = np.minimum(bends, -1e-6)
+    shifts = (left - right) / (2 * bends)
+    return _Peaks(columns, heights=heights, shifts=np.clip(shifts, -0.5, 0.5))
 
 
 def _profiles(
-    grey: NDArray[np.float32],
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    across: NDArray[np.float64],
+    grey: GreyImage, starts: Points, ends: Points, across: Offsets
 ) -> NDArray[np.float32]:
     """Average the grey levels along each piece, at several distances across it.
 
@@ -271,42 +323,51 @@ def _profiles(
     Returns:
         ``[n, m]`` grey levels.
     """
-    longest_px = np.hypot(*(ends - starts).T).max()
+    along = ends - starts
+    longest_px = np.hypot(*along.T).max()
     count = int(np.clip(longest_px, 2, _MAX_SAMPLES))
-    shares = (np.arange(count) + 0.5)[:, None, None] / count
+    samples = np.arange(count) + 0.5
+    shares = samples[:, None, None] / count
     points = (1 - shares) * starts + shares * ends  # [count, n, 2]
     normals = _normals(starts, ends)
     # Two planes of coordinates take a third of the time of pairs.
-    places = np.empty((2, count, len(starts), len(across)), np.float32)
-    for axis, plane in enumerate(places):
-        np.add(points[:, :, None, axis], across * normals[:, None, axis], out=plane)
-    x, y = places.reshape(2, count, -1)
+    shape = (count, len(starts), len(across))
+    planes = np.empty((2, *shape), np.float32)
+    for axis, plane in enumerate(planes):
+        along_piece = points[:, :, None, axis]
+        np.add(along_piece, across * normals[:, None, axis], out=plane)
+    x, y = planes.reshape(2, count, -1)
     sampled = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled.reshape(places.shape[1:]).mean(axis=0))
+    samples_along = sampled.reshape(shape)
+    return np.asarray(samples_along.mean(axis=0))
 
 
-def _normals(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normals(starts: Points, ends: Points) -> Points:
     """Compute the unit normals ``[n, 2]`` of pieces."""
-    along = ends - starts
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    return np.asarray(across / np.hypot(*along.T)[:, None])
+    x, y = (ends - starts).T
+    across = np.stack([-y, x], axis=1)
+    lengths = np.hypot(x, y)
+    return np.asarray(across / lengths[:, None])
 
 
-def _jacobian(pieces: _Pieces, matrix: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
+def _jacobian(pieces: _Pieces, matrix: Matrix, freedom: int) -> Jacobian:
     """Compute the motion of each piece along its normal, for a unit of each motion.
 
     Returns:
         ``[pieces, freedom]`` pixels.
     """
-    normals = _normals(project(matrix, pieces.starts), project(matrix, pieces.ends))
+    starts = project(matrix, pieces.starts)
+    ends = project(matrix, pieces.ends)
+    normals = _normals(starts, ends)
     middles = project(matrix, pieces.middles)
     nudged = project(matrix @ _NUDGES[:freedom], pieces.middles)
-    along_normals = ((nudged - middles) * normals).sum(axis=2)
+    shifts = nudged - middles
+    along_normals = (shifts * normals).sum(axis=2)
     return np.ascontiguousarray(along_normals.T / _EPSILON)
 
 
 def _solve(
-    jacobian: NDArray[np.float64], offsets: NDArray[np.float64], weights: NDArray[np.float64]
+    jacobian: Jacobian, offsets: Offsets, weights: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """Solve for the motion that moves the pieces onto the lines, without outliers.
 
@@ -328,14 +389,18 @@ def _solve(
         residuals = offsets - jacobian @ motion
         # The first turns are more tolerant, because the motion is unknown.
         width = _TUKEY_PX * (3 - min(turn, 2))
-        biweight = (1 - (residuals / width) ** 2) ** 2
-        trust = weights * np.where(np.abs(residuals) < width, biweight, 0.0)
+        relative = residuals / width
+        biweight = (1 - relative**2) ** 2
+        is_inlier = np.abs(residuals) < width
+        trust = weights * np.where(is_inlier, biweight, 0.0)
         weighted = (jacobian * trust[:, None]).T
         normal = weighted @ jacobian
         # A little damping, in case no piece shows one of the motions.
-        normal += 1e-9 * np.trace(normal) / n_motions * np.eye(n_motions)
+        damping = 1e-9 * np.trace(normal) / n_motions
+        normal += damping * np.eye(n_motions)
         try:
-            motion = np.asarray(np.linalg.solve(normal, weighted @ offsets), np.float64)
+            solution = np.linalg.solve(normal, weighted @ offsets)
         except np.linalg.LinAlgError:
             return None
+        motion = np.asarray(solution, np.float64)
     return motion

@@ -6,7 +6,7 @@ The paint below a line is then the difference of two cumulative sums.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -20,6 +20,15 @@ if TYPE_CHECKING:
 
     from vehanchor.courts.templates import Template
 
+    GreyImage: TypeAlias = NDArray[np.float32]
+    """``[h, w]`` grey levels."""
+
+    LineMap: TypeAlias = NDArray[np.float32]
+    """``[h, w]`` strength of the line through each pixel, 0..1."""
+
+    Indices: TypeAlias = NDArray[np.intp]
+    """Indices into the cumulative sums of the lines."""
+
 # A line is brighter than the pixels this far to either side.
 _HALF_LINE_PX = 2
 # Contrast of a full line: grey levels, and multiples of the texture around it.
@@ -32,7 +41,7 @@ _TEXTURE_PX = 15
 _MARGIN_M = 1.5
 
 
-def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def ridges(grey: GreyImage) -> tuple[LineMap, LineMap]:
     """Find thin bright lines: pixels brighter than both sides, relative to the texture around.
 
     Args:
@@ -42,21 +51,25 @@ def ridges(grey: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
         Two ``[h, w]`` maps in 0..1: lines along rows, and lines along columns.
     """
     smooth = cv2.blur(grey, (_SMOOTH_PX, _SMOOTH_PX))
-    texture = cv2.blur(cv2.absdiff(grey, smooth), (_TEXTURE_PX, _TEXTURE_PX))
-    contrast = np.maximum(texture * np.float32(_CONTRAST_PER_TEXTURE), np.float32(_MIN_CONTRAST))
+    deviation = cv2.absdiff(grey, smooth)
+    texture = cv2.blur(deviation, (_TEXTURE_PX, _TEXTURE_PX))
+    contrast = texture * np.float32(_CONTRAST_PER_TEXTURE)
+    contrast = np.maximum(contrast, np.float32(_MIN_CONTRAST))
     d = _HALF_LINE_PX
     wide = cv2.copyMakeBorder(grey, d, d, d, d, cv2.BORDER_REPLICATE)
     above = wide[: -2 * d, d:-d]
     below = wide[2 * d :, d:-d]
     left = wide[d:-d, : -2 * d]
     right = wide[d:-d, 2 * d :]
-    along = np.clip((grey - np.maximum(above, below)) / contrast, 0, 1)
-    across = np.clip((grey - np.maximum(left, right)) / contrast, 0, 1)
+    ridge_along = grey - np.maximum(above, below)
+    ridge_across = grey - np.maximum(left, right)
+    along = np.clip(ridge_along / contrast, 0, 1)
+    across = np.clip(ridge_across / contrast, 0, 1)
     return along, across
 
 
 def match(
-    grey: NDArray[np.float32],
+    grey: GreyImage,
     templates: Sequence[Template],
     start: Pose,
     log_sizes: NDArray[np.float64],
@@ -79,16 +92,18 @@ def match(
         template that lies on lines, minus the share of its blank segments that does.
     """
     # Sizes in pixels per metre for each template: all templates are tried at the same lengths.
-    sizes = [
-        start.px_per_m * templates[0].length_m / template.length_m * np.exp(log_sizes)
-        for template in templates
-    ]
+    length_px = start.px_per_m * templates[0].length_m
+    size_ratios = np.exp(log_sizes)
+    sizes = [length_px / template.length_m * size_ratios for template in templates]
     # Half sides of the patch: the largest court at the farthest place.
-    halves = [
-        (np.array([template.length_m, template.width_m]) / 2 + _MARGIN_M) * template_sizes[-1]
-        for template, template_sizes in zip(templates, sizes, strict=True)
-    ]
-    reach = np.ceil(np.max(halves, axis=0)) + places[-1] + 2
+    halves = []
+    for template, template_sizes in zip(templates, sizes, strict=True):
+        sides_m = np.array([template.length_m, template.width_m])
+        largest_size = template_sizes[-1]
+        halves.append((sides_m / 2 + _MARGIN_M) * largest_size)
+    largest_half = np.max(halves, axis=0)
+    farthest = places[-1]
+    reach = np.ceil(largest_half) + farthest + 2
     half_x = int(reach[0])
     half_y = int(reach[1])
     ends = [
@@ -103,18 +118,20 @@ def match(
         sin = np.sin(angle)
         for index, template_ends in enumerate(ends):
             score, size, row, column = template_ends.best(sums)
-            if score > best[index][0]:
-                dx = places[column]
-                dy = places[row]
-                x = start.x + cos * dx - sin * dy
-                y = start.y + sin * dx + cos * dy
-                px_per_m = float(sizes[index][size])
-                best[index] = score, Pose(float(x), float(y), angle, px_per_m)
+            best_score, _ = best[index]
+            if score <= best_score:
+                continue
+            dx = places[column]
+            dy = places[row]
+            x = float(start.x + cos * dx - sin * dy)
+            y = float(start.y + sin * dx + cos * dy)
+            px_per_m = float(sizes[index][size])
+            best[index] = score, Pose(x, y, angle, px_per_m)
     return best
 
 
 def _rotated_sums(
-    grey: NDArray[np.float32], start: Pose, angle: float, half_x: int, half_y: int
+    grey: GreyImage, start: Pose, angle: float, half_x: int, half_y: int
 ) -> NDArray[np.float32]:
     """Compute cumulative sums of the lines around a pose, rotated so that it lies along rows.
 
@@ -127,21 +144,26 @@ def _rotated_sums(
     # Corner of the rotated patch, whose centre is the pose.
     x = start.x - cos * half_x + sin * half_y
     y = start.y - sin * half_x - cos * half_y
+    patch_to_image = np.array([[cos, -sin, x], [sin, cos, y]])
+    patch_size = (2 * half_x + 1, 2 * half_y + 1)
     rotated = cv2.warpAffine(
         grey,
-        np.array([[cos, -sin, x], [sin, cos, y]]),
-        (2 * half_x + 1, 2 * half_y + 1),
+        patch_to_image,
+        patch_size,
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
     along, across = ridges(np.asarray(rotated, np.float32))
     # Wider lines tolerate an offset of one pixel.
-    along = np.asarray(cv2.dilate(along, np.ones((3, 1))), np.float32)
-    across = np.asarray(cv2.dilate(across, np.ones((1, 3))), np.float32)
+    brush = np.ones((3, 1))
+    wide_along = cv2.dilate(along, brush)
+    wide_across = cv2.dilate(across, brush.T)
     rows, columns = along.shape
     sums = np.zeros((2 * rows + 1, columns + 1), np.float32)
-    np.cumsum(along, axis=1, out=sums[:rows, 1:])
-    np.cumsum(across, axis=0, out=sums[rows + 1 :, :-1])
+    sums_along = sums[:rows, 1:]
+    sums_across = sums[rows + 1 :, :-1]
+    np.cumsum(wide_along, axis=1, out=sums_along)
+    np.cumsum(wide_across, axis=0, out=sums_across)
     return sums.ravel()
 
 
@@ -156,10 +178,10 @@ class _Ends(NamedTuple):
         shift: ``[places, places]`` offsets of the indices for a court that far down and across.
     """
 
-    first: NDArray[np.intp]
-    last: NDArray[np.intp]
+    first: Indices
+    last: Indices
     weights: NDArray[np.float32]
-    shift: NDArray[np.intp]
+    shift: Indices
 
     @classmethod
     def of(
@@ -183,19 +205,20 @@ class _Ends(NamedTuple):
         is_paint = np.arange(len(lines)) < len(template.lines)
         is_along = lines[:, 1] == lines[:, 3]
         # A line counts by its share of the template's paint, a blank segment against it.
-        metres = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
-        shares = np.where(
-            is_paint, metres / metres[is_paint].sum(), -metres / metres[~is_paint].sum()
-        )
-        pixels = np.rint(lines[None] * sizes[:, None, None]).astype(np.intp)
-        x1, y1, x2, y2 = np.moveaxis(pixels, 2, 0)
+        steps = lines[:, 2:] - lines[:, :2]
+        metres = np.hypot(*steps.T)
+        paint_m = metres[is_paint].sum()
+        blank_m = metres[~is_paint].sum()
+        shares = np.where(is_paint, metres / paint_m, -metres / blank_m)
+        lines_px = np.rint(lines[None] * sizes[:, None, None])
+        x1, y1, x2, y2 = np.moveaxis(lines_px.astype(np.intp), 2, 0)
         n_pixels = np.where(is_along, x2 - x1, y2 - y1) + 1
         # The sum up to a segment's end is one place ahead of its pixel: to the right, or down.
         right = np.where(is_along, 1, 0)
         down = 1 - right
         pitch = 2 * half_x + 2
-        first_row = np.where(is_along, 0, 2 * half_y + 1) + half_y
-        base = first_row * pitch + half_x
+        first_row = np.where(is_along, 0, 2 * half_y + 1)
+        base = (first_row + half_y) * pitch + half_x
         first = base + y1 * pitch + x1
         last = base + (y2 + down) * pitch + x2 + right
         return cls(
@@ -211,9 +234,14 @@ class _Ends(NamedTuple):
         firsts = self.first.T[:, :, None, None]
         lasts = self.last.T[:, :, None, None]
         weights = self.weights.T[:, :, None, None]
-        scores = np.zeros((len(self.first), *self.shift.shape), np.float32)
+        n_sizes = len(self.first)
+        scores = np.zeros((n_sizes, *self.shift.shape), np.float32)
         for first, last, weight in zip(firsts, lasts, weights, strict=True):
-            paint = sums.take(last + self.shift) - sums.take(first + self.shift)
+            sum_before = sums.take(first + self.shift)
+            sum_after = sums.take(last + self.shift)
+            paint = sum_after - sum_before
             scores += weight * paint
-        size, row, column = np.unravel_index(int(scores.argmax()), scores.shape)
-        return float(scores[size, row, column]), int(size), int(row), int(column)
+        best = int(scores.argmax())
+        size, row, column = np.unravel_index(best, scores.shape)
+        best_score = float(scores[size, row, column])
+        return best_score, int(size), int(row), int(column)

@@ -109,9 +109,11 @@ class CourtNetwork(LoadedModel):
     def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
         self.path = path
         self.runtime = runtime or Runtime()
-        self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
-        tensors = [*self._session.get_inputs(), *self._session.get_outputs()]
-        names = [tensor.name for tensor in tensors]
+        content = read_model(path).content
+        self._session = open_session(path, content=content, runtime=self.runtime)
+        inputs = self._session.get_inputs()
+        outputs = self._session.get_outputs()
+        names = [tensor.name for tensor in (*inputs, *outputs)]
         if names != ["tiles", "courts"]:
             raise ModelContractError(
                 f"{path} has {', '.join(names)}: expected the input tiles and the output courts"
@@ -135,18 +137,22 @@ class CourtNetwork(LoadedModel):
         if raster.width_px * raster.height_px >= WINDOWED_PIXELS:
             read = read_preview
         proposals = []
-        for window in tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX):
-            answers = self._run(read(raster, window, factor))
+        windows = tile_grid(width, height, tile_px=_TILE_PX, stride_px=_STRIDE_PX)
+        for window in windows:
+            pixels = read(raster, window, factor)
+            answers = self._run(pixels)
             proposals += _peaks(answers, window, factor)
         return proposals
 
     def _run(self, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Run the network on a tile ``[h, w, 3]``; return ``[5, rows, columns]`` of its cells."""
         # Whole cells: zeros are added below and on the right.
-        down = -pixels.shape[0] % _CELL_PX
-        right = -pixels.shape[1] % _CELL_PX
+        height, width, _ = pixels.shape
+        down = -height % _CELL_PX
+        right = -width % _CELL_PX
         padded = np.pad(pixels, ((0, down), (0, right), (0, 0)))
-        tile = np.ascontiguousarray(padded.transpose(2, 0, 1))[None]
+        channels = padded.transpose(2, 0, 1)
+        tile = np.ascontiguousarray(channels)[None]
         (answers,) = run_session(
             self._session,
             None,
@@ -178,20 +184,24 @@ def _peaks(answers: NDArray[np.float32], window: Window, factor: int) -> list[Pr
         factor: reduction factor of that image.
     """
     proposals = []
-    corner = (window.x_px, window.y_px)
+    neighbourhood = np.ones((3, 3))
     for which, scores in enumerate(answers[:2]):
-        highest = cv2.dilate(scores, np.ones((3, 3)))
+        highest = cv2.dilate(scores, neighbourhood)
         is_peak = (scores >= highest) & (scores >= _MIN_SCORE)
         for row, column in np.argwhere(is_peak):
-            cos, sin, log_length = (float(value) for value in answers[2:, row, column])
+            cos, sin, log_length = answers[2:, row, column].tolist()
             log_length = min(max(log_length, -_MAX_LOG_LENGTH), _MAX_LOG_LENGTH)
             length_px = _LENGTH_PX * math.exp(log_length) * factor
             # The centre of a cell; a pose counts from the centre of the first pixel.
-            centre = corner + (np.array((column, row)) + 0.5) * _CELL_PX
-            x, y = centre * factor - 0.5
-            # The network answers with twice the angle: a court looks the same after half a turn.
-            angle = math.atan2(sin, cos) / 2
-            pose = Pose(float(x), float(y), angle, length_px / LENGTHS_M[which])
+            centre_x = window.x_px + (column + 0.5) * _CELL_PX
+            centre_y = window.y_px + (row + 0.5) * _CELL_PX
+            pose = Pose(
+                x=float(centre_x * factor - 0.5),
+                y=float(centre_y * factor - 0.5),
+                # The network answers with twice the angle: half a turn changes nothing.
+                angle=math.atan2(sin, cos) / 2,
+                px_per_m=length_px / LENGTHS_M[which],
+            )
             score = float(scores[row, column])
             proposals.append(Proposal(which, score, pose=pose, factor=factor))
     return proposals

@@ -7,12 +7,18 @@ but a fit finds their middle. The templates are therefore smaller by half a line
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Lines: TypeAlias = NDArray[np.float64]
+    """``[n, 4]`` lines ``(x1, y1, x2, y2)``, metres along and across from the court's centre."""
+
+    Line: TypeAlias = tuple[float, ...]
+    """``(x1, y1, x2, y2)``, metres along and across from the court's centre."""
 
 # Tennis: lines of 2.5 to 5 cm, base lines up to 10 cm (ITF). Basketball: 5 cm (FIBA).
 _HALF_LINE_M = 0.025
@@ -61,25 +67,28 @@ class Template:
     kind: str
     length_m: float
     width_m: float
-    lines: NDArray[np.float64]
-    blank: NDArray[np.float64]
-    arcs: NDArray[np.float64]
+    lines: Lines
+    blank: Lines
+    arcs: Lines
 
     @property
     def outline(self) -> NDArray[np.float64]:
         """Corners ``[4, 2]`` in metres; the first two bound a long side."""
-        signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        return signs * [self.length_m / 2, self.width_m / 2]
+        x = self.length_m / 2
+        y = self.width_m / 2
+        return np.array([(-x, -y), (x, -y), (x, y), (-x, y)])
 
 
-def _along(xs: tuple[float, float], ys: tuple[float, ...]) -> list[tuple[float, ...]]:
+def _along(xs: tuple[float, float], ys: tuple[float, ...]) -> list[Line]:
     """Draw lines along the court from one x to the other, at several y."""
-    return [(xs[0], y, xs[1], y) for y in ys]
+    start, end = xs
+    return [(start, y, end, y) for y in ys]
 
 
-def _across(xs: tuple[float, ...], ys: tuple[float, float]) -> list[tuple[float, ...]]:
+def _across(xs: tuple[float, ...], ys: tuple[float, float]) -> list[Line]:
     """Draw lines across the court from one y to the other, at several x."""
-    return [(x, ys[0], x, ys[1]) for x in xs]
+    start, end = ys
+    return [(x, start, x, end) for x in xs]
 
 
 def _tennis() -> Template:
@@ -164,11 +173,12 @@ def _basketball(kind: str, rules: _BasketballRules) -> Template:
     )
 
 
-def _basketball_arcs(rules: _BasketballRules) -> NDArray[np.float64]:
+def _basketball_arcs(rules: _BasketballRules) -> Lines:
     """Draw the centre circle and both three-point arcs as straight pieces ``[n, 4]``."""
     turns = np.linspace(0, 2 * np.pi, _CIRCLE_POINTS)
-    circle = np.stack([_CIRCLE_RADIUS_M * np.cos(turns), _CIRCLE_RADIUS_M * np.sin(turns)], axis=1)
-    curves = [circle]
+    circle_x = _CIRCLE_RADIUS_M * np.cos(turns)
+    circle_y = _CIRCLE_RADIUS_M * np.sin(turns)
+    curves = [np.stack([circle_x, circle_y], axis=1)]
 
     # An arc ends where the straight parts of the three-point line begin.
     radius = rules.arc_radius - _HALF_LINE_M

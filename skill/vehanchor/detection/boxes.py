@@ -8,7 +8,7 @@ axes: x right, y down), in [0, pi).
 from __future__ import annotations
 
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,27 @@ from vehanchor.scale.defaults import NMS_IOU
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
+
+    Corners: TypeAlias = NDArray[np.float64]
+    """``[n, 4, 2]`` x, y in pixels, in order around each box."""
+
+    Vectors: TypeAlias = NDArray[np.float64]
+    """``[2, ..., k]`` x and y, pixels."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """``[k]`` or ``[2, k]`` lengths, pixels."""
+
+    Cosines: TypeAlias = NDArray[np.float64]
+    """``[k]`` cosines or sines of angles."""
+
+    Overlaps: TypeAlias = NDArray[np.float64]
+    """Intersection over union of boxes, 0..1."""
+
+    Indices: TypeAlias = NDArray[np.intp]
+    """``[k]`` indices of boxes."""
 
 # At smaller angles the closed form for parallel boxes errs by less than 0.001 in IoU.
 _PARALLEL_RAD = 2e-4
@@ -32,7 +53,7 @@ _MAX_CELLS = 1 << 20
 _COLUMN_STEP = 2 * _MAX_CELLS
 
 
-def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
+def canonical_boxes(boxes: ArrayLike) -> Boxes:
     """Convert boxes to canonical form: the long side first, the angle in [0, pi).
 
     Args:
@@ -43,17 +64,18 @@ def canonical_boxes(boxes: ArrayLike) -> NDArray[np.float64]:
         ``[n, 5]`` float64, the same rectangles as ``(x, y, length, width, angle)``.
     """
     rows = np.array(boxes, dtype=np.float64).reshape(-1, 5)
-    is_upright = rows[:, 3] > rows[:, 2]
-    rows[is_upright, 2:4] = rows[is_upright, 3:1:-1]
-    rows[is_upright, 4] += np.pi / 2
-    angles = np.mod(rows[:, 4], np.pi)
+    sides = rows[:, 2:4]
+    angles = rows[:, 4]
+    is_upright = sides[:, 1] > sides[:, 0]
+    sides[is_upright] = sides[is_upright, ::-1]
+    angles[is_upright] += np.pi / 2
+    np.mod(angles, np.pi, out=angles)
     # The remainder of a tiny negative angle rounds up to pi itself.
     angles[angles >= np.pi] = 0.0
-    rows[:, 4] = angles
     return rows
 
 
-def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
+def box_corners(boxes: ArrayLike) -> Corners:
     """Compute the corners of oriented boxes, in order around each box.
 
     Args:
@@ -64,10 +86,11 @@ def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
     """
     rows = np.asarray(boxes, dtype=np.float64).reshape(-1, 5)
     centre = rows[:, :2]
-    cosine = np.cos(rows[:, 4])
-    sine = np.sin(rows[:, 4])
-    along = rows[:, 2:3] / 2 * np.stack([cosine, sine], axis=1)
-    across = rows[:, 3:4] / 2 * np.stack([-sine, cosine], axis=1)
+    half_lengths = rows[:, 2:3] / 2
+    half_widths = rows[:, 3:4] / 2
+    along_axis, across_axis = _unit_axes(rows)
+    along = half_lengths * along_axis
+    across = half_widths * across_axis
     corners = [
         centre - along - across,
         centre + along - across,
@@ -77,7 +100,17 @@ def box_corners(boxes: ArrayLike) -> NDArray[np.float64]:
     return np.stack(corners, axis=1)
 
 
-def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
+def _unit_axes(boxes: Boxes) -> tuple[Vectors, Vectors]:
+    """Compute the unit vectors ``[n, 2]`` along and across boxes."""
+    angles = boxes[:, 4]
+    cosine = np.cos(angles)
+    sine = np.sin(angles)
+    along = np.column_stack([cosine, sine])
+    across = np.column_stack([-sine, cosine])
+    return along, across
+
+
+def boxes_from_corners(corners: ArrayLike) -> Boxes:
     """Convert four corners per box, as in DOTA's text labels, to oriented boxes.
 
     Opposite sides are averaged: labels that are not quite rectangular keep their mean length.
@@ -95,10 +128,12 @@ def boxes_from_corners(corners: ArrayLike) -> NDArray[np.float64]:
     lengths = np.linalg.norm(along, axis=1)
     widths = np.linalg.norm(across, axis=1)
     angles = np.arctan2(along[:, 1], along[:, 0])
-    return canonical_boxes(np.column_stack([points.mean(axis=1), lengths, widths, angles]))
+    centres = points.mean(axis=1)
+    rows = np.column_stack([centres, lengths, widths, angles])
+    return canonical_boxes(rows)
 
 
-def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def pair_iou(first: Boxes, second: Boxes) -> Overlaps:
     """Compute the exact IoU of canonical boxes, pair by pair.
 
     Args:
@@ -108,46 +143,49 @@ def pair_iou(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
     Returns:
         ``[k]`` float64 in [0, 1].
     """
-    turn = second[:, 4] - first[:, 4]
+    first_angles = first[:, 4]
+    turn = second[:, 4] - first_angles
     cosine = np.cos(turn)
     sine = np.sin(turn)
     # Centre of the second box in the frame of the first one.
-    offset = (second[:, :2] - first[:, :2]).T
-    shift = _turned(offset, np.cos(first[:, 4]), -np.sin(first[:, 4]))
+    offset = second[:, :2] - first[:, :2]
+    shift = _turned(offset.T, cosine=np.cos(first_angles), sine=-np.sin(first_angles))
     half_a = first[:, 2:4].T / 2
     half_b = second[:, 2:4].T / 2
 
     # Boxes with parallel sides share a rectangle; at a quarter turn the sides of b are exchanged.
-    is_crossed = np.abs(cosine) < np.abs(sine)
-    is_parallel = np.minimum(np.abs(cosine), np.abs(sine)) < _PARALLEL_RAD
+    cosine_size = np.abs(cosine)
+    sine_size = np.abs(sine)
+    is_crossed = cosine_size < sine_size
+    is_parallel = np.minimum(cosine_size, sine_size) < _PARALLEL_RAD
     half_b_along = np.where(is_crossed, half_b[::-1], half_b)
     shorter = 2 * np.minimum(half_a, half_b_along)
-    shared_sides = np.clip(half_a + half_b_along - np.abs(shift), 0, shorter)
+    overlap = half_a + half_b_along - np.abs(shift)
+    shared_sides = np.clip(overlap, 0, shorter)
 
     # Boxes without a width divide by zero.
     with np.errstate(divide="ignore", invalid="ignore"):
         parallel = shared_sides[0] * shared_sides[1]
         slanted = _slanted_overlap(half_a, half_b, shift=shift, cosine=cosine, sine=sine)
         shared = np.where(is_parallel, parallel, slanted)
-        areas = 4 * (half_a.prod(axis=0) + half_b.prod(axis=0))
+        quarter_a = half_a.prod(axis=0)
+        quarter_b = half_b.prod(axis=0)
+        areas = 4 * (quarter_a + quarter_b)
         iou = shared / (areas - shared)
-    return np.asarray(np.clip(np.nan_to_num(iou, nan=0.0), 0.0, 1.0))
+    iou = np.nan_to_num(iou, nan=0.0)
+    return np.asarray(np.clip(iou, 0.0, 1.0))
 
 
-def _turned(
-    vectors: NDArray[np.float64], cosine: NDArray[np.float64], sine: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _turned(vectors: Vectors, cosine: Cosines, sine: Cosines) -> Vectors:
     """Turn vectors ``[2, ..., k]`` by angles."""
     x, y = vectors
-    return np.stack([x * cosine - y * sine, x * sine + y * cosine])
+    turned_x = x * cosine - y * sine
+    turned_y = x * sine + y * cosine
+    return np.stack([turned_x, turned_y])
 
 
 def _slanted_overlap(
-    half_a: NDArray[np.float64],
-    half_b: NDArray[np.float64],
-    shift: NDArray[np.float64],
-    cosine: NDArray[np.float64],
-    sine: NDArray[np.float64],
+    half_a: Lengths, half_b: Lengths, shift: Vectors, cosine: Cosines, sine: Cosines
 ) -> NDArray[np.float64]:
     """Compute the area that boxes with no parallel sides share, by Green's theorem.
 
@@ -165,26 +203,29 @@ def _slanted_overlap(
         ``[k]`` areas.
     """
     # Signs of the corners, in order around the box.
-    signs = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]])[:, :, None]
+    corner_signs = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]])
+    signs = corner_signs[:, :, None]
     # Each box's corners and edges in the frame of the other.
-    corners_b = shift[:, None] + _turned(signs * half_b[:, None], cosine, sine)
-    corners_a = _turned(signs * half_a[:, None] - shift[:, None], cosine, -sine)
+    centre_b = shift[:, None]
+    own_corners_a = signs * half_a[:, None]
+    own_corners_b = signs * half_b[:, None]
+    corners_b = centre_b + _turned(own_corners_b, cosine, sine)
+    corners_a = _turned(own_corners_a - centre_b, cosine, -sine)
     edges_b = np.roll(corners_b, -1, axis=1) - corners_b
     edges_a = np.roll(corners_a, -1, axis=1) - corners_a
     # Cross products about the first centre; those of the first box's own edges are all equal.
-    cross_b = corners_b[0] * edges_b[1] - corners_b[1] * edges_b[0]
+    x, y = corners_b
+    dx, dy = edges_b
+    cross_b = x * dy - y * dx
     cross_a = 2 * half_a.prod(axis=0)
     shares_b = _share_inside(corners_b, edges_b, half_a)
     shares_a = _share_inside(corners_a, edges_a, half_b)
-    area: NDArray[np.float64] = (
-        (shares_b * cross_b).sum(axis=0) + shares_a.sum(axis=0) * cross_a
-    ) / 2
-    return area
+    doubled_b = (shares_b * cross_b).sum(axis=0)
+    doubled_a = shares_a.sum(axis=0) * cross_a
+    return np.asarray((doubled_b + doubled_a) / 2)
 
 
-def _share_inside(
-    corners: NDArray[np.float64], edges: NDArray[np.float64], half: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _share_inside(corners: Vectors, edges: Vectors, half: Lengths) -> NDArray[np.float64]:
     """Compute the share of each edge that lies in a box around the origin (Liang and Barsky).
 
     Args:
@@ -195,17 +236,17 @@ def _share_inside(
     Returns:
         ``[4, k]`` in 0..1.
     """
-    sides = half[:, None]
     # Positions along the edge, 0 to 1, where it enters and leaves the box's two slabs.
-    enter = (-np.copysign(sides, edges) - corners) / edges
-    leave = (np.copysign(sides, edges) - corners) / edges
+    far_sides = np.copysign(half[:, None], edges)
+    enter = (-far_sides - corners) / edges
+    leave = (far_sides - corners) / edges
     last_inside = np.minimum(leave.min(axis=0), 1)
     first_inside = np.maximum(enter.max(axis=0), 0)
     inside: NDArray[np.float64] = last_inside - first_inside
     return np.maximum(inside, 0)
 
 
-def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+def oriented_iou(a: ArrayLike, b: ArrayLike) -> Overlaps:
     """Compute the exact intersection over union of every box of ``a`` with every box of ``b``.
 
     Args:
@@ -217,20 +258,25 @@ def oriented_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """
     first = canonical_boxes(a)
     second = canonical_boxes(b)
-    first_radii = np.hypot(first[:, 2], first[:, 3]) / 2
-    second_radii = np.hypot(second[:, 2], second[:, 3]) / 2
-    out = np.zeros((len(first), len(second)))
-    for column, box, radius in zip(out.T, second, second_radii, strict=True):
+    first_radii = _circumradii(first)
+    second_radii = _circumradii(second)
+    overlaps = np.zeros((len(first), len(second)))
+    for column, box, radius in zip(overlaps.T, second, second_radii, strict=True):
         # Boxes whose circumscribed circles are apart do not overlap.
-        distances = np.hypot(*(first[:, :2] - box[:2]).T)
-        near = distances < first_radii + radius
-        column[near] = pair_iou(first[near], np.broadcast_to(box, first[near].shape))
-    return out
+        offsets = first[:, :2] - box[:2]
+        distances = np.hypot(*offsets.T)
+        is_near = distances < first_radii + radius
+        near = first[is_near]
+        column[is_near] = pair_iou(near, np.broadcast_to(box, near.shape))
+    return overlaps
 
 
-def box_axes(
-    boxes: NDArray[np.float64],
-) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+def _circumradii(boxes: Boxes) -> Lengths:
+    """Compute the radii ``[n]`` of the circumscribed circles of boxes."""
+    return np.asarray(np.hypot(boxes[:, 2], boxes[:, 3]) / 2)
+
+
+def box_axes(boxes: Boxes) -> tuple[tuple[Vectors, Vectors], ...]:
     """Compute the ends of the long and of the short axis of boxes.
 
     Args:
@@ -239,8 +285,7 @@ def box_axes(
     Returns:
         Two pairs of ``[n, 2]`` points.
     """
-    along = np.column_stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])])
-    across = np.column_stack([-along[:, 1], along[:, 0]])
+    along, across = _unit_axes(boxes)
     centres = boxes[:, :2]
     half_long = along * boxes[:, 2:3] / 2
     half_short = across * boxes[:, 3:4] / 2
@@ -249,9 +294,7 @@ def box_axes(
     return long_axis, short_axis
 
 
-def oriented_nms(
-    boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU
-) -> NDArray[np.intp]:
+def oriented_nms(boxes: ArrayLike, scores: ArrayLike, *, iou_threshold: float = NMS_IOU) -> Indices:
     """Suppress non-maximum boxes greedily with exact oriented IoU.
 
     Boxes are visited by falling score; equal scores by position and size, independent of the
@@ -273,10 +316,11 @@ def oriented_nms(
             number.
     """
     rows = canonical_boxes(boxes)
-    score = np.asarray(scores, dtype=np.float64).reshape(-1)
     if len(rows) == 0:
         return np.zeros(0, dtype=np.intp)
-    order = np.lexsort((*rows.T[::-1], -score))
+    falling_score = -np.asarray(scores, dtype=np.float64).reshape(-1)
+    # The last key counts first.
+    order = np.lexsort((*rows.T[::-1], falling_score))
     rows = rows[order]
     better, worse = _overlap_candidates(rows, iou_threshold)
     is_kept = np.zeros(len(rows), bool)
@@ -288,36 +332,34 @@ def oriented_nms(
         best[worse] = False
         is_kept |= best
         of_best = best[better]
+
         dropped = _overlapping(
-            rows, better[of_best], worse=worse[of_best], iou_threshold=iou_threshold
+            rows,
+            better[of_best],
+            worse=worse[of_best],
+            iou_threshold=iou_threshold,
         )
         is_open[dropped] = False
         is_open &= ~best
         both_open = is_open[better] & is_open[worse]
         better = better[both_open]
         worse = worse[both_open]
-    result: NDArray[np.intp] = order[is_kept | is_open]
+    result: Indices = order[is_kept | is_open]
     return result
 
 
-def _overlapping(
-    rows: NDArray[np.float64],
-    better: NDArray[np.intp],
-    worse: NDArray[np.intp],
-    iou_threshold: float,
-) -> NDArray[np.intp]:
+def _overlapping(rows: Boxes, better: Indices, worse: Indices, iou_threshold: float) -> Indices:
     """List the worse boxes of the pairs whose IoU exceeds the threshold."""
     overlapping = [worse[:0]]
     for start in range(0, len(better), _OVERLAP_BLOCK):
         block = slice(start, start + _OVERLAP_BLOCK)
-        ious = pair_iou(rows[better[block]], rows[worse[block]])
-        overlapping.append(worse[block][ious > iou_threshold])
+        block_worse = worse[block]
+        ious = pair_iou(rows[better[block]], rows[block_worse])
+        overlapping.append(block_worse[ious > iou_threshold])
     return np.concatenate(overlapping)
 
 
-def _overlap_candidates(
-    rows: NDArray[np.float64], iou_threshold: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _overlap_candidates(rows: Boxes, iou_threshold: float) -> tuple[Indices, Indices]:
     """List the pairs that may exceed the threshold, by distance and area ratio.
 
     Returns:
@@ -327,7 +369,7 @@ def _overlap_candidates(
         ModelContractError: too many boxes overlap.
     """
     areas = rows[:, 2] * rows[:, 3]
-    radii = np.maximum(np.hypot(rows[:, 2], rows[:, 3]) / 2, 1e-6)
+    radii = np.maximum(_circumradii(rows), 1e-6)
     # Boxes at the threshold share at least this part of either area.
     share = iou_threshold / (1 + iou_threshold) * (1 - 1e-9)
     # Two boxes share at most 2 r min(r) of their circles, where r is the overlap along the line of
@@ -335,12 +377,13 @@ def _overlap_candidates(
     reaches = radii - share * areas / (2 * radii)
 
     # Boxes of like size are compared with one reach: a huge box must not make all others near.
-    size_classes = np.floor(np.log2(reaches)).astype(int)
-    members = [np.flatnonzero(size_classes == size) for size in np.unique(size_classes)]
+    octaves = np.floor(np.log2(reaches)).astype(int)
+    size_classes = [np.flatnonzero(octaves == octave) for octave in np.unique(octaves)]
+    centres = rows[:, :2]
     parts = []
-    for some, others in combinations_with_replacement(members, 2):
+    for some, others in combinations_with_replacement(size_classes, 2):
         reach = reaches[some].max() + reaches[others].max()
-        i, j = _near_pairs(rows[some, :2], rows[others, :2], reach)
+        i, j = _near_pairs(centres[some], centres[others], reach)
         pairs = np.stack([some[i], others[j]])
         if some is others:
             # Each pair occurs twice, and each box with itself.
@@ -348,18 +391,22 @@ def _overlap_candidates(
         parts.append(pairs)
     first, second = np.concatenate(parts, axis=1)
 
-    smaller = np.minimum(areas[first], areas[second])
-    larger = np.maximum(areas[first], areas[second])
-    distances = np.hypot(*(rows[second, :2] - rows[first, :2]).T)
+    first_areas = areas[first]
+    second_areas = areas[second]
+    smaller = np.minimum(first_areas, second_areas)
+    larger = np.maximum(first_areas, second_areas)
+    offsets = centres[second] - centres[first]
+    distances = np.hypot(*offsets.T)
     possible = smaller > iou_threshold * larger
     possible &= distances <= reaches[first] + reaches[second]
-    better, worse = np.sort([first[possible], second[possible]], axis=0)
+    first = first[possible]
+    second = second[possible]
+    better = np.minimum(first, second)
+    worse = np.maximum(first, second)
     return better, worse
 
 
-def _near_pairs(
-    first: NDArray[np.float64], second: NDArray[np.float64], reach: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _near_pairs(first: Vectors, second: Vectors, reach: float) -> tuple[Indices, Indices]:
     """Find all pairs with a distance of at most ``reach``.
 
     Points are in cells as wide as the reach, so that near ones are in the same cell or in two that
@@ -377,31 +424,42 @@ def _near_pairs(
         ModelContractError: too many points are near each other; time and memory grow with the
             square of their number.
     """
-    points = np.concatenate([first, second]) - np.minimum(first.min(axis=0), second.min(axis=0))
-    cell_px = max(reach, points.max() / _MAX_CELLS)
-    columns_and_rows = (points / cell_px).astype(np.int64) + 1
+    points = np.concatenate([first, second])
+    from_corner = points - points.min(axis=0)
+    cell_px = max(reach, from_corner.max() / _MAX_CELLS)
+    columns_and_rows = (from_corner / cell_px).astype(np.int64) + 1
     # Cells of one column have consecutive numbers.
-    cells, other_cells = np.split(columns_and_rows @ (_COLUMN_STEP, 1), [len(first)])
+    all_cells = columns_and_rows @ (_COLUMN_STEP, 1)
+    cells = all_cells[: len(first)]
+    other_cells = all_cells[len(first) :]
     order = np.argsort(other_cells)
 
     # Runs of candidates in the sorted points: three consecutive cells in each of three columns.
-    middles = (cells[:, None] + np.array([-1, 0, 1]) * _COLUMN_STEP).ravel()
-    starts = np.searchsorted(other_cells, middles - 1, sorter=order)
-    ends = np.searchsorted(other_cells, middles + 1, side="right", sorter=order)
+    column_steps = np.array([-1, 0, 1]) * _COLUMN_STEP
+    middles = (cells[:, None] + column_steps).ravel()
+    first_cells = middles - 1
+    last_cells = middles + 1
+    starts = np.searchsorted(other_cells, first_cells, sorter=order)
+    ends = np.searchsorted(other_cells, last_cells, side="right", sorter=order)
     counts = ends - starts
 
     # Blocks of runs with about as many pairs, to bound the memory.
+    totals = np.cumsum(counts)
     block_ends = np.arange(_PAIR_BLOCK, counts.sum(), _PAIR_BLOCK)
-    blocks = np.split(np.arange(len(counts)), np.searchsorted(np.cumsum(counts), block_ends))
+    splits = np.searchsorted(totals, block_ends)
+    blocks = np.split(np.arange(len(counts)), splits)
     parts = []
     n_pairs = 0
     for runs in blocks:
         # Number of each pair within its run, by which the run is written out.
-        run_starts = np.cumsum(counts[runs]) - counts[runs]
-        i = np.repeat(runs // 3, counts[runs])
-        j = order[np.arange(len(i)) + np.repeat(starts[runs] - run_starts, counts[runs])]
-        is_near = np.hypot(*(first[i] - second[j]).T) <= reach
-        parts.append(np.stack([i, j])[:, is_near])
+        run_counts = counts[runs]
+        run_starts = np.cumsum(run_counts) - run_counts
+        run_offsets = np.repeat(starts[runs] - run_starts, run_counts)
+        i = np.repeat(runs // 3, run_counts)
+        j = order[np.arange(len(i)) + run_offsets]
+        offsets = first[i] - second[j]
+        is_near = np.hypot(*offsets.T) <= reach
+        parts.append(np.stack([i[is_near], j[is_near]]))
         n_pairs += int(is_near.sum())
         if n_pairs > _MAX_PAIRS:
             raise ModelContractError(

@@ -11,7 +11,7 @@ and 1.8 across. From it the network predicts
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
+
+    Chips: TypeAlias = NDArray[np.uint8]
+    """``[n, rows, columns, 3]`` RGB."""
+
+    Answers: TypeAlias = NDArray[np.float64]
+    """Answers of the chip network, a row for each candidate."""
 
 CHIP_ROWS = 64
 CHIP_COLUMNS = 96
@@ -65,28 +74,32 @@ class ChipAnswers(NamedTuple):
         metres_sd: ``[n, 2]`` their standard deviations.
     """
 
-    logit: NDArray[np.float64]
-    kinds: NDArray[np.float64]
-    edges: NDArray[np.float64]
-    edge_sd: NDArray[np.float64]
-    turn: NDArray[np.float64]
-    log_metres: NDArray[np.float64]
-    metres_sd: NDArray[np.float64]
+    logit: Answers
+    kinds: Answers
+    edges: Answers
+    edge_sd: Answers
+    turn: Answers
+    log_metres: Answers
+    metres_sd: Answers
 
     @property
-    def sizes(self) -> NDArray[np.float64]:
+    def sizes(self) -> Answers:
         """``[n, 2]`` length and width in candidate lengths."""
-        sizes = self.edges[:, 1::2] - self.edges[:, ::2]
+        first_edges = self.edges[:, ::2]
+        second_edges = self.edges[:, 1::2]
+        sizes = second_edges - first_edges
         return np.asarray(np.clip(sizes, _MIN_SIZE, _MAX_SIZE))
 
     @property
-    def log_size_sd(self) -> NDArray[np.float64]:
+    def log_size_sd(self) -> Answers:
         """``[n, 2]`` standard deviations of the logs of length and width."""
-        size_sd = np.hypot(self.edge_sd[:, ::2], self.edge_sd[:, 1::2])
+        first_sd = self.edge_sd[:, ::2]
+        second_sd = self.edge_sd[:, 1::2]
+        size_sd = np.hypot(first_sd, second_sd)
         return np.asarray(size_sd / self.sizes)
 
 
-def bodies(boxes: NDArray[np.float64], answers: ChipAnswers) -> NDArray[np.float64]:
+def bodies(boxes: Boxes, answers: ChipAnswers) -> Boxes:
     """Compute the boxes of the bodies.
 
     Args:
@@ -99,14 +112,16 @@ def bodies(boxes: NDArray[np.float64], answers: ChipAnswers) -> NDArray[np.float
     lengths = boxes[:, 2]
     angles = boxes[:, 4] + answers.turn
     # A body's centre lies between its ends and between its sides, along and across its own axis.
-    along = (answers.edges[:, 0] + answers.edges[:, 1]) / 2 * lengths
-    across = (answers.edges[:, 2] + answers.edges[:, 3]) / 2 * lengths
+    back, front, left, right = answers.edges.T
+    along = (back + front) / 2 * lengths
+    across = (left + right) / 2 * lengths
     cosine = np.cos(angles)
     sine = np.sin(angles)
-    shifts = np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)
-    centres = boxes[:, :2] + shifts
+    x = boxes[:, 0] + (cosine * along - sine * across)
+    y = boxes[:, 1] + (sine * along + cosine * across)
     sizes_px = answers.sizes * lengths[:, None]
-    return canonical_boxes(np.column_stack([centres, sizes_px, angles]))
+    rows = np.column_stack([x, y, sizes_px, angles])
+    return canonical_boxes(rows)
 
 
 def with_appearance(
@@ -130,22 +145,25 @@ def with_appearance(
     n_views = 1
     if mirrored:
         n_views = len(_MIRRORS)
-    answers = network.answers(candidate_chips(raster, examined), views=n_views)
+    chips = candidate_chips(raster, examined)
+    answers = network.answers(chips, views=n_views)
     appearance = read_appearance(examined, answers, image_px)
 
     boxes = candidates.boxes.copy()
     boxes[:most] = bodies(examined, answers)
-    boxes[:most, :2] = np.clip(boxes[:most, :2], 0, image_px)
+    centres = boxes[:most, :2]
+    np.clip(centres, 0, image_px, out=centres)
     if len(boxes) > most:
-        boxes[most:, 2:4] = boxes[most:, 2:3] * np.median(answers.sizes, axis=0)
+        median_size = np.median(answers.sizes, axis=0)
+        lengths = boxes[most:, 2:3]
+        boxes[most:, 2:4] = lengths * median_size
+    weights = Weights(*network.card.weights)
     scores = candidates.scores.copy()
-    scores[:most] = Weights(*network.card.weights).score(scores[:most], answers.logit)
+    scores[:most] = weights.score(scores[:most], answers.logit)
     return Objects(boxes, scores, candidates.classes), appearance
 
 
-def read_appearance(
-    boxes: NDArray[np.float64], answers: ChipAnswers, image_px: tuple[int, int]
-) -> Appearance:
+def read_appearance(boxes: Boxes, answers: ChipAnswers, image_px: tuple[int, int]) -> Appearance:
     """Compare the sizes of bodies in pixels with their metres by appearance.
 
     Length and width count by the precision of their edges. If the image border cuts a body's length
@@ -160,32 +178,37 @@ def read_appearance(
     # Mean of the log GSD by length and by width, weighted by the inverse variances.
     variances = answers.log_size_sd**2 + _CUT_LOG_SD**2 * is_cut
     precisions = 1 / variances
-    weights = precisions / precisions.sum(axis=1, keepdims=True)
+    total_precision = precisions.sum(axis=1, keepdims=True)
+    weights = precisions / total_precision
     sizes_px = answers.sizes * boxes[:, 2:3]
-    log_gsd = (weights * (answers.log_metres - np.log(sizes_px))).sum(axis=1)
+    log_gsds = answers.log_metres - np.log(sizes_px)
+    mean_log_gsd = (weights * log_gsds).sum(axis=1)
     # The errors of length and width by appearance count as one error, those of the edges do not.
     metres_sds = answers.metres_sd.mean(axis=1)
     edge_variances = 1 / precisions.sum(axis=1)
     log_sds = np.sqrt(metres_sds**2 + edge_variances)
-    return Appearance(log_gsd + np.log(sizes_px[:, 0]), log_sds, answers.logit)
+    log_lengths = mean_log_gsd + np.log(sizes_px[:, 0])
+    return Appearance(log_lengths, log_sds, answers.logit)
 
 
-def _cut_by_border(boxes: NDArray[np.float64], image_px: tuple[int, int]) -> NDArray[np.bool_]:
+def _cut_by_border(boxes: Boxes, image_px: tuple[int, int]) -> NDArray[np.bool_]:
     """Test whether the image border cuts length and width ``[n, 2]`` of bodies.
 
     It cuts the length if an end lies beyond it, and the width if a side does.
     """
     ends = np.array(box_axes(boxes))  # [axis, end, n, x and y]
-    beyond = (ends < 1) | (ends > np.array(image_px) - 1)
-    return np.asarray(beyond.any(axis=(1, 3)).T)
+    last_pixel = np.array(image_px) - 1
+    beyond = (ends < 1) | (ends > last_pixel)
+    is_cut = beyond.any(axis=(1, 3))
+    return np.asarray(is_cut.T)
 
 
-def middle(squares: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def middle(squares: Chips) -> Chips:
     """Cut the middle rows of square chips ``[n, 96, 96, 3]``."""
     return squares[:, _CUT_ROWS : _CUT_ROWS + CHIP_ROWS]
 
 
-def candidate_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.uint8]:
+def candidate_chips(raster: Raster, boxes: Boxes) -> Chips:
     """Cut the chips of candidates from an image, each at the finest useful resolution.
 
     Args:
@@ -200,9 +223,15 @@ def candidate_chips(raster: Raster, boxes: NDArray[np.float64]) -> NDArray[np.ui
     for box in boxes:
         # The coarsest power of two that leaves the candidate enough pixels.
         largest_factor = min(box[2] / _MIN_LENGTH_PX, shorter_px)
-        factor = 2 ** max(0, math.floor(math.log2(largest_factor)))
+        octaves = math.floor(math.log2(largest_factor))
+        factor = 2 ** max(0, octaves)
         pixels, box_there = read_around(raster, box, factor=factor, reach=_REACH)
-        squares = surroundings(pixels, box_there, side_px=CHIP_COLUMNS, length_px=CHIP_LENGTH_PX)
+        squares = surroundings(
+            pixels,
+            box_there,
+            side_px=CHIP_COLUMNS,
+            length_px=CHIP_LENGTH_PX,
+        )
         chips.append(middle(squares))
     return np.concatenate(chips)
 
@@ -227,7 +256,7 @@ class ChipNetwork(AuxiliaryModel[ChipCard]):
     }
     card_type = ChipCard
 
-    def answers(self, chips: NDArray[np.uint8], *, views: int = len(_MIRRORS)) -> ChipAnswers:
+    def answers(self, chips: Chips, *, views: int = len(_MIRRORS)) -> ChipAnswers:
         """Answer for candidates: means over mirrored chips.
 
         Args:
@@ -237,8 +266,10 @@ class ChipNetwork(AuxiliaryModel[ChipCard]):
         Raises:
             ModelContractError: the network fails or does not answer in finite numbers.
         """
-        means = ChipAnswers(*(np.zeros((len(chips), *shape)) for shape in self.outputs.values()))
-        for start in range(0, len(chips), _BATCH):
+        n_chips = len(chips)
+        zeros = [np.zeros((n_chips, *shape)) for shape in self.outputs.values()]
+        means = ChipAnswers(*zeros)
+        for start in range(0, n_chips, _BATCH):
             batch = slice(start, start + _BATCH)
             for along, across in _MIRRORS[:views]:
                 answers = self._mirrored_answers(chips[batch], along, across)
@@ -246,7 +277,7 @@ class ChipNetwork(AuxiliaryModel[ChipCard]):
                     mean[batch] += answer / views
         return means
 
-    def _mirrored_answers(self, chips: NDArray[np.uint8], along: int, across: int) -> ChipAnswers:
+    def _mirrored_answers(self, chips: Chips, along: int, across: int) -> ChipAnswers:
         """Run the network on mirrored chips, and convert its answers to the chips as they are.
 
         Args:
@@ -254,9 +285,12 @@ class ChipNetwork(AuxiliaryModel[ChipCard]):
             along: -1 to mirror along the candidate's axis, else 1.
             across: -1 to mirror across it, else 1.
         """
-        outputs = self.predict(chips[:, ::across, ::along])
+        mirrored = chips[:, ::across, ::along]
+        outputs = self.predict(mirrored)
         logit, kinds, edges, edge_log_sd, turn, log_metres, metres_log_sd = outputs
-        odds = np.exp(kinds - kinds.max(axis=1, keepdims=True))
+        highest = kinds.max(axis=1, keepdims=True)
+        odds = np.exp(kinds - highest)
+        total = odds.sum(axis=1, keepdims=True)
         # A mirror exchanges both ends, or both sides, and changes their signs.
         ends = (0, 1)
         sides = (2, 3)
@@ -265,11 +299,14 @@ class ChipNetwork(AuxiliaryModel[ChipCard]):
         if across < 0:
             sides = (3, 2)
         order = [*ends, *sides]
+        signs = (along, along, across, across)
+        signed_edges = edges * signs
+        edge_sd = np.exp(edge_log_sd)
         return ChipAnswers(
             logit=logit,
-            kinds=odds / odds.sum(axis=1, keepdims=True),
-            edges=(edges * (along, along, across, across))[:, order],
-            edge_sd=np.exp(edge_log_sd)[:, order],
+            kinds=odds / total,
+            edges=signed_edges[:, order],
+            edge_sd=edge_sd[:, order],
             turn=turn * along * across,
             log_metres=log_metres,
             metres_sd=np.exp(metres_log_sd),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,6 +18,15 @@ if TYPE_CHECKING:
     from vehanchor.options import Frame
     from vehanchor.options.rulers import ByHand
     from vehanchor.scale.defaults import Stopped
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
+
+    PerVehicle: TypeAlias = NDArray[np.float64]
+    """``[n]`` one number for each vehicle."""
+
+    Selection: TypeAlias = NDArray[np.bool_] | NDArray[np.intp]
+    """Mask ``[n]``, or indices in the order of the result."""
 
 # Score of a vehicle that the caller added; the caller can be wrong, too.
 _STATED_SCORE = 0.99
@@ -38,24 +47,28 @@ class Objects:
         classes: ``[n]`` int, indices into the model's classes (see ``DetectorCard.class_names``).
     """
 
-    boxes: NDArray[np.float64]
-    scores: NDArray[np.float64]
+    boxes: Boxes
+    scores: PerVehicle
     classes: NDArray[np.intp]
 
     def __len__(self) -> int:
         return len(self.boxes)
 
-    def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Objects:
+    def take(self, which: Selection) -> Objects:
         """Select objects by a mask, or by indices in their order."""
-        return Objects(self.boxes[which], self.scores[which], self.classes[which])
+        boxes = self.boxes[which]
+        scores = self.scores[which]
+        return Objects(boxes, scores, self.classes[which])
 
     @classmethod
     def joined(cls, parts: Sequence[Objects] = ()) -> Objects:
         """Concatenate the objects of all parts; without parts the result is empty."""
+        nothing = cls(np.zeros((0, 5)), np.zeros(0), np.zeros(0, np.intp))
+        all_parts = (nothing, *parts)
         return cls(
-            np.concatenate([np.zeros((0, 5)), *(part.boxes for part in parts)]),
-            np.concatenate([np.zeros(0), *(part.scores for part in parts)]),
-            np.concatenate([np.zeros(0, np.intp), *(part.classes for part in parts)]),
+            np.concatenate([part.boxes for part in all_parts]),
+            np.concatenate([part.scores for part in all_parts]),
+            np.concatenate([part.classes for part in all_parts]),
         )
 
 
@@ -69,21 +82,24 @@ class Appearance(NamedTuple):
         logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
     """
 
-    log_lengths: NDArray[np.float64]
-    log_sds: NDArray[np.float64]
-    logits: NDArray[np.float64]
+    log_lengths: PerVehicle
+    log_sds: PerVehicle
+    logits: PerVehicle
 
     def __len__(self) -> int:
         return len(self.log_lengths)
 
-    def take(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Appearance:
+    def take(self, which: Selection) -> Appearance:
         """Select vehicles by a mask ``[n]``, or by indices in their order."""
-        return Appearance(self.log_lengths[kept], self.log_sds[kept], self.logits[kept])
+        log_lengths = self.log_lengths[which]
+        log_sds = self.log_sds[which]
+        return Appearance(log_lengths, log_sds, self.logits[which])
 
     @classmethod
     def joined(cls, parts: Sequence[Appearance]) -> Appearance:
         """Concatenate the vehicles of at least one part."""
-        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        columns = zip(*parts, strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
 
 
 class Corrections(NamedTuple):
@@ -99,7 +115,7 @@ class Corrections(NamedTuple):
     """
 
     numbers: NDArray[np.intp]
-    pointed_log_sds: NDArray[np.float64]
+    pointed_log_sds: PerVehicle
     n_dropped: int
     n_added: int
 
@@ -131,11 +147,11 @@ class Detections:
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
     """
 
-    boxes: NDArray[np.float64]
-    scores: NDArray[np.float64]
+    boxes: Boxes
+    scores: PerVehicle
     n_tiles: int = 1
     n_capped_tiles: int = 0
-    reductions: NDArray[np.float64] | None = None
+    reductions: PerVehicle | None = None
     appearance: Appearance | None = None
     others: Objects = field(default_factory=Objects.joined)
     n_tiles_total: int | None = None
@@ -161,7 +177,12 @@ class Detections:
         return np.arange(n_vehicles) >= n_vehicles - n_added
 
 
-NOT_SEARCHED = Detections(np.zeros((0, 5)), np.zeros(0), 0, n_tiles_total=0)
+NOT_SEARCHED = Detections(
+    boxes=np.zeros((0, 5)),
+    scores=np.zeros(0),
+    n_tiles=0,
+    n_tiles_total=0,
+)
 """Result for an image that was not searched."""
 
 
@@ -203,8 +224,10 @@ def corrected(
 
     numbers = np.arange(1, n_detected + 1)
     is_dropped = np.isin(numbers, by_hand.drop)
-    is_replaced = oriented_iou(detections.boxes, added).max(axis=1, initial=0.0) > nms_iou
+    overlaps = oriented_iou(detections.boxes, added)
+    is_replaced = overlaps.max(axis=1, initial=0.0) > nms_iou
     kept = ~is_dropped & ~is_replaced
+    n_kept = int(kept.sum())
 
     reductions = detections.reductions
     if reductions is not None:
@@ -213,16 +236,17 @@ def corrected(
     if appearance is not None:
         appearance = appearance.take(kept[: len(appearance)])
     added_numbers = n_detected + 1 + np.arange(n_added)
+    added_scores = np.full(n_added, _STATED_SCORE)
     corrections = Corrections(
         numbers=np.concatenate([numbers[kept], added_numbers]),
-        pointed_log_sds=np.concatenate([np.zeros(int(kept.sum())), pointed_log_sds]),
+        pointed_log_sds=np.concatenate([np.zeros(n_kept), pointed_log_sds]),
         n_dropped=len(by_hand.drop),
         n_added=n_added,
     )
     return replace(
         detections,
         boxes=np.concatenate([detections.boxes[kept], added]),
-        scores=np.concatenate([detections.scores[kept], np.full(n_added, _STATED_SCORE)]),
+        scores=np.concatenate([detections.scores[kept], added_scores]),
         reductions=reductions,
         appearance=appearance,
         corrections=corrections,
@@ -248,7 +272,7 @@ def _check_numbers(drop: Sequence[int], n_detected: int) -> None:
 
 def _added_boxes(
     by_hand: ByHand, frame: Frame, *, size_px: tuple[int, int], length_over_width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Boxes, PerVehicle]:
     """Convert the axes of added vehicles to boxes in pixels of the image.
 
     Returns:
@@ -257,15 +281,17 @@ def _added_boxes(
     Raises:
         InvalidParameterError: two of them are one vehicle.
     """
-    axes = np.array([astuple(vehicle) for vehicle in by_hand.add], dtype=np.float64)
+    coordinates = [astuple(vehicle) for vehicle in by_hand.add]
+    axes = np.array(coordinates, dtype=np.float64)
     # Pixels of the image per pixel of the caller's copy.
     unit = np.array(size_px) / (frame.size or size_px)
     ends = axes.reshape(-1, 2, 2) * unit
-    along = ends[:, 1] - ends[:, 0]
-    lengths = np.hypot(along[:, 0], along[:, 1])
+    centres = ends.mean(axis=1)
+    dx, dy = (ends[:, 1] - ends[:, 0]).T
+    lengths = np.hypot(dx, dy)
     widths = lengths / length_over_width
-    angles = np.arctan2(along[:, 1], along[:, 0]) % np.pi
-    boxes = np.column_stack([ends.mean(axis=1), lengths, widths, angles])
+    angles = np.arctan2(dy, dx) % np.pi
+    boxes = np.column_stack([centres, lengths, widths, angles])
     is_same = oriented_iou(boxes, boxes) > _SAME_VEHICLE_IOU
     same_pairs = np.argwhere(np.triu(is_same, 1))
     if len(same_pairs):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
+
+    from vehanchor.scale.density import Density
+
+    LengthRange: TypeAlias = tuple[float, float]
+    """Shortest and longest vehicle, pixels."""
 
 # The levels 1/2, 1/4 and 1/8 add a third to the pixels of full resolution.
 SEARCH_FACTORS = (1, 2, 4, 8)
@@ -48,11 +53,13 @@ class SearchLevel(NamedTuple):
 
     def accepts(self, lengths_px: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Test which vehicles are accepted, by their lengths in pixels of the reduced image."""
-        return (lengths_px >= self.shortest_px) & (lengths_px <= self.longest_px)
+        is_long_enough = lengths_px >= self.shortest_px
+        is_short_enough = lengths_px <= self.longest_px
+        return is_long_enough & is_short_enough
 
 
 def search_levels(
-    width_px: int, height_px: int, length_range_px: tuple[float, float], *, search_scales: bool
+    width_px: int, height_px: int, length_range_px: LengthRange, *, search_scales: bool
 ) -> list[SearchLevel]:
     """List the resolutions at which an image is searched, finest first.
 
@@ -74,10 +81,10 @@ def search_levels(
     factors = [1]
     if search_scales:
         side_px = min(width_px, height_px)
-        factors += [
-            factor for factor in SEARCH_FACTORS[1:] if side_px // factor >= MIN_LEVEL_SIDE_PX
-        ]
-    longest = length_range_px[1]
+        for factor in SEARCH_FACTORS[1:]:
+            if side_px // factor >= MIN_LEVEL_SIDE_PX:
+                factors.append(factor)
+    _, longest = length_range_px
     levels = [
         SearchLevel(
             factor,
@@ -95,7 +102,7 @@ def search_levels(
 
 
 def level_chances(
-    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64]
+    length_ranges_px: Mapping[int, LengthRange], density: Density
 ) -> dict[int, float]:
     """Compute the probability that cars fit each resolution.
 
@@ -112,13 +119,15 @@ def level_chances(
     car_lengths_px = CAR_LENGTH_M / np.exp(GRID)
     chances = {}
     for factor, (shortest, longest) in length_ranges_px.items():
-        fits = (car_lengths_px >= shortest * factor) & (car_lengths_px <= longest * factor)
+        is_long_enough = car_lengths_px >= shortest * factor
+        is_short_enough = car_lengths_px <= longest * factor
+        fits = is_long_enough & is_short_enough
         chances[factor] = float(density[fits].sum())
     return chances
 
 
 def level_shares(
-    length_ranges_px: Mapping[int, tuple[float, float]], density: NDArray[np.float64] | None
+    length_ranges_px: Mapping[int, LengthRange], density: Density | None
 ) -> dict[int, float]:
     """Compute each resolution's share of the tiles: by the probability of cars, plus an even part.
 

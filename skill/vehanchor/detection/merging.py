@@ -34,10 +34,13 @@ def objects_in_image(
     level_size = (level.width_px, level.height_px)
     # An edge of the tile is an inner edge if the level's image goes on behind it.
     corners = box_corners(objects.boxes)
-    is_cut = (corners.min(axis=1) < 1) & (start > 0)
-    is_cut |= (corners.max(axis=1) > size - 1) & (start + size < level_size)
+    starts_inside = start > 0
+    ends_inside = start + size < level_size
+    is_cut_at_start = (corners.min(axis=1) < 1) & starts_inside
+    is_cut_at_end = (corners.max(axis=1) > size - 1) & ends_inside
+    is_cut = (is_cut_at_start | is_cut_at_end).any(axis=1)
     next_shows_it = objects.boxes[:, 2] < overlap_px
-    whole = objects.take(~(is_cut.any(axis=1) & next_shows_it))
+    whole = objects.take(~(is_cut & next_shows_it))
     boxes = whole.boxes.copy()
     boxes[:, :2] += start
     boxes[:, :4] *= level.factor
@@ -53,7 +56,9 @@ def distinct_vehicles(vehicles: Objects, min_score: float, nms_iou: float) -> ND
         nms_iou: IoU above which two boxes are one vehicle.
     """
     certain = np.flatnonzero(vehicles.scores >= min_score)
-    best = oriented_nms(vehicles.boxes[certain], vehicles.scores[certain], iou_threshold=nms_iou)
+    boxes = vehicles.boxes[certain]
+    scores = vehicles.scores[certain]
+    best = oriented_nms(boxes, scores, iou_threshold=nms_iou)
     return certain[best]
 
 
@@ -68,4 +73,5 @@ def distinct_by_class(objects: Objects, nms_iou: float) -> Objects:
         best = oriented_nms(members.boxes, members.scores, iou_threshold=nms_iou)
         parts.append(members.take(best))
     merged = Objects.joined(parts)
-    return merged.take(np.argsort(-merged.scores, kind="stable"))
+    best_first = np.argsort(-merged.scores, kind="stable")
+    return merged.take(best_first)

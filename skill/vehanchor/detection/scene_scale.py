@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import numpy as np
 import pydantic.dataclasses
@@ -34,6 +34,16 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.imagery.raster import Raster
+    from vehanchor.scale.density import Density
+
+    Tiles: TypeAlias = NDArray[np.uint8]
+    """``[n, 3, 160, 160]`` RGB."""
+
+    LevelTiles: TypeAlias = tuple[int, list[Window]]
+    """Reduction factor of a level, and its tiles in pixels of the reduced image."""
+
+    LevelPrediction: TypeAlias = tuple[int, NDArray[np.float64]]
+    """Reduction factor of a level, and ``[bins]`` mean of its tiles' log-probabilities."""
 
 TILE_PX = 160
 # Reduction factors of the levels.
@@ -95,20 +105,23 @@ class SceneScalePrior:
         n_tiles: number of tiles behind it.
     """
 
-    density: NDArray[np.float64]
+    density: Density
     n_tiles: int
 
     @cached_property
     def _size_odds(self) -> NDArray[np.float64]:
         """``[g]`` log odds on the grid: the density of car lengths over that of a neutral prior."""
-        density_per_log = blurred(self.density, _SIZES_LOG_SD) / (GRID[1] - GRID[0])
+        grid_step = GRID[1] - GRID[0]
+        density_per_log = blurred(self.density, _SIZES_LOG_SD) / grid_step
         ratios = density_per_log * _NEUTRAL_LOG_WIDTH
         odds = np.log(np.maximum(ratios, _MIN_PROBABILITY))
-        return np.asarray(np.clip(odds, -_MAX_SIZE_ODDS, _MAX_SIZE_ODDS))
+        limited = np.clip(odds, -_MAX_SIZE_ODDS, _MAX_SIZE_ODDS)
+        return np.asarray(limited)
 
     def scaled(self, ratio: float) -> SceneScalePrior:
         """Move the prior to an image of the same ground with ``ratio`` times its GSD."""
-        return replace(self, density=shifted(self.density, -math.log(ratio)))
+        density = shifted(self.density, -math.log(ratio))
+        return replace(self, density=density)
 
     def size_odds(self, lengths_px: ArrayLike) -> NDArray[np.float64]:
         """Compute how well lengths fit a car's length under this prior.
@@ -121,11 +134,13 @@ class SceneScalePrior:
             -1.2 for a flat prior.
         """
         # The GSD at which each length is that of a typical car.
-        log_gsds = np.log(CAR_LENGTH_M / np.asarray(lengths_px, np.float64))
-        return np.asarray(np.interp(log_gsds, GRID, self._size_odds))
+        lengths = np.asarray(lengths_px, np.float64)
+        log_gsds = np.log(CAR_LENGTH_M / lengths)
+        odds = np.interp(log_gsds, GRID, self._size_odds)
+        return np.asarray(odds)
 
 
-def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]]:
+def tile_windows(width_px: int, height_px: int) -> list[LevelTiles]:
     """Spread tiles evenly over an image, at every resolution that still holds one.
 
     Args:
@@ -143,12 +158,20 @@ def tile_windows(width_px: int, height_px: int) -> list[tuple[int, list[Window]]
         if factor > 1 and min(width, height) < TILE_PX:
             break
         columns, rows = _grid_shape(width, height)
-        lefts = np.linspace(0, max(0, width - TILE_PX), columns).astype(int)
-        tops = np.linspace(0, max(0, height - TILE_PX), rows).astype(int)
+        lefts = _tile_starts(width, columns)
+        tops = _tile_starts(height, rows)
         size = min(TILE_PX, width), min(TILE_PX, height)
-        windows = [Window(int(left), int(top), *size) for top in tops for left in lefts]
+        windows = [Window(left, top, *size) for top in tops for left in lefts]
         levels.append((factor, windows))
     return levels
+
+
+def _tile_starts(side_px: int, n_tiles: int) -> list[int]:
+    """Spread the first pixels of tiles evenly over a side of the image."""
+    last = max(0, side_px - TILE_PX)
+    positions = np.linspace(0, last, n_tiles)
+    starts: list[int] = positions.astype(int).tolist()
+    return starts
 
 
 def _grid_shape(width_px: int, height_px: int) -> tuple[int, int]:
@@ -161,14 +184,13 @@ def _grid_shape(width_px: int, height_px: int) -> tuple[int, int]:
     if columns * rows <= MAX_TILES:
         return columns, rows
     spread_columns = round(np.sqrt(MAX_TILES * width_px / height_px))
-    columns = int(np.clip(spread_columns, 1, min(columns, MAX_TILES)))
+    max_columns = min(columns, MAX_TILES)
+    columns = min(max(spread_columns, 1), max_columns)
     rows = min(rows, MAX_TILES // columns)
     return columns, rows
 
 
-def scene_density(
-    levels: Sequence[tuple[int, NDArray[np.float64]]], calibration: SceneCalibration
-) -> NDArray[np.float64]:
+def scene_density(levels: Sequence[LevelPrediction], calibration: SceneCalibration) -> Density:
     """Combine the predictions at all resolutions into one density.
 
     Each level is mixed with a flat density. The log-probabilities are shifted by the reduction
@@ -187,17 +209,22 @@ def scene_density(
     for factor, log_probs in levels:
         bins = len(log_probs)
         # Temperature scaling, then a mixture with a flat density: no level can veto the others.
-        probs = np.exp(calibration.temperature * (log_probs - log_probs.max()))
-        probs = (1 - calibration.doubt) * probs / probs.sum() + calibration.doubt / bins
+        doubt = calibration.doubt
+        below_highest = log_probs - log_probs.max()
+        probs = np.exp(calibration.temperature * below_highest)
+        probs = (1 - doubt) * probs / probs.sum() + doubt / bins
+        log_probs_mixed = np.log(np.maximum(probs, _MIN_PROBABILITY))
         # A pixel of the reduced image is ``factor`` times as large as one of the image.
-        centres = calibration.first_log_gsd + calibration.log_step * np.arange(bins)
-        log_probs_on_grid = np.log(np.maximum(probs, _MIN_PROBABILITY))
-        total += np.interp(GRID + np.log(factor), centres, log_probs_on_grid)
+        steps = calibration.log_step * np.arange(bins)
+        centres = calibration.first_log_gsd + steps
+        log_gsds_of_level = GRID + np.log(factor)
+        total += np.interp(log_gsds_of_level, centres, log_probs_mixed)
     # Power of the geometric mean: 1 for dependent levels, their number for independent ones.
     total *= float(len(levels)) ** (calibration.levels - 1)
     density = np.exp(total - total.max())
     density = _with_finer(density / density.sum(), calibration.finer)
-    return np.asarray((1.0 - calibration.floor) * density + calibration.floor * flat())
+    floor = calibration.floor
+    return np.asarray((1.0 - floor) * density + floor * flat())
 
 
 class SceneScaleNetwork(LoadedModel):
@@ -216,9 +243,11 @@ class SceneScaleNetwork(LoadedModel):
     def __init__(self, path: Path, *, runtime: Runtime | None = None) -> None:
         self.path = path
         self.runtime = runtime or Runtime()
-        self._session = open_session(path, content=read_model(path).content, runtime=self.runtime)
-        tensors = [*self._session.get_inputs(), *self._session.get_outputs()]
-        names = [tensor.name for tensor in tensors]
+        content = read_model(path).content
+        self._session = open_session(path, content=content, runtime=self.runtime)
+        inputs = self._session.get_inputs()
+        outputs = self._session.get_outputs()
+        names = [tensor.name for tensor in (*inputs, *outputs)]
         if names != ["tiles", "log_probs"]:
             raise ModelContractError(
                 f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs"
@@ -239,12 +268,13 @@ class SceneScaleNetwork(LoadedModel):
         n_tiles = 0
         for factor, windows in tile_windows(raster.width_px, raster.height_px):
             tiles = np.stack([read_tile(raster, window, factor) for window in windows])
-            log_probs = self._log_probs(tiles)
-            levels.append((factor, log_probs.astype(np.float64).mean(axis=0)))
+            log_probs = self._log_probs(tiles).astype(np.float64)
+            levels.append((factor, log_probs.mean(axis=0)))
             n_tiles += len(tiles)
-        return SceneScalePrior(scene_density(levels, self.calibration), n_tiles)
+        density = scene_density(levels, self.calibration)
+        return SceneScalePrior(density, n_tiles)
 
-    def _log_probs(self, tiles: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _log_probs(self, tiles: Tiles) -> NDArray[np.float32]:
         """Predict the log-probabilities ``[n, bins]`` of tiles ``[n, 3, 160, 160]``."""
         described = f"the scene scale network {self.path} fails on {list(tiles.shape)}"
         parts = []
@@ -269,14 +299,16 @@ def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork:
     return _opened(bundled_file("scene-scale"), runtime=runtime.idle).under(runtime)
 
 
-def _with_finer(density: NDArray[np.float64], chance: float) -> NDArray[np.float64]:
+def _with_finer(density: Density, chance: float) -> Density:
     """Move a share of the density at sharp scales evenly over the finer scales within reach."""
     log_excess = GRID - np.log(_SHARP_GSD_M_PER_PX)
     sharp = 1 / (1 + np.exp(log_excess / _SHARP_LOG_WIDTH))
     moving = chance * sharp * density
     # The convolution spreads each cell over coarser scales; the offset turns them to finer ones.
-    reach = round(_FINER_LOG_REACH / (GRID[1] - GRID[0]))
-    moved = np.convolve(moving, np.full(reach, 1 / reach))[reach - 1 :]
+    grid_step = GRID[1] - GRID[0]
+    reach = round(_FINER_LOG_REACH / grid_step)
+    kernel = np.full(reach, 1 / reach)
+    moved = np.convolve(moving, kernel)[reach - 1 :]
     mixed = density - moving + moved
     return np.asarray(mixed / mixed.sum())
 
@@ -287,10 +319,12 @@ def read_tile(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
     A small image is mirrored beyond its edges.
     """
     pixels = read_reduced_window(raster, window, factor)
-    down = TILE_PX - pixels.shape[0]
-    right = TILE_PX - pixels.shape[1]
+    height, width, _ = pixels.shape
+    down = TILE_PX - height
+    right = TILE_PX - width
     if down or right:
-        pixels = np.pad(pixels, ((0, down), (0, right), (0, 0)), "symmetric")
+        borders = ((0, down), (0, right), (0, 0))
+        pixels = np.pad(pixels, borders, "symmetric")
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
 
 

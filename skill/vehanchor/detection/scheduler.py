@@ -60,7 +60,8 @@ def most_tiles(options: Search, n_pixels: int, n_tiles: int) -> int:
     if options.max_tiles:
         limit = min(limit, options.max_tiles)
     if options.effort == "fast" and n_pixels >= ANYTIME_PIXELS:
-        limit = min(limit, max(_FAST_MIN_TILES, round(_FAST_SHARE * n_tiles)))
+        fast_tiles = round(_FAST_SHARE * n_tiles)
+        limit = min(limit, max(_FAST_MIN_TILES, fast_tiles))
     return limit
 
 
@@ -75,7 +76,8 @@ def first_pause(options: Search, n_pixels: int) -> int | None:
 
 def next_pause(n_visited: int) -> int:
     """Compute the number of visited tiles at the next pause: a quarter more, at least 4 more."""
-    return max(n_visited + _MIN_TILES_BETWEEN_PAUSES, round(n_visited * _PAUSE_GROWTH))
+    grown = round(n_visited * _PAUSE_GROWTH)
+    return max(n_visited + _MIN_TILES_BETWEEN_PAUSES, grown)
 
 
 class TileScheduler:
@@ -98,12 +100,16 @@ class TileScheduler:
         priors: NDArray[np.float64],
         shares: Mapping[int, float],
     ) -> None:
-        windows = [window for _, window in tiles]
-        corners = [(window.x_px, window.y_px) for window in windows]
-        sides = np.array([max(window.width_px, window.height_px) for window in windows])
-        self._factors = np.array([factor for factor, _ in tiles])
+        factors = []
+        corners = []
+        sides = []
+        for factor, window in tiles:
+            factors.append(factor)
+            corners.append((window.x_px, window.y_px))
+            sides.append(max(window.width_px, window.height_px))
+        self._factors = np.array(factors)
         self._corners = np.array(corners, dtype=np.float64)
-        self._reach = sides * _NEIGHBOUR_SIDES
+        self._reach = np.array(sides) * _NEIGHBOUR_SIDES
         self._hits = _PRIOR_WEIGHT * priors
         self._trials = np.full(len(tiles), _PRIOR_WEIGHT)
         self._shares = dict(shares)
@@ -113,9 +119,10 @@ class TileScheduler:
         self._rank = np.zeros(len(tiles))
         for factor in self._shares:
             members = self._factors == factor
-            columns_and_rows = np.column_stack(
-                [np.unique(starts, return_inverse=True)[1] for starts in self._corners[members].T]
-            )
+            x, y = self._corners[members].T
+            _, columns = np.unique(x, return_inverse=True)
+            _, rows = np.unique(y, return_inverse=True)
+            columns_and_rows = np.column_stack([columns, rows])
             self._rank[members] = (0.5 + columns_and_rows @ _PLASTIC) % 1.0
 
     def next_tiles(self, count: int) -> list[int]:
@@ -142,30 +149,37 @@ class TileScheduler:
     @property
     def unseen_share(self) -> float:
         """Expected share of the vehicles in the tiles that are not taken."""
-        weights = np.array([self._shares.get(int(factor), 0.0) for factor in self._factors])
+        factors = self._factors.tolist()
+        weights = np.array([self._shares.get(factor, 0.0) for factor in factors])
         expected = weights * self._hits / self._trials
-        return float(expected[self._waiting].sum() / max(expected.sum(), 1e-9))
+        unseen = expected[self._waiting].sum()
+        return float(unseen / max(expected.sum(), 1e-9))
 
     def _next_tile(self) -> int:
         """Choose a tile of the resolution that is furthest behind its share."""
         factor = self._next_factor()
         self._n_taken[factor] += 1
-        candidates = np.flatnonzero(self._waiting & (self._factors == factor))
+        candidates = np.flatnonzero(self._is_waiting(factor))
         if self._n_taken[factor] % _SPREAD_EVERY:
+            chances = self._hits[candidates] / self._trials[candidates]
             # Rounding makes equal chances equal, whatever the order of the reports.
-            chances = np.round(self._hits[candidates] / self._trials[candidates], 9)
+            chances = np.round(chances, 9)
             candidates = candidates[chances == chances.max()]
-        return int(candidates[np.argmin(self._rank[candidates])])
+        first = np.argmin(self._rank[candidates])
+        return int(candidates[first])
+
+    def _is_waiting(self, factor: int) -> NDArray[np.bool_]:
+        """Mark the waiting tiles ``[n]`` of a resolution."""
+        return np.asarray(self._waiting & (self._factors == factor))
 
     def _next_factor(self) -> int:
         """Choose the resolution with waiting tiles that is furthest behind its share."""
 
         def progress(factor: int) -> tuple[float, int]:
-            return (self._n_taken[factor] + 1) / self._shares[factor], factor
+            n_then = self._n_taken[factor] + 1
+            return n_then / self._shares[factor], factor
 
-        waiting = [
-            factor for factor in self._shares if (self._waiting & (self._factors == factor)).any()
-        ]
+        waiting = [factor for factor in self._shares if self._is_waiting(factor).any()]
         return min(waiting, key=progress)
 
 
@@ -188,5 +202,6 @@ def position_sample(boxes: NDArray[np.float64], least: int) -> NDArray[np.intp]:
     cells = np.floor(boxes[:, :2] / cell_px)
     # Candidates of one cell have one rank, and the lowest ranks spread evenly.
     rank = (cells @ _PLASTIC) % 1.0
-    limit = np.partition(rank, least - 1)[least - 1]
+    lowest = np.partition(rank, least - 1)
+    limit = lowest[least - 1]
     return np.flatnonzero(rank <= limit)

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
     from vehanchor.scale.defaults import Stopped
+    from vehanchor.scale.density import Density
 
 _MIN_TILE_PX = 32
 # Tiles that are scheduled together; each is read while the model runs on the one before.
@@ -147,7 +148,10 @@ class ImageSearch:
         self._tiles: list[Tile] = []
         for level in self._levels:
             windows = tile_grid(
-                level.width_px, level.height_px, tile_px=tile_px, stride_px=stride_px
+                level.width_px,
+                level.height_px,
+                tile_px=tile_px,
+                stride_px=stride_px,
             )
             self._tiles += [Tile(level, window) for window in windows]
 
@@ -196,7 +200,7 @@ class ImageSearch:
         """End the search: more tiles cannot change the scale."""
         self._stopped_because = "converged"
 
-    def leave_out(self, density: NDArray[np.float64]) -> None:
+    def leave_out(self, density: Density) -> None:
         """Leave out the levels that the scale found so far makes superfluous; none without a prior.
 
         At such a level cars have a length that the detector does not know. In a photograph, a level
@@ -228,10 +232,9 @@ class ImageSearch:
         """
         visited = sorted(self._results)
         parts = [self._results[index] for index in visited]
-        factors = np.repeat(
-            [self._tiles[index].level.factor for index in visited],
-            [len(part.vehicles) for part in parts],
-        )
+        factor_of_part = [self._tiles[index].level.factor for index in visited]
+        n_of_part = [len(part.vehicles) for part in parts]
+        factors = np.repeat(factor_of_part, n_of_part)
         candidates = Objects.joined([part.vehicles for part in parts])
         others = Objects.joined([part.others for part in parts])
 
@@ -340,22 +343,24 @@ class ImageSearch:
 
     def _length_ranges_px(self) -> dict[int, tuple[float, float]]:
         """Give the shortest and the longest vehicle of each level, pixels of its image."""
-        return {
-            level.factor: (max(self._min_length_px, level.shortest_px), level.longest_px)
-            for level in self._levels
-        }
+        ranges = {}
+        for level in self._levels:
+            shortest_px = max(self._min_length_px, level.shortest_px)
+            ranges[level.factor] = shortest_px, level.longest_px
+        return ranges
 
     def _scheduler(self, factors: Collection[int]) -> TileScheduler:
         """Schedule the tiles of some levels by the tile prior and the scene-scale prior."""
         tiles = [(tile.level.factor, tile.window) for tile in self._tiles]
         cells = self._tile_priors
-        priors = np.array([tile_prior_of(cells, window, factor) for factor, window in tiles])
+        priors = [tile_prior_of(cells, window, factor) for factor, window in tiles]
         density = None
         if self._prior is not None:
             density = self._prior.density
         ranges = self._length_ranges_px()
         scheduled = {factor: ranges[factor] for factor in ranges if factor in factors}
-        return TileScheduler(tiles, priors, level_shares(scheduled, density))
+        shares = level_shares(scheduled, density)
+        return TileScheduler(tiles, np.array(priors), shares)
 
     @cached_property
     def _tile_priors(self) -> NDArray[np.float64]:
@@ -444,11 +449,13 @@ class ImageSearch:
         # New boxes may overlap, and new scores may be too low.
         best = distinct_vehicles(vehicles, self._min_scores.vehicle, self._nms_iou)
         has_appearance = best < len(appearance)
-        best = best[np.argsort(~has_appearance, kind="stable")]
+        examined = best[has_appearance]
+        others = best[~has_appearance]
+        best = np.concatenate([examined, others])
         return _FinalVehicles(
             vehicles.take(best),
             factors[kept][best],
-            appearance.take(best[best < len(appearance)]),
+            appearance.take(examined),
         )
 
     def _stretch(self, boxes: NDArray[np.float64], *, are_few: bool) -> float | None:

@@ -87,7 +87,8 @@ class TileSearch:
         others = others.take(others.scores >= self._min_scores.vehicle)
         # The range of lengths applies to vehicles only.
         vehicles = detections.vehicles
-        vehicles = vehicles.take(level.accepts(vehicles.boxes[:, 2]))
+        lengths_px = vehicles.boxes[:, 2]
+        vehicles = vehicles.take(level.accepts(lengths_px))
         if self._verifier:
             if max_verified is not None:
                 vehicles = self._sample(vehicles, max_verified)
@@ -109,4 +110,5 @@ class TileSearch:
         """Compute how well the lengths of candidates fit cars; 0 without a prior."""
         if self._prior is None:
             return 0.0
-        return self._prior.size_odds(vehicles.boxes[:, 2] * level.factor)
+        lengths_px = vehicles.boxes[:, 2] * level.factor
+        return self._prior.size_odds(lengths_px)

@@ -8,7 +8,7 @@ logit, this logit and, with a scene-scale prior, how well the candidate's size f
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import cv2
 import numpy as np
@@ -24,6 +24,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
+
+    RgbImage: TypeAlias = NDArray[np.uint8]
+    """``[h, w, 3]`` RGB."""
+
+    Chips: TypeAlias = NDArray[np.uint8]
+    """``[n, rows, columns, 3]`` RGB."""
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
 
 # Rows and columns of a chip.
 CHIP_PX = 48
@@ -42,11 +51,11 @@ _INPUT = "chips"
 
 
 def surroundings(
-    pixels: NDArray[np.uint8],
+    pixels: RgbImage,
     boxes: ArrayLike,
     side_px: int = CHIP_PX,
     length_px: float = CHIP_LENGTH_PX,
-) -> NDArray[np.uint8]:
+) -> Chips:
     """Cut chips of candidates with their surroundings.
 
     Args:
@@ -61,15 +70,17 @@ def surroundings(
         pixels their border is repeated.
     """
     rows = np.asarray(boxes, np.float64).reshape(-1, 5)
-    image_px = pixels.shape[1], pixels.shape[0]
-    cuts = _cuts(rows, image_px, side_px=side_px, length_px=length_px)
+    height_px, width_px, _ = pixels.shape
+    cuts = _cuts(rows, (width_px, height_px), side_px=side_px, length_px=length_px)
+    bounds = cuts.bounds.tolist()
+    sizes = cuts.sizes.tolist()
     chips = np.empty((len(rows), side_px, side_px, 3), np.uint8)
-    for chip, (left, top, right, bottom), (width, height), matrix in zip(
-        chips, cuts.bounds.tolist(), cuts.sizes.tolist(), cuts.matrices, strict=True
-    ):
+    for chip, bound, size, matrix in zip(chips, bounds, sizes, cuts.matrices, strict=True):
+        left, top, right, bottom = bound
+        width, height = size
         part = pixels[top:bottom, left:right]
         if part.shape[:2] != (height, width):
-            resized = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
+            resized = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
             part = np.asarray(resized, np.uint8)
         cv2.warpAffine(
             part,
@@ -96,9 +107,7 @@ class _Cuts(NamedTuple):
     matrices: NDArray[np.float64]
 
 
-def _cuts(
-    boxes: NDArray[np.float64], image_px: tuple[int, int], side_px: int, length_px: float
-) -> _Cuts:
+def _cuts(boxes: Boxes, image_px: tuple[int, int], side_px: int, length_px: float) -> _Cuts:
     """Compute all cuts at once: a loop over the boxes would take longer than the cuts.
 
     Args:
@@ -113,28 +122,36 @@ def _cuts(
     step = boxes[:, 2] / length_px
 
     # The part reaches beyond the corners of the turned chip.
-    reach = (0.75 * side_px * step + 2)[:, None]
+    reach = 0.75 * side_px * step + 2
+    lowest = centres - reach[:, None]
+    highest = centres + reach[:, None] + 1
     image_end = np.array(image_px)
-    first = np.clip(centres - reach, 0, image_end - 1).astype(np.intp)
-    last = np.clip(centres + reach + 1, 1, image_end).astype(np.intp)
+    first = np.clip(lowest, 0, image_end - 1).astype(np.intp)
+    last = np.clip(highest, 1, image_end).astype(np.intp)
     last = np.maximum(last, first + 1)
 
     # The part is reduced, so that bilinear sampling averages all of its pixels.
     extent = last - first
     reduction = np.minimum(1.0, _SHARPNESS / step)[:, None]
-    sizes = np.maximum(1, np.rint(extent * reduction)).astype(np.intp)
+    reduced = np.rint(extent * reduction)
+    sizes = np.maximum(1, reduced).astype(np.intp)
     ratio = sizes / extent
 
     # From the chip to the image: a rotation about the centre with the candidate's scale.
     cosine = np.cos(angles)
     sine = np.sin(angles)
-    rotation = np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
-    turn = step[:, None, None] * rotation
-    origin = centres - first - turn @ [side_px / 2, side_px / 2]
-    matrices = np.concatenate([turn * ratio[:, :, None], (origin * ratio)[:, :, None]], axis=2)
+    rotations = np.array([[cosine, -sine], [sine, cosine]])
+    turn = step[:, None, None] * rotations.transpose(2, 0, 1)
+    chip_centre = (side_px / 2, side_px / 2)
+    origin = centres - first - turn @ chip_centre
+    # From the image to the reduced part.
+    linear = turn * ratio[:, :, None]
+    translation = origin * ratio
     # These coordinates have pixel centres at +0.5, those of OpenCV at whole numbers.
-    matrices[:, :, 2] += matrices[:, :, :2] @ (0.5, 0.5) - 0.5
-    return _Cuts(np.concatenate([first, last], axis=1), sizes, matrices)
+    translation += linear @ (0.5, 0.5) - 0.5
+    matrices = np.concatenate([linear, translation[:, :, None]], axis=2)
+    bounds = np.concatenate([first, last], axis=1)
+    return _Cuts(bounds, sizes, matrices)
 
 
 class Weights(NamedTuple):
@@ -162,16 +179,16 @@ class Weights(NamedTuple):
             logits: ``[n]`` the verifier's logits.
             size_odds: ``[n]`` how well the sizes fit, or 0.
         """
-        detector = np.clip(np.asarray(scores, np.float64), _SCORE_MARGIN, 1 - _SCORE_MARGIN)
+        detector = np.asarray(scores, np.float64)
+        detector = np.clip(detector, _SCORE_MARGIN, 1 - _SCORE_MARGIN)
         verifier = np.asarray(logits, np.float64)
         size = np.asarray(size_odds, np.float64)
+        odds = detector / (1 - detector)
         total = (
-            self.detector * np.log(detector / (1 - detector))
-            + self.verifier * verifier
-            + self.bias
-            + self.size * size
+            self.detector * np.log(odds) + self.verifier * verifier + self.bias + self.size * size
         )
-        return np.asarray(1 / (1 + np.exp(-np.clip(total, -_MAX_LOGIT, _MAX_LOGIT))))
+        logit = np.clip(total, -_MAX_LOGIT, _MAX_LOGIT)
+        return np.asarray(1 / (1 + np.exp(-logit)))
 
 
 class AuxiliaryModel(LoadedModel, Generic[_CardT]):
@@ -224,16 +241,19 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
             ModelContractError: the file is another kind of network.
         """
         inputs = self._session.get_inputs()
-        names = [tensor.name for tensor in (*inputs, *self._session.get_outputs())]
-        if names == [_INPUT, *self.outputs] and tuple(inputs[0].shape[1:]) == self.chip_shape:
-            return
+        outputs = self._session.get_outputs()
+        names = [tensor.name for tensor in (*inputs, *outputs)]
+        if names == [_INPUT, *self.outputs]:
+            chip_shape = tuple(inputs[0].shape[1:])
+            if chip_shape == self.chip_shape:
+                return
         channels, height, width = self.chip_shape
         raise ModelContractError(
             f"{self.path} has {', '.join(names)}: expected {_INPUT} [n, {channels}, {height}, "
             f"{width}] and {', '.join(self.outputs)}, as {self.trained_by} writes them"
         )
 
-    def predict(self, chips: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
+    def predict(self, chips: Chips) -> list[NDArray[np.float64]]:
         """Run the network on chips.
 
         Args:
@@ -247,7 +267,7 @@ class AuxiliaryModel(LoadedModel, Generic[_CardT]):
             OutOfMemoryError: there is too little memory for it now.
         """
         planes = np.ascontiguousarray(chips.transpose(0, 3, 1, 2))
-        batch: NDArray[np.float32] = np.divide(planes, np.float32(255), dtype=np.float32)
+        batch = np.divide(planes, np.float32(255), dtype=np.float32)
         described = f"the {self.named} {self.path} fails on {list(batch.shape)}"
         results = run_session(
             self._session,
@@ -285,7 +305,7 @@ class Verifier(AuxiliaryModel[VerifierCard]):
     card_type = VerifierCard
 
     def scored(
-        self, pixels: NDArray[np.uint8], candidates: Objects, *, size_odds: ArrayLike = 0.0
+        self, pixels: RgbImage, candidates: Objects, *, size_odds: ArrayLike = 0.0
     ) -> Objects:
         """Replace the scores of candidates by the combined scores.
 
@@ -295,14 +315,16 @@ class Verifier(AuxiliaryModel[VerifierCard]):
             size_odds: ``[n]`` how well their sizes fit (see ``SceneScalePrior.size_odds``); 0
                 without a prior.
         """
-        logits = [np.zeros(0)]
+        parts = [np.zeros(0)]
         for start in range(0, len(candidates), _BATCH):
-            chips = surroundings(pixels, candidates.boxes[start : start + _BATCH])
-            logits.append(self.logits(chips))
+            batch = slice(start, start + _BATCH)
+            chips = surroundings(pixels, candidates.boxes[batch])
+            parts.append(self.logits(chips))
+        logits = np.concatenate(parts)
         weights = Weights(*self.card.weights)
-        scores = weights.score(candidates.scores, np.concatenate(logits), size_odds)
+        scores = weights.score(candidates.scores, logits, size_odds)
         return Objects(candidates.boxes, scores, candidates.classes)
 
-    def logits(self, chips: NDArray[np.uint8]) -> NDArray[np.float64]:
+    def logits(self, chips: Chips) -> NDArray[np.float64]:
         """Predict the logits of cars ``[n]`` from chips ``[n, 48, 48, 3]``."""
         return self.predict(chips)[0]

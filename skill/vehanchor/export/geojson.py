@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
     Feature: TypeAlias = dict[str, Any]
 
+    PlacedFeature: TypeAlias = tuple[Feature, Ground | None]
+    """Feature in pixels, and the position of its image on the ground."""
+
 SUFFIXES = (".geojson",)
 PIXELS_WKT = (
     'LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],'
@@ -55,7 +58,7 @@ def write_shapes(path: Path, analysis: ScaleAnalysis | AreaAnalysis | DistanceAn
     write_features(path, [(feature, analysis.ground) for feature in drawn])
 
 
-def write_features(path: Path, placed: Sequence[tuple[Feature, Ground | None]]) -> None:
+def write_features(path: Path, placed: Sequence[PlacedFeature]) -> None:
     """Write features of one or many images.
 
     Args:
@@ -74,9 +77,12 @@ def write_features(path: Path, placed: Sequence[tuple[Feature, Ground | None]]) 
     collection: dict[str, Any] = {"type": "FeatureCollection"}
     if all(in_pixels):
         collection["crs"] = {"type": "name", "properties": {"name": PIXELS_WKT}}
-    collection["features"] = [
-        feature if ground is None else _in_degrees(feature, ground) for feature, ground in placed
-    ]
+    features = []
+    for feature, ground in placed:
+        if ground is not None:
+            feature = _in_degrees(feature, ground)
+        features.append(feature)
+    collection["features"] = features
     with whole_file(path) as partial:
         partial.write_text(json.dumps(collection), encoding="utf-8")
 

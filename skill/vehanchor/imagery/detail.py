@@ -7,7 +7,7 @@ Its spectrum drops in a step there, while that of a photograph falls slowly.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.raster import Raster, RgbImage
+
+    Spectrum: TypeAlias = NDArray[np.float64]
+    """``[33]`` mean power at 0, 1, .. 32 cycles per patch."""
 
 PATCH_PX = 64
 """Side of the patches whose spectra are averaged."""
@@ -40,7 +43,7 @@ _EMPTY_DECADES = -2.2
 """
 
 
-def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
+def ring_spectrum(patches: Iterable[RgbImage]) -> Spectrum:
     """Compute the mean power of patches by frequency.
 
     The rings are square because resampling filters rows and columns separately.
@@ -52,7 +55,8 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
         ``[33]`` mean power per cell of the rings at 0, 1, .. 32 cycles per patch.
     """
     frequency = np.abs(np.fft.fftfreq(PATCH_PX, 1 / PATCH_PX))
-    rings = np.maximum.outer(frequency, frequency).astype(np.intp).ravel()
+    larger_frequency = np.maximum.outer(frequency, frequency)
+    rings = larger_frequency.astype(np.intp).ravel()
     # The taper without its zeros at both ends suppresses the step between opposite borders, which
     # would add power at all frequencies.
     taper = np.hanning(PATCH_PX + 2)[1:-1]
@@ -60,8 +64,9 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
     total_power = np.zeros(PATCH_PX // 2 + 1)
     n_patches = 0
     for patch in patches:
-        grey = cv2.cvtColor(patch, cv2.COLOR_RGB2GRAY).astype(np.float64)
-        deviation = grey - grey.mean()
+        grey = cv2.cvtColor(patch, cv2.COLOR_RGB2GRAY)
+        levels = grey.astype(np.float64)
+        deviation = levels - levels.mean()
         spectrum = np.fft.fft2(deviation * taper_2d)
         power = np.abs(spectrum) ** 2
         total_power += np.bincount(rings, weights=power.ravel())
@@ -70,7 +75,7 @@ def ring_spectrum(patches: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
     return np.asarray(total_power / cells_per_ring / max(n_patches, 1))
 
 
-def spectrum_share(spectrum: NDArray[np.float64]) -> float:
+def spectrum_share(spectrum: Spectrum) -> float:
     """Compute the share of the resolution that holds detail.
 
     For each frequency c, from low to high, compare the power in c .. 1.5 c with the power in c/4 ..
@@ -90,10 +95,12 @@ def spectrum_share(spectrum: NDArray[np.float64]) -> float:
         # Fine: the mean of logs over the rings c .. 1.5 c, at least three at the end.
         first = min(cut, highest - 2)
         last = min(highest, math.ceil(1.5 * cut))
-        fine = float(np.mean(log_power[first : last + 1]))
+        fine_rings = slice(first, last + 1)
+        fine = float(np.mean(log_power[fine_rings]))
         # Coarse: the log of the mean over the rings c/4 .. c/2.
-        coarse_power = spectrum[round(cut / 4) : round(cut / 2) + 1]
-        coarse = float(np.log10(np.mean(coarse_power) + _POWER_FLOOR))
+        coarse_rings = slice(round(cut / 4), round(cut / 2) + 1)
+        coarse_power = np.mean(spectrum[coarse_rings])
+        coarse = float(np.log10(coarse_power + _POWER_FLOOR))
         # Power falls with the square of the frequency, between the geometric middles of both.
         fine_frequency = math.sqrt(first * last)
         coarse_frequency = cut * math.sqrt(1 / 8)
@@ -125,14 +132,15 @@ def measure_detail_share(
     n_patches = min(_MAX_PATCHES, len(centres))
     steps = np.linspace(0, len(centres) - 1, n_patches)
     indexes = np.unique(steps.round().astype(int))
-    reduced_centres = np.rint(centres[indexes] / factor).astype(int)
+    reduced_centres = np.rint(centres[indexes] / factor)
+    unclipped_corners = reduced_centres.astype(int) - PATCH_PX // 2
     last_corner = (width - PATCH_PX, height - PATCH_PX)
-    corners = np.clip(reduced_centres - PATCH_PX // 2, 0, last_corner)
+    corners = np.clip(unclipped_corners, 0, last_corner)
     patches = (_read_patch(raster, corner, factor) for corner in corners)
     return spectrum_share(ring_spectrum(patches))
 
 
-def _read_patch(raster: Raster, corner: NDArray[np.int_], factor: int) -> NDArray[np.uint8]:
+def _read_patch(raster: Raster, corner: NDArray[np.int_], factor: int) -> RgbImage:
     """Read the patch at a top left corner ``[2]`` in pixels of the reduced image."""
     x, y = corner.tolist()
     window = Window(x, y, width_px=PATCH_PX, height_px=PATCH_PX)

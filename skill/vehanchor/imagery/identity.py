@@ -85,11 +85,16 @@ def _all_spans(side_px: int) -> list[tuple[int, int]]:
 
 def _spaced_spans(side_px: int) -> list[tuple[int, int]]:
     """Compute the start and length of at most eight windows along a side, evenly spaced."""
-    return _spans(side_px, step=max(_WINDOW_PX, _ceil_divide(side_px, _WINDOWS_PER_SIDE)))
+    step = max(_WINDOW_PX, _ceil_divide(side_px, _WINDOWS_PER_SIDE))
+    return _spans(side_px, step)
 
 
 def _spans(side_px: int, step: int) -> list[tuple[int, int]]:
-    return [(start, min(_WINDOW_PX, side_px - start)) for start in range(0, side_px, step)]
+    spans = []
+    for start in range(0, side_px, step):
+        length = min(_WINDOW_PX, side_px - start)
+        spans.append((start, length))
+    return spans
 
 
 def _ceil_divide(dividend: int, divisor: int) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.metadata.georeference import Ground
+
+    RgbImage: TypeAlias = NDArray[np.uint8]
+    """``[h, w, 3]`` RGB."""
 
 
 class _Turn(NamedTuple):
@@ -127,7 +130,7 @@ class Raster(ABC):
         self._stretch: Stretch | None = None
         self._no_data: float | None = None
 
-    def read(self, window: Window | None = None) -> NDArray[np.uint8]:
+    def read(self, window: Window | None = None) -> RgbImage:
         """Read a window, or the whole image; pixels without data are black.
 
         Returns:
@@ -145,10 +148,14 @@ class Raster(ABC):
             raise InvalidParameterError(
                 f"{window} is not inside the image of {self.width_px} x {self.height_px} px"
             )
-        stored = stored_window(
-            window, self.width_px, height_px=self.height_px, orientation=self._orientation
+        window_in_file = stored_window(
+            window,
+            self.width_px,
+            height_px=self.height_px,
+            orientation=self._orientation,
         )
-        return self._to_rgb(self._read_stored(stored))
+        stored = self._read_stored(window_in_file)
+        return self._to_rgb(stored)
 
     def _contains(self, window: Window) -> bool:
         """Test whether a window has pixels and lies inside the image."""
@@ -158,9 +165,11 @@ class Raster(ABC):
         has_rows = 0 <= window.y_px < bottom_px <= self.height_px
         return has_columns and has_rows
 
-    def _to_rgb(self, stored: StoredPixels) -> NDArray[np.uint8]:
+    def _to_rgb(self, stored: StoredPixels) -> RgbImage:
         """Convert stored pixels to upright 8-bit RGB."""
-        pixels = stored.rgb if self._stretch is None else to_uint8(stored.rgb, self._stretch)
+        pixels = stored.rgb
+        if self._stretch is not None:
+            pixels = to_uint8(stored.rgb, self._stretch)
         # Sources give a mask only with pixels of their own, which may be overwritten.
         if stored.valid is not None:
             pixels[~stored.valid] = 0
@@ -174,7 +183,7 @@ class Raster(ABC):
         self,
         window: Window,  # noqa: ARG002
         factor: int,  # noqa: ARG002
-    ) -> NDArray[np.uint8] | None:
+    ) -> RgbImage | None:
         """Read a window of the reduced image from the file's overviews; None if it has none.
 
         Sources with overviews override this method.
@@ -232,7 +241,7 @@ class Raster(ABC):
             self.warnings = (*self.warnings, note)
 
 
-def oriented(stored: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
+def oriented(stored: RgbImage, orientation: int) -> RgbImage:
     """Turn a stored image ``[h, w, 3]`` upright, as a view.
 
     Args:

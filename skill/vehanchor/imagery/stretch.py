@@ -96,7 +96,8 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
         high = highest
     if low == high:
         high = low + max(1.0, abs(low))  # constant: all black
-    if not math.isfinite(255 / (high - low)) or math.isinf(high - low):
+    value_range = high - low
+    if math.isinf(value_range) or not math.isfinite(255 / value_range):
         raise ImageFormatError(
             f"pixel values from {low:g} to {high:g} cannot be scaled; rescale the image to 0..1"
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -12,7 +12,10 @@ from vehanchor.imagery.raster import Window
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.raster import Raster, RgbImage
+
+    Box: TypeAlias = NDArray[np.float64]
+    """``[5]``, ``(x, y, length, width, angle)``, pixels and radians."""
 
 TILE_SIZE_PX = 1024
 """Side of a tile (paper, section III-B)."""
@@ -25,7 +28,11 @@ _BLOCK_PX = 1024
 
 
 def tile_grid(
-    width_px: int, height_px: int, *, tile_px: int = TILE_SIZE_PX, stride_px: int | None = None
+    width_px: int,
+    height_px: int,
+    *,
+    tile_px: int = TILE_SIZE_PX,
+    stride_px: int | None = None,
 ) -> list[Window]:
     """Lay out the tiles of an image in reading order.
 
@@ -58,7 +65,7 @@ def _tile_starts(side_px: int, tile_px: int, stride_px: int) -> list[int]:
     return [*range(0, last, stride_px), last]
 
 
-def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+def read_reduced_window(raster: Raster, window: Window, factor: int) -> RgbImage:
     """Read a window of a raster reduced by a whole factor.
 
     Each pixel is the mean of ``factor`` x ``factor`` pixels of the image.
@@ -96,9 +103,7 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> NDArray[
     return reduced
 
 
-def read_around(
-    raster: Raster, box: NDArray[np.float64], factor: int, reach: float
-) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def read_around(raster: Raster, box: Box, factor: int, reach: float) -> tuple[RgbImage, Box]:
     """Read the surroundings of a box, reduced by a whole factor.
 
     Args:
@@ -112,6 +117,7 @@ def read_around(
     """
     reduced_width = raster.width_px // factor
     reduced_height = raster.height_px // factor
+    angle = box[4]
     x, y, length, width = box[:4] / factor
     distance = reach * length
     # The window is cut off at the image's edges and keeps at least one pixel.
@@ -119,7 +125,7 @@ def read_around(
     top, rows = _span(y - distance, y + distance, reduced_height)
     window = Window(left, top, width_px=columns, height_px=rows)
     pixels = read_reduced_window(raster, window, factor)
-    box_in_window = np.array([x - left, y - top, length, width, box[4]])
+    box_in_window = np.array([x - left, y - top, length, width, angle])
     return pixels, box_in_window
 
 
@@ -131,7 +137,7 @@ def _span(start: float, end: float, side_px: int) -> tuple[int, int]:
     return first, max(1, last - first)
 
 
-def read_preview(raster: Raster, window: Window, factor: int) -> NDArray[np.uint8]:
+def read_preview(raster: Raster, window: Window, factor: int) -> RgbImage:
     """Read a window of a raster reduced by a whole factor, from the file's overviews if it has any.
 
     Overviews are fast but can be resampled in other ways: use previews for search, not for

@@ -68,14 +68,14 @@ def analyse_objects(
         VehAnchorError: see ``Engine.measure_area``.
     """
     options.frame.check(raster.width_px, raster.height_px)
+    width_px = raster.width_px
+    height_px = raster.height_px
     in_image = [
-        prompt_in_image(prompt, options.frame, width_px=raster.width_px, height_px=raster.height_px)
-        for prompt in prompts
+        prompt_in_image(prompt, options.frame, width_px, height_px=height_px) for prompt in prompts
     ]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
-    masks = [
-        segmenter.segment(raster, prompt, limits=options.reading.limits) for prompt in in_image
-    ]
+    limits = options.reading.limits
+    masks = [segmenter.segment(raster, prompt, limits=limits) for prompt in in_image]
     measurement_scale = find_measurement_scale(
         raster, scale, options, object_height_m=object_height_m
     )
@@ -128,11 +128,16 @@ def _measure_object(
         area_log_sd = card.area_log_sd(prompt, segmentation)
         # The paper, section III-G: the area is the number of pixels times the scale squared, so
         # the log error of the scale counts twice.
-        area = _Size.of(n_px * gsd**2, scale.spread.times(2).plus(area_log_sd))
+        area_spread = scale.spread.times(2).plus(area_log_sd)
+        area = _Size.of(n_px * gsd**2, area_spread)
         diameter_log_sd = _diameter_log_sd(
-            area_log_sd, n_px, perimeter_px=perimeter_px, diameter_px=circle.diameter
+            area_log_sd,
+            n_px,
+            perimeter_px=perimeter_px,
+            diameter_px=circle.diameter,
         )
-        diameter = _Size.of(circle.diameter * gsd, scale.spread.plus(diameter_log_sd))
+        diameter_spread = scale.spread.plus(diameter_log_sd)
+        diameter = _Size.of(circle.diameter * gsd, diameter_spread)
     mode_length_px = None
     if scale.estimate is not None:
         mode_length_px = scale.estimate.mode_length_px
@@ -141,6 +146,7 @@ def _measure_object(
         status = "low_confidence"
     box = _box(segmentation)
     doubts = mask_notices(raster, segmentation, prompt=prompt, card=card, width_px=width_px)
+    alternatives = [_other_object(other, scale) for other in segmentation.alternatives]
     return AreaMeasurement(
         status=status,
         area_m2=area.value,
@@ -157,7 +163,7 @@ def _measure_object(
         inscribed_diameter_ci95_high_m=diameter.high,
         inscribed_center=centre,
         bounding_box=box,
-        alternatives=tuple(_other_object(other, scale) for other in segmentation.alternatives),
+        alternatives=tuple(alternatives),
         outline=_outline(mask, left, top),
         frame=_frame_area(options.frame, raster, gsd=scale.gsd_m_per_px, box=box),
         segmenter=card.name,
@@ -204,7 +210,8 @@ def _other_object(segmentation: Segmentation, scale: MeasurementScale) -> OtherO
     n_px = int(segmentation.mask.sum())
     box = _box(segmentation)
     assert box is not None, "alternatives are not empty"
-    gsd = scale.gsd_over(segmentation.mask, segmentation.window.x_px, segmentation.window.y_px)
+    window = segmentation.window
+    gsd = scale.gsd_over(segmentation.mask, window.x_px, window.y_px)
     return OtherObject(
         area_m2=None if gsd is None else n_px * gsd**2,
         mask_area_px=n_px,
@@ -226,13 +233,14 @@ def _outline(mask: Mask, left: int, top: int) -> tuple[OutlinePolygon, ...]:
     polygons = []
     for rings in trace_outline(mask):
         exterior, *holes = [_outline_ring(ring, left, top) for ring in rings]
-        polygons.append(OutlinePolygon(exterior=exterior, holes=tuple(holes)))
+        polygon = OutlinePolygon(exterior=exterior, holes=tuple(holes))
+        polygons.append(polygon)
     return tuple(polygons)
 
 
 def _outline_ring(ring: NDArray[np.float64], left: int, top: int) -> OutlineRing:
     in_image = np.add(ring, (left, top))
-    points = [ImagePoint(x_px=float(x), y_px=float(y)) for x, y in in_image]
+    points = [ImagePoint(x_px=x, y_px=y) for x, y in in_image.tolist()]
     return OutlineRing(points=tuple(points))
 
 

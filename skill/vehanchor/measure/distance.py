@@ -133,9 +133,10 @@ def _length_sd(points: Sequence[Place], unit_px: tuple[float, float]) -> float:
         unit_px: finest step of the caller's coordinates across and down, pixels.
     """
     legs = np.diff(np.array(points), axis=0)
-    lengths = np.hypot(legs[:, 0], legs[:, 1])[:, None]
+    lengths = np.hypot(*legs.T)[:, None]
     # Unit vectors of the legs; zero where two points coincide.
-    directions = np.divide(legs, lengths, out=np.zeros_like(legs), where=lengths > 0)
+    directions = np.zeros_like(legs)
+    np.divide(legs, lengths, out=directions, where=lengths > 0)
     # Derivative of the length by each point: the difference of the directions before and after it.
     # On a straight line it is 0, so a stop on the way adds no error.
     gradient = np.diff(directions, axis=0, prepend=0.0, append=0.0)
@@ -155,16 +156,19 @@ def _measure_path(
         if scale.plane is None:
             distance = scale.gsd_m_per_px * length_px
         else:
-            distance = float(scale.plane.length(points[:-1], points[1:]).sum())
+            legs_m = scale.plane.length(points[:-1], points[1:])
+            distance = float(legs_m.sum())
         log_sd = _length_sd(points, coordinates.unit_px) / length_px
-        low, high = scale.spread.plus(log_sd).around(distance)
+        spread = scale.spread.plus(log_sd)
+        low, high = spread.around(distance)
+    path = [ImagePoint(x_px=x, y_px=y) for x, y in points]
     return DistanceMeasurement(
         status=scale.status,
         distance_m=distance,
         distance_ci95_low_m=low,
         distance_ci95_high_m=high,
         length_px=length_px,
-        path=tuple(ImagePoint(x_px=x, y_px=y) for x, y in points),
+        path=tuple(path),
         warnings=scale.notices,
         **scale.fields(coordinates.width_px, coordinates.height_px),
     )

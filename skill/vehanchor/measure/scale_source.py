@@ -88,7 +88,8 @@ class MeasurementScale:
             return None
         if self.plane is None:
             return self.gsd_m_per_px
-        return math.sqrt(self.plane.area(mask, left, top) / n_px)
+        area_m2 = self.plane.area(mask, left, top)
+        return math.sqrt(area_m2 / n_px)
 
     @property
     def estimate(self) -> GsdEstimate | None:
@@ -346,7 +347,8 @@ def _camera_above_ground(
         log_sd = RELIABILITY["measured height"].log_sd
         return _CameraAboveGround(camera_lens, rulers.height_m, log_sd)
     if camera is not None and camera.height_m is not None:
-        return _CameraAboveGround(camera_lens, camera.height_m, height_log_sd(camera.height_m))
+        log_sd = height_log_sd(camera.height_m)
+        return _CameraAboveGround(camera_lens, camera.height_m, log_sd)
     if camera_lens is None:
         raise InvalidParameterError(
             "object_height_m needs the camera's height, which is in neither the file nor an "
@@ -389,10 +391,12 @@ def _scale_at_height(
     if focal_px:
         # gsd = ground_gsd - object_height / focal: the absolute error of ground_gsd stays, so its
         # relative error grows.
-        spread = ground_scale.spread.plus(share * lens_log_sd).times(1 / (1 - share))
+        with_lens_error = ground_scale.spread.plus(share * lens_log_sd)
+        spread = with_lens_error.times(1 / (1 - share))
     else:
         # gsd = ground_gsd * (1 - object_height / camera_height).
-        spread = ground_scale.spread.plus(share / (1 - share) * camera.height_log_sd)
+        log_error = share / (1 - share) * camera.height_log_sd
+        spread = ground_scale.spread.plus(log_error)
     gsd = ground_gsd * (1 - share)
     if plane is not None:
         plane = replace(plane, gsd_m_per_px=gsd)

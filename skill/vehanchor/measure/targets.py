@@ -112,7 +112,8 @@ class TargetRow(NamedTuple):
         if self.record is not None:
             for name in ("status", *_NUMBER_FIELDS):
                 values[name] = getattr(self.record, name, None)
-            values["warnings"] = " ".join(notice.code for notice in self.record.warnings)
+            codes = [notice.code for notice in self.record.warnings]
+            values["warnings"] = " ".join(codes)
         if self.error is not None:
             values["error_code"] = self.error.code
             values["error"] = str(self.error)
@@ -125,8 +126,9 @@ class TargetRow(NamedTuple):
         geometry = self.record.__geo_interface__
         if geometry is None or not geometry["coordinates"]:
             return None
-        hidden = (*_COORDINATES, "error_code", "error")
-        properties = {name: value for name, value in self.flat().items() if name not in hidden}
+        properties = self.flat()
+        for hidden in (*_COORDINATES, "error_code", "error"):
+            del properties[hidden]
         return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
@@ -197,8 +199,10 @@ def _read_target(row: Mapping[str, str | None]) -> Target:
     Raises:
         PromptError: a number or the kind is invalid, or the numbers do not fit the kind.
     """
-    numbers = [_read_number(row, "x1"), _read_number(row, "y1")]
-    numbers += [_read_number(row, name) for name in ("x2", "y2") if row.get(name)]
+    columns = ["x1", "y1"]
+    # A point has no x2 and y2.
+    columns += [column for column in ("x2", "y2") if row.get(column)]
+    numbers = [_read_number(row, column) for column in columns]
     kind = row.get("kind")
     if not kind:
         kind = "point" if len(numbers) == 2 else "box"

@@ -61,7 +61,8 @@ def read_model(path: Path) -> ModelFile:
         raise ModelContractError(
             f"the model file {path} cannot be read: {error.strerror}"
         ) from error
-    weights = tuple(path.parent / location for location in external_locations(content))
+    locations = external_locations(content)
+    weights = tuple(path.parent / location for location in locations)
     for file in weights:
         if not file.is_file():
             raise ModelNotFoundError(
@@ -96,8 +97,11 @@ def external_locations(content: bytes) -> tuple[str, ...]:
     locations: dict[str, None] = {}
     for entry in _LOCATION.finditer(content):
         # Seven bits per byte, lowest first.
-        length = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(entry[1]))
-        name = content[entry.end() : entry.end() + length]
+        length = 0
+        for place, byte in enumerate(entry[1]):
+            length += (byte & 0x7F) << 7 * place
+        start = entry.end()
+        name = content[start : start + length]
         locations[name.decode("utf-8", "replace")] = None
     return tuple(locations)
 
@@ -162,8 +166,12 @@ def _states(file: Path) -> list[_FileState]:
     state = _state(file)
     if state is None:
         return []
-    weights = [_state(file.parent / location) for location in _locations(state)]
-    return [state, *(weight for weight in weights if weight is not None)]
+    states = [state]
+    for location in _locations(state):
+        weight_state = _state(file.parent / location)
+        if weight_state is not None:
+            states.append(weight_state)
+    return states
 
 
 def _state(file: Path) -> _FileState | None:

@@ -132,7 +132,10 @@ def _share_arena() -> None:
     Runtime's default, each model keeps its own (``research/results/notes.md``).
     """
     memory = onnxruntime.OrtMemoryInfo(
-        "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
+        "Cpu",
+        onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR,
+        0,
+        onnxruntime.OrtMemType.DEFAULT,
     )
     arena = onnxruntime.OrtArenaCfg({"arena_extend_strategy": _AS_REQUESTED})
     try:
@@ -149,7 +152,8 @@ def _installed(providers: Sequence[str]) -> list[str]:
         ProviderUnavailableError: one is missing, and ``cpu`` is not among them.
     """
     available = onnxruntime.get_available_providers()
-    wanted = [_SHORT_NAMES.get(name.strip().lower(), name.strip()) for name in providers]
+    names = [name.strip() for name in providers]
+    wanted = [_SHORT_NAMES.get(name.lower(), name) for name in names]
     missing = [name for name in wanted if name not in available]
     if missing and "CPUExecutionProvider" not in wanted:
         raise ProviderUnavailableError(

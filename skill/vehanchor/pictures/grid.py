@@ -28,7 +28,11 @@ _LABEL_GAP_PX = 3
 
 
 def draw_grid(
-    raster: Raster, part: Window, long_side_px: int, max_enlargement: float, lines: bool
+    raster: Raster,
+    part: Window,
+    long_side_px: int,
+    max_enlargement: float,
+    lines: bool,
 ) -> tuple[RgbImage, int]:
     """Draw a part of an image at a given size, enlarged by a limited factor.
 
@@ -43,8 +47,10 @@ def draw_grid(
         ``[h, w, 3]`` RGB, and the distance of two grid lines in pixels of the image.
     """
     pixels = read_reduced(raster, part)
-    rgb = Cut(part, long_side_px).sized(pixels, max_enlargement, cv2.INTER_CUBIC)
-    step = _round_step(max(part.width_px, part.height_px) / _N_LINES)
+    cut = Cut(part, long_side_px)
+    rgb = cut.sized(pixels, max_enlargement, cv2.INTER_CUBIC)
+    long_side = max(part.width_px, part.height_px)
+    step = _round_step(long_side / _N_LINES)
     if lines:
         _draw_lines(rgb, part, step)
     return rgb, step
@@ -69,19 +75,22 @@ def _draw_lines(rgb: RgbImage, part: Window, step: int) -> None:
         start = (column + _LABEL_GAP_PX, capital + _LABEL_GAP_PX)
         write_on(rgb, f"{x}", start, capital_px=capital)
     for y, row in rows.items():
-        write_on(rgb, f"{y}", (_LABEL_GAP_PX, row - _LABEL_GAP_PX), capital_px=capital)
+        start = (_LABEL_GAP_PX, row - _LABEL_GAP_PX)
+        write_on(rgb, f"{y}", start, capital_px=capital)
 
 
 def _round_step(pixels: float) -> int:
     """Round up to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(max(1.0, pixels)))
+    exponent = math.floor(math.log10(max(1.0, pixels)))
+    power = 10.0**exponent
     steps = [multiple * power for multiple in (1, 2, 5, 10)]
     return int(next(step for step in steps if step >= pixels - 1e-9))
 
 
 def _multiples(step: int, start: int, length: int) -> range:
     """List the multiples of a step inside a range, without its edges."""
-    return range((start // step + 1) * step, start + length, step)
+    first = (start // step + 1) * step
+    return range(first, start + length, step)
 
 
 def _lighten(line: RgbImage) -> None:

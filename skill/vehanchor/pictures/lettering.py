@@ -38,7 +38,8 @@ def stroke_px(capital_px: float) -> int:
 
 def text_width(text: str, capital_px: float) -> int:
     """Compute the width of a text, pixels."""
-    (width_px, _), _ = cv2.getTextSize(text, FONT, font_scale(capital_px), stroke_px(capital_px))
+    scale = font_scale(capital_px)
+    (width_px, _), _ = cv2.getTextSize(text, FONT, scale, stroke_px(capital_px))
     return int(width_px)
 
 
@@ -105,7 +106,8 @@ def write_on(
         stroke=stroke_px(capital_px) + 1,
     )
     # In OpenCV 5 a wider stroke makes bolder letters, not a rim.
-    brush = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1, 2 * rim + 1))
+    brush_px = 2 * rim + 1
+    brush = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (brush_px, brush_px))
     rim_mask = np.asarray(cv2.dilate(letters, brush), dtype=np.uint8)
     _blend(region, rim_mask, 0.0)
     _blend(region, letters, 255.0)
@@ -114,4 +116,5 @@ def write_on(
 def _blend(region: NDArray[np.uint8], mask: NDArray[np.uint8], level: float) -> None:
     """Blend a grey level into a region ``[h, w, 3]``; the mask ``[h, w]`` is its opacity."""
     opacity = mask[:, :, None] / 255.0
-    region[:] = np.rint(region * (1.0 - opacity) + level * opacity).astype(np.uint8)
+    blended = region * (1.0 - opacity) + level * opacity
+    region[:] = np.rint(blended).astype(np.uint8)

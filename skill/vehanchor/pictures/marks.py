@@ -49,7 +49,10 @@ def draw_marks(
         for stroke in _end_strokes(mark, points, line):
             _draw_stroke(picture, stroke, closed=False, colour=colour, line=line)
         if mark.label:
-            middle = points[:2].mean(axis=0) if mark.closed else _middle(points)
+            if mark.closed:
+                middle = points[:2].mean(axis=0)
+            else:
+                middle = _middle(points)
             labels.append((mark.label, middle))
     # Labels last, so that no mark covers them.
     for label, middle in labels:
@@ -91,11 +94,12 @@ def _middle(points: Points) -> Points:
         middle: Points = points[0]
         return middle
     legs = np.diff(points, axis=0)
-    lengths = np.hypot(legs[:, 0], legs[:, 1])
+    lengths = np.hypot(*legs.T)
     way = np.concatenate([[0.0], np.cumsum(lengths)])
     half_way = way[-1] / 2
-    x = np.interp(half_way, way, points[:, 0])
-    y = np.interp(half_way, way, points[:, 1])
+    xs, ys = points.T
+    x = np.interp(half_way, way, xs)
+    y = np.interp(half_way, way, ys)
     return np.array([x, y])
 
 
@@ -116,7 +120,8 @@ def _stroke_across(end: Points, along: Points, length: float) -> Points:
     """Make a stroke that crosses a direction at a right angle, ``length`` to both sides."""
     perpendicular = np.array([-along[1], along[0]])
     # A direction of length 0, from two equal points, has no stroke.
-    across = perpendicular / max(float(np.hypot(*along)), 1e-9) * length
+    distance = max(float(np.hypot(*along)), 1e-9)
+    across = perpendicular / distance * length
     return np.array([end - across, end + across])
 
 
@@ -138,6 +143,7 @@ def _write_label(picture: RgbImage, label: str, middle: Points) -> None:
     max_left = max(2, width - label_width - 4)
     min_baseline = capital + 4
     max_baseline = max(min_baseline, height - 4)
-    left = int(np.clip(middle[0] + capital // 2, 2, max_left))
-    baseline = int(np.clip(middle[1] - capital // 2, min_baseline, max_baseline))
+    x, y = middle
+    left = int(np.clip(x + capital // 2, 2, max_left))
+    baseline = int(np.clip(y - capital // 2, min_baseline, max_baseline))
     write_on(picture, label, (left, baseline), capital_px=capital)

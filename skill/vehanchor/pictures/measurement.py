@@ -19,8 +19,9 @@ from vehanchor.scale.posterior import Mark
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from vehanchor.options.reading import Place
     from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
-    from vehanchor.pictures.placement import Placement, Points, RgbImage
+    from vehanchor.pictures.placement import Colour, Placement, Points, RgbImage
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
@@ -30,6 +31,7 @@ MEASURED_RGB = (204, 121, 167)
 PROMPT_RGB = (240, 228, 66)
 # Okabe and Ito's vermilion, for points outside the object.
 _OUTSIDE_RGB = (213, 94, 0)
+_BLACK = (0, 0, 0)
 _TINT_OPACITY = 0.35
 
 
@@ -55,7 +57,7 @@ def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) 
     numbers = _numbered([""] * len(analyses))
     for number, analysis in zip(numbers, analyses, strict=True):
         if number:
-            _write_number(canvas.picture, number, analysis=analysis, placement=canvas.placement)
+            _write_number(canvas, number, analysis)
     sizes = [_area_text(analysis.measurement) for analysis in analyses]
     return _finish(canvas, first, sizes)
 
@@ -77,7 +79,8 @@ def _extent(analysis: AreaEvidence) -> Points:
         points += [(x1, y1), (x2, y2)]
     mask_box = analysis.measurement.bounding_box
     if mask_box is not None:
-        points += [(mask_box.x1_px, mask_box.y1_px), (mask_box.x2_px, mask_box.y2_px)]
+        points.append((mask_box.x1_px, mask_box.y1_px))
+        points.append((mask_box.x2_px, mask_box.y2_px))
     return np.array(points, dtype=np.float64)
 
 
@@ -91,17 +94,18 @@ def draw_distance(image: RgbImage, *analyses: DistanceEvidence, cut: Cut | None 
     canvas = open_canvas(image, first.measurement, scale=first.scale, cut=cut)
     records = [analysis.measurement for analysis in analyses]
     labels = _numbered([_line_label(record) for record in records])
-    lines = [
-        Mark(_path_points(record), label) for record, label in zip(records, labels, strict=True)
-    ]
+    paths = [_path_points(record) for record in records]
+    lines = [Mark(path, label) for path, label in zip(paths, labels, strict=True)]
     draw_marks(canvas.picture, lines, canvas.placement, colour=MEASURED_RGB)
-    return _finish(canvas, first, [_distance_text(record) for record in records])
+    sizes = [_distance_text(record) for record in records]
+    return _finish(canvas, first, sizes)
 
 
 def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured lines."""
     points = np.concatenate([_path_points(record) for record in records])
-    part = part_around(points, records[0].image_width_px, records[0].image_height_px)
+    first = records[0]
+    part = part_around(points, first.image_width_px, first.image_height_px)
     return Cut(part, long_side_px)
 
 
@@ -112,13 +116,11 @@ def _draw_mask(picture: RgbImage, analysis: AreaEvidence, placement: Placement) 
     """
     mask = analysis.segmentation.mask
     window = analysis.segmentation.window
-    corners = placement.to_picture(
-        [
-            [window.x_px, window.y_px],
-            [window.x_px + window.width_px, window.y_px + window.height_px],
-        ]
-    )
-    (left, top), (right, bottom) = np.rint(corners).astype(int).tolist()
+    image_right = window.x_px + window.width_px
+    image_bottom = window.y_px + window.height_px
+    corners = [(window.x_px, window.y_px), (image_right, image_bottom)]
+    in_picture = np.rint(placement.to_picture(corners)).astype(int)
+    (left, top), (right, bottom) = in_picture.tolist()
     # The part of the mask's window that the picture shows.
     height, width = picture.shape[:2]
     x1 = max(0, left)
@@ -128,14 +130,19 @@ def _draw_mask(picture: RgbImage, analysis: AreaEvidence, placement: Placement) 
     if x2 <= x1 or y2 <= y1:
         return
     # A reduced pixel belongs to the object if more than half of it does.
-    method = cv2.INTER_AREA if right - left < window.width_px else cv2.INTER_NEAREST
     size = (right - left, bottom - top)
-    coverage = cv2.resize(mask.view(np.uint8) * 255, size, interpolation=method)
-    covered = coverage[y1 - top : y2 - top, x1 - left : x2 - left]
-    is_object = np.asarray(covered > 127)
+    method = cv2.INTER_NEAREST
+    if right - left < window.width_px:
+        method = cv2.INTER_AREA
+    opaque = mask.view(np.uint8) * 255
+    coverage = cv2.resize(opaque, size, interpolation=method)
+    rows = slice(y1 - top, y2 - top)
+    columns = slice(x1 - left, x2 - left)
+    is_object = np.asarray(coverage[rows, columns] > 127)
     region = picture[y1:y2, x1:x2]
     tint = np.array(MEASURED_RGB, dtype=np.float64)
-    tinted = (1 - _TINT_OPACITY) * region[is_object] + _TINT_OPACITY * tint
+    pixels = region[is_object]
+    tinted = (1 - _TINT_OPACITY) * pixels + _TINT_OPACITY * tint
     region[is_object] = np.rint(tinted).astype(np.uint8)
     # The padding closes outlines at the border of the region.
     padded = np.pad(is_object.astype(np.uint8), 1)
@@ -154,11 +161,12 @@ def _draw_prompt(picture: RgbImage, analysis: AreaEvidence, placement: Placement
     prompt = analysis.prompt
     line = line_px(picture)
     if prompt.box is not None:
-        corners = placement.to_opencv(np.reshape(prompt.box, (2, 2))).tolist()
+        corners = placement.to_opencv(np.reshape(prompt.box, (2, 2)))
+        first, last = corners.tolist()
         cv2.rectangle(
             picture,
-            corners[0],
-            corners[1],
+            first,
+            last,
             color=PROMPT_RGB,
             thickness=1,
             lineType=cv2.LINE_AA,
@@ -167,21 +175,29 @@ def _draw_prompt(picture: RgbImage, analysis: AreaEvidence, placement: Placement
         centre = placement.to_opencv([x, y]).tolist()
         colour = PROMPT_RGB if include else _OUTSIDE_RGB
         # A dot with a black rim.
-        for radius, ink in ((3 * line, (0, 0, 0)), (2 * line, colour)):
-            cv2.circle(
-                picture, centre, radius, color=ink, thickness=cv2.FILLED, lineType=cv2.LINE_AA
-            )
+        _draw_dot(picture, centre, 3 * line, colour=_BLACK)
+        _draw_dot(picture, centre, 2 * line, colour=colour)
 
 
-def _write_number(
-    picture: RgbImage, number: str, *, analysis: AreaEvidence, placement: Placement
-) -> None:
+def _draw_dot(picture: RgbImage, centre: Sequence[int], radius: int, *, colour: Colour) -> None:
+    cv2.circle(
+        picture,
+        centre,
+        radius,
+        color=colour,
+        thickness=cv2.FILLED,
+        lineType=cv2.LINE_AA,
+    )
+
+
+def _write_number(canvas: Canvas, number: str, analysis: AreaEvidence) -> None:
     """Write an object's number on its middle."""
-    capital = text_px(picture.shape[1])
-    x, y = placement.to_picture(_extent(analysis)).mean(0).tolist()
+    capital = text_px(canvas.picture.shape[1])
+    extent = canvas.placement.to_picture(_extent(analysis))
+    x, y = extent.mean(0).tolist()
     left = round(x) - text_width(number, capital) // 2
     baseline = round(y) + capital // 2
-    write_on(picture, number, (left, baseline), capital_px=capital)
+    write_on(canvas.picture, number, (left, baseline), capital_px=capital)
 
 
 def _area_text(record: AreaMeasurement) -> str:
@@ -190,14 +206,15 @@ def _area_text(record: AreaMeasurement) -> str:
     low = record.area_ci95_low_m2
     high = record.area_ci95_high_m2
     mask = f"{record.mask_area_px} px"
-    size = with_interval(record.area_m2, low, high=high, unit="m2", missing=f"{mask}; {NO_SCALE}")
+    missing = f"{mask}; {NO_SCALE}"
+    size = with_interval(record.area_m2, low, high=high, unit="m2", missing=missing)
     pixels = "" if record.area_m2 is None else f"{mask}, "
-    is_low = any(notice.code == NoticeCode.MASK_SCORE_LOW for notice in record.warnings)
-    doubt = " - low" if is_low else ""
+    codes = {notice.code for notice in record.warnings}
+    doubt = " - low" if NoticeCode.MASK_SCORE_LOW in codes else ""
     return f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
 
 
-def _path_points(record: DistanceMeasurement) -> tuple[tuple[float, float], ...]:
+def _path_points(record: DistanceMeasurement) -> tuple[Place, ...]:
     return tuple((point.x_px, point.y_px) for point in record.path)
 
 
@@ -235,7 +252,8 @@ def _finish(
         source = "given"
         if record.scale_confidence is not None:
             source = f"confidence {record.scale_confidence:.2f}"
-        lines.append([(None, f"{significant(record.gsd_m_per_px, 4)} m/px, {source}")])
+        scale = significant(record.gsd_m_per_px, 4)
+        lines.append([(None, f"{scale} m/px, {source}")])
     bar_gsd = None
     if analysis.nadir and not objection:
         bar_gsd = record.gsd_m_per_px
@@ -246,7 +264,10 @@ def _numbered(labels: Sequence[str]) -> list[str]:
     """Put numbers before the labels of several measurements; keep a single label."""
     if len(labels) == 1:
         return list(labels)
-    return [f"{number}: {label}".removesuffix(": ") for number, label in enumerate(labels, 1)]
+    numbered = []
+    for number, label in enumerate(labels, 1):
+        numbered.append(f"{number}: {label}" if label else f"{number}")
+    return numbered
 
 
 def _objection(record: AreaMeasurement | DistanceMeasurement) -> str:

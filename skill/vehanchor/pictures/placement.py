@@ -65,7 +65,8 @@ class Placement(NamedTuple):
 
     def to_opencv(self, points: Any) -> NDArray[np.int32]:
         """Convert points to whole pixels of OpenCV, whose origin is the first pixel's centre."""
-        return np.rint(self.to_picture(points) - 0.5).astype(np.int32)
+        from_centre = self.to_picture(points) - 0.5
+        return np.rint(from_centre).astype(np.int32)
 
 
 class Cut(NamedTuple):
@@ -97,17 +98,20 @@ class Cut(NamedTuple):
         """
         width = self.part.width_px
         height = self.part.height_px
-        factor = min(max_enlargement, self.long_side_px / max(width, height))
+        long_side = max(width, height)
+        factor = min(max_enlargement, self.long_side_px / long_side)
         picture_width = max(1, round(width * factor))
         picture_height = max(1, round(height * factor))
+        size = (picture_width, picture_height)
         method = cv2.INTER_AREA if picture_width < image.shape[1] else enlarging
-        picture = cv2.resize(image, (picture_width, picture_height), interpolation=method)
+        picture = cv2.resize(image, size, interpolation=method)
         return np.array(picture, dtype=np.uint8)
 
 
 def line_px(picture: RgbImage, limit_px: float = np.inf) -> int:
     """Compute the width of lines for a picture; ``limit_px`` keeps them thin on small objects."""
-    width = min(max(picture.shape[:2]) / _SIDE_PER_LINE, limit_px)
+    long_side = max(picture.shape[:2])
+    width = min(long_side / _SIDE_PER_LINE, limit_px)
     return int(np.clip(round(width), 1, 3))
 
 

@@ -89,14 +89,24 @@ def plot_scale(analysis: ScaleEvidence) -> Figure:
     has_lengths = estimate.mode_length_px is not None
     has_posterior = analysis.answer is not None
     n_rows = 2 if has_lengths and has_posterior else 1
-    figure = require_plots()(figsize=(_WIDTH_IN, _ROW_IN * n_rows), dpi=_DPI, layout="constrained")
+    new_figure = require_plots()
+    size_in = (_WIDTH_IN, _ROW_IN * n_rows)
+    figure = new_figure(figsize=size_in, dpi=_DPI, layout="constrained")
     rows = figure.subplots(n_rows, squeeze=False)[:, 0]
     for axes in rows:
         axes.spines["top"].set_visible(False)
         axes.spines["right"].set_visible(False)
     if not has_lengths and not has_posterior:
         rows[0].set_axis_off()
-        rows[0].text(0.5, 0.5, NO_SCALE, ha="center", va="center", fontsize=14, color=_INK)
+        rows[0].text(
+            0.5,
+            0.5,
+            NO_SCALE,
+            ha="center",
+            va="center",
+            fontsize=14,
+            color=_INK,
+        )
         return figure
     if has_lengths:
         _plot_lengths(figure, rows[0], analysis)
@@ -120,9 +130,11 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     assert mode is not None
     reference_m = vehicles.reference.stated_m
     lengths = analysis.detections.boxes[:, 2]
+    shortest_px = float(lengths.min())
+    longest_px = float(lengths.max())
     # Twice the longest kept length keeps the cars wide beside a lorry.
     longest_shown = 2 * float(lengths[analysis.kept].max())
-    ends = [guard, mode, float(lengths.min()), min(float(lengths.max()), longest_shown)]
+    ends = [guard, mode, shortest_px, min(longest_px, longest_shown)]
     if vehicles.interval is not None:
         low_gsd, high_gsd = vehicles.interval
         # A coarse scale belongs to a short length.
@@ -137,7 +149,8 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     rule = _RULES[vehicles.aggregation]
     mode_label = f"$P_{{mode}}$ {mode:.1f} px ({rule}) = {significant(reference_m)} m"
     axes.axvline(mode, color=_INK, lw=1.6, label=mode_label)
-    axes.axvline(guard, color=_GUARD, lw=1.6, ls="--", label=f"resolution guard {guard:.1f} px")
+    guard_label = f"resolution guard {guard:.1f} px"
+    axes.axvline(guard, color=_GUARD, lw=1.6, ls="--", label=guard_label)
     axes.set_xlabel("vehicle length, pixels")
     axes.set_ylabel("vehicles")
     axes.locator_params(axis="y", integer=True)
@@ -151,7 +164,14 @@ def _plot_lengths(figure: Figure, axes: Axes, analysis: ScaleEvidence) -> None:
     metres = axes.secondary_xaxis("top", functions=(to_metres, to_pixels))
     metres.set_xlabel("metres, at the vehicles' scale")
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=3,
+        fontsize=9,
+        frameon=False,
+    )
 
 
 def _shade_interval(axes: Axes, low: float, high: float, label: str) -> None:
@@ -168,8 +188,8 @@ def write_plot(path: str | Path, figure: Figure) -> Path:
 
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
-    rgb = np.asarray(canvas.buffer_rgba())[:, :, :3]
-    return write_picture(path, rgb)
+    rgba = np.asarray(canvas.buffer_rgba())
+    return write_picture(path, rgba[:, :, :3])
 
 
 def _draw_lengths(
@@ -186,8 +206,10 @@ def _draw_lengths(
     lengths = analysis.detections.boxes[:, 2]
     kept = lengths[analysis.kept]
     dropped = lengths[~analysis.kept]
+    shortest = float(lengths.min())
     longest = min(float(lengths.max()), right_px)
-    edges = np.histogram_bin_edges(kept, "auto", (float(lengths.min()), longest))
+    edges = np.histogram_bin_edges(kept, "auto", (shortest, longest))
+    bin_px = edges[1] - edges[0]
     groups = [kept]
     colours = [_KEPT]
     labels = [f"{count(len(kept), 'vehicle')} kept"]
@@ -208,7 +230,8 @@ def _draw_lengths(
         edgecolor="white",
         linewidth=0.6,
     )
-    axes.set_ylim(0, _HEADROOM * axes.get_ylim()[1])
+    _, highest_bar = axes.get_ylim()
+    axes.set_ylim(0, _HEADROOM * highest_bar)
     if len(kept) < MIN_KDE_VEHICLES:
         return
     positions = np.linspace(*axes.get_xlim(), _N_CURVE_POINTS)
@@ -217,13 +240,14 @@ def _draw_lengths(
     if not density.any():
         return
     # In the unit of the histogram: vehicles a bin.
-    per_bin = density * len(kept) * (edges[1] - edges[0])
+    per_bin = density * len(kept) * bin_px
     is_drawn = density > _MIN_DRAWN_LENGTH_SHARE * density.max()
     curve = np.where(is_drawn, per_bin, np.nan)
     label = "density (weighted KDE)" if aggregation == "weighted_kde" else "density (KDE)"
     axes.plot(positions, curve, color=_KEPT_DARK, lw=2, label=label)
-    top = _HEADROOM * float(np.nanmax(curve))
-    axes.set_ylim(0, max(axes.get_ylim()[1], top))
+    top_of_curve = _HEADROOM * float(np.nanmax(curve))
+    _, top = axes.get_ylim()
+    axes.set_ylim(0, max(top, top_of_curve))
 
 
 def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
@@ -263,7 +287,12 @@ def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
     ticks = _ticks(*axes.get_xlim())
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
+    axes.legend(
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        fontsize=9,
+        frameon=False,
+    )
 
 
 def _plot_witness(axes: Axes, witness: Witness, ruler: RulerScale) -> None:
@@ -281,7 +310,8 @@ def _ticks(low: float, high: float) -> list[float]:
     """Choose round scales between two ends, in finer steps on a narrow axis."""
     decades = 10.0 ** np.arange(-4, 2)
     for digits in _TICK_DIGITS:
-        ticks = sorted(round(float(digit * decade), 6) for decade in decades for digit in digits)
+        scales = [float(digit * decade) for decade in decades for digit in digits]
+        ticks = sorted(round(scale, 6) for scale in scales)
         inside = [tick for tick in ticks if low <= tick <= high]
         if len(inside) >= _MIN_TICKS:
             break

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from vehanchor.pictures.placement import Colour, RgbImage
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
+    Pixel: TypeAlias = tuple[int, int]
+    """Column and row."""
+
 CaptionLine: TypeAlias = "list[tuple[Colour | None, str]]"
 """Texts of one line, each with the colour of the swatch before it."""
 
@@ -114,7 +117,8 @@ class Canvas(NamedTuple):
         """
         height, width = self.picture.shape[:2]
         across = max(0, _MIN_CANVAS_PX - width)
-        down = max(0, 5 * text_px(width + across) - height)
+        min_height = 5 * text_px(width + across)
+        down = max(0, min_height - height)
         bordered = cv2.copyMakeBorder(
             self.picture,
             top=down // 2,
@@ -126,8 +130,10 @@ class Canvas(NamedTuple):
         )
         picture = np.asarray(bordered, dtype=np.uint8)
         if gsd_m_per_px is not None:
-            draw_scale_bar(picture, gsd_m_per_px / float(self.placement.scale[0]))
-        return np.concatenate([picture, caption_panel(picture.shape[1], lines)])
+            enlargement = float(self.placement.scale[0])
+            draw_scale_bar(picture, gsd_m_per_px / enlargement)
+        panel = caption_panel(picture.shape[1], lines)
+        return np.concatenate([picture, panel])
 
 
 def open_canvas(
@@ -179,7 +185,8 @@ def read_reduced(raster: Raster, part: Window | None = None) -> RgbImage:
     if part is None:
         part = Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
     longer_side = max(part.width_px, part.height_px)
-    reduction = max(1, math.ceil(longer_side / (2 * MAX_SIDE_PX)))
+    max_side_px = 2 * MAX_SIDE_PX
+    reduction = max(1, math.ceil(longer_side / max_side_px))
     if reduction == 1:
         return raster.read(part)
     width = max(1, round(part.width_px / reduction))
@@ -198,7 +205,8 @@ def read_reduced(raster: Raster, part: Window | None = None) -> RgbImage:
             height_px=last_row - first_row,
         )
         size = (width, bottom - top)
-        reduced[top:bottom] = cv2.resize(raster.read(strip), size, interpolation=cv2.INTER_AREA)
+        pixels = raster.read(strip)
+        reduced[top:bottom] = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     return reduced
 
 
@@ -252,14 +260,17 @@ def draw_vehicles(picture: RgbImage, analysis: ScaleEvidence, placement: Placeme
     if not len(boxes):
         return
     corners = placement.to_opencv(box_corners(boxes))
-    drawn_length = float(np.median(boxes[:, 2]) * placement.scale.mean())
+    median_length = np.median(boxes[:, 2])
+    drawn_length = float(median_length * placement.scale.mean())
     line = line_px(picture, drawn_length / _LENGTH_PER_LINE)
     if drawn_length >= _MIN_HALO_PX:
         _draw_shapes(picture, corners, colour=_PANEL_RGB, line=line + 2)
     kept = corners[analysis.kept]
     dropped = corners[~analysis.kept]
     # The diagonals of the dropped boxes.
-    crosses = np.concatenate([dropped[:, [0, 2]], dropped[:, [1, 3]]])
+    falling = dropped[:, [0, 2]]
+    rising = dropped[:, [1, 3]]
+    crosses = np.concatenate([falling, rising])
     _draw_shapes(picture, kept, colour=KEPT_RGB, line=line)
     _draw_shapes(picture, dropped, colour=DROPPED_RGB, line=line)
     _draw_shapes(picture, crosses, closed=False, colour=DROPPED_RGB, line=1)
@@ -292,20 +303,24 @@ def _write_numbers(picture: RgbImage, detections: Detections, placement: Placeme
     Many small vehicles have no numbers.
     """
     enlargement = placement.scale.mean()
-    is_many = len(detections.boxes) > _MANY_VEHICLES
-    if is_many and np.median(detections.boxes[:, 2]) * enlargement < _NUMBERED_PX:
-        return
+    if len(detections.boxes) > _MANY_VEHICLES:
+        median_length = np.median(detections.boxes[:, 2])
+        if median_length * enlargement < _NUMBERED_PX:
+            return
     is_written = np.zeros(picture.shape[:2], bool)
     for box, number in zip(detections.boxes, detections.numbers, strict=True):
         text = str(number)
         x, y = placement.to_picture(box[:2])
-        capital = int(np.clip(_NUMBER_SHARE * box[3] * enlargement, *_NUMBER_RANGE_PX))
+        fitting = _NUMBER_SHARE * box[3] * enlargement
+        capital = int(np.clip(fitting, *_NUMBER_RANGE_PX))
         width = text_width(text, capital)
         left = round(x - width / 2)
         baseline = round(y + capital / 2)
-        rows = slice(max(0, baseline - capital), max(0, baseline))
-        columns = slice(max(0, left), max(0, left + width))
-        covered = is_written[rows, columns]
+        top = max(0, baseline - capital)
+        bottom = max(0, baseline)
+        first_column = max(0, left)
+        end_column = max(0, left + width)
+        covered = is_written[top:bottom, first_column:end_column]
         if covered.size and not covered.any():
             covered[:] = True
             write_on(picture, text, (left, baseline), capital_px=capital)
@@ -315,7 +330,11 @@ def _round_length(metres: float) -> float:
     """Round to 1, 2 or 5 times a power of ten, nearest by ratio."""
     power = 10.0 ** math.floor(math.log10(metres))
     lengths = [multiple * power for multiple in (1.0, 2.0, 5.0, 10.0)]
-    return min(lengths, key=lambda length: abs(math.log(length / metres)))
+
+    def log_distance(length: float) -> float:
+        return abs(math.log(length / metres))
+
+    return min(lengths, key=log_distance)
 
 
 def draw_scale_bar(picture: RgbImage, m_per_px: float) -> None:
@@ -332,15 +351,15 @@ def draw_scale_bar(picture: RgbImage, m_per_px: float) -> None:
     top = bottom - thickness
     black = (0, 0, 0)
     white = (255, 255, 255)
-    _fill_rectangle(picture, (left - rim, top - rim), (right + rim, bottom + rim), colour=black)
+    outer_first = (left - rim, top - rim)
+    outer_last = (right + rim, bottom + rim)
+    _fill_rectangle(picture, outer_first, outer_last, colour=black)
     _fill_rectangle(picture, (left, top), (right, bottom), colour=white)
     start = (left, top - rim - capital // 2)
     write_on(picture, f"{metres:g} m", start, capital_px=capital)
 
 
-def _fill_rectangle(
-    picture: RgbImage, first: tuple[int, int], last: tuple[int, int], *, colour: Colour
-) -> None:
+def _fill_rectangle(picture: RgbImage, first: Pixel, last: Pixel, *, colour: Colour) -> None:
     """Fill a rectangle between two corner pixels, both included."""
     cv2.rectangle(picture, first, last, color=colour, thickness=cv2.FILLED)
 
@@ -355,7 +374,8 @@ def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
     if advice is None:
         lines = [[(None, scale)], [(None, confidence)]]
     else:
-        lines = [[(None, f"no usable scale: {advice.why}")], [(None, advice.helps)]]
+        objection = f"no usable scale: {advice.why}"
+        lines = [[(None, objection)], [(None, advice.helps)]]
         if estimate.gsd_m_per_px is not None:
             lines.append([(None, f"{scale}, {confidence}")])
     if estimate.tilt is not None:
@@ -408,7 +428,8 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
     margin = round(capital)
     pitch = round(_LINE_PITCH * capital)
     first_baseline = round(_FIRST_BASELINE * capital)
-    panel = np.full((pitch * len(lines) + margin, width_px, 3), _PANEL_RGB, np.uint8)
+    height_px = pitch * len(lines) + margin
+    panel = np.full((height_px, width_px, 3), _PANEL_RGB, np.uint8)
     for row, line in enumerate(lines):
         x = margin
         baseline = first_baseline + row * pitch
@@ -418,10 +439,17 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
         for colour, text in line:
             if colour is not None:
                 side = round(capital)
-                _fill_rectangle(panel, (x, baseline - side), (x + side, baseline), colour=colour)
+                first = (x, baseline - side)
+                last = (x + side, baseline)
+                _fill_rectangle(panel, first, last, colour=colour)
                 x += round(_SWATCH_WIDTH * capital)
             put_text(
-                panel, text, (x, baseline), capital_px=capital, colour=_TEXT_RGB, stroke=stroke
+                panel,
+                text,
+                (x, baseline),
+                capital_px=capital,
+                colour=_TEXT_RGB,
+                stroke=stroke,
             )
             x += text_width(text, capital) + round(_TEXT_GAP * capital)
     return panel
@@ -439,7 +467,11 @@ def _fitting_capital(width_px: int, lines: list[CaptionLine]) -> float:
 
 
 def _line_width(line: CaptionLine, capital_px: float) -> float:
-    swatches = sum(_SWATCH_WIDTH * capital_px for colour, _ in line if colour is not None)
-    texts = sum(text_width(text, capital_px) for _, text in line)
+    swatches = 0.0
+    texts = 0
+    for colour, text in line:
+        texts += text_width(text, capital_px)
+        if colour is not None:
+            swatches += _SWATCH_WIDTH * capital_px
     gaps = _TEXT_GAP * capital_px * (len(line) - 1)
     return texts + swatches + gaps

@@ -58,17 +58,24 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
 
 
 def _draw_vehicle(raster: Raster, box: NDArray[np.float64], colour: Colour) -> RgbImage:
-    x = round(float(box[0]))
-    y = round(float(box[1]))
-    reach = max(_MIN_REACH_PX, round(_REACH_SHARE * float(box[2])))
+    centre_x, centre_y, length, _, _ = box.tolist()
+    x = round(centre_x)
+    y = round(centre_y)
+    reach = max(_MIN_REACH_PX, round(_REACH_SHARE * length))
     left = max(0, x - reach)
     top = max(0, y - reach)
     right = min(raster.width_px, x + reach)
     bottom = min(raster.height_px, y + reach)
     part = Window(left, top, width_px=right - left, height_px=bottom - top)
     chip = Cut(part, _CHIP_PX).sized(raster.read(part))
-    corners = Placement.of(chip, part).to_opencv(box_corners(box[None]))
+    placement = Placement.of(chip, part)
+    corners = placement.to_opencv(box_corners(box[None]))
     cv2.polylines(
-        chip, list(corners), isClosed=True, color=colour, thickness=1, lineType=cv2.LINE_AA
+        chip,
+        list(corners),
+        isClosed=True,
+        color=colour,
+        thickness=1,
+        lineType=cv2.LINE_AA,
     )
     return chip

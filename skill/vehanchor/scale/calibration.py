@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -27,6 +27,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """``[n]`` lengths of vehicles, pixels or metres."""
+
+    Weights: TypeAlias = NDArray[np.float64]
+    """``[n]`` weights of vehicles."""
 
 MIN_VEHICLES = 100
 """Least number of vehicles. Lengths of one fleet spread by about 9 %, so that the mode of 100 cars
@@ -160,9 +166,11 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
     """
     lengths_m, weights, smoothing = weighted_lengths_m(images)
     mode_m = kde_mode(lengths_m, weights, smoothing=smoothing)
-    modes_m = resampled_modes(lengths_m, weights, smoothing=smoothing, block=_blocks(images))
+    block = _blocks(images)
+    modes_m = resampled_modes(lengths_m, weights, smoothing=smoothing, block=block)
     low_m, high_m = np.percentile(modes_m, [2.5, 97.5])
-    log_sd = float(np.sqrt(np.mean(np.log(modes_m / mode_m) ** 2)))
+    log_errors = np.log(modes_m / mode_m)
+    log_sd = float(np.sqrt(np.mean(log_errors**2)))
     return ModalLength(
         mode_m,
         low_m=min(float(low_m), mode_m),
@@ -173,7 +181,7 @@ def modal_length_m(images: Sequence[SurveyedImage]) -> ModalLength:
 
 def weighted_lengths_m(
     images: Sequence[SurveyedImage],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+) -> tuple[Lengths, Weights, float]:
     """Collect the lengths of all vehicles with the parameters of their density.
 
     Returns:
@@ -185,9 +193,7 @@ def weighted_lengths_m(
     return lengths_m, weights, smoothing
 
 
-def _weights(
-    images: Sequence[SurveyedImage], lengths: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
+def _weights(images: Sequence[SurveyedImage], lengths: Lengths) -> tuple[Weights, float]:
     """Choose each vehicle's weight and the factor on the bandwidth, as in estimates.
 
     Vehicles are weighted by their scores only if all images have scores.
@@ -270,13 +276,14 @@ def calibrate(
     with_vehicles = _with_vehicles(images, source)
     # Medians over vehicles, not over images.
     counts = [len(image.boxes) for image in with_vehicles]
-    gsds = np.repeat([image.gsd_m_per_px for image in with_vehicles], counts)
-    gsd_log_sds = np.repeat([image.gsd_log_sd for image in with_vehicles], counts)
-    median_gsd = float(np.median(gsds))
-    gsd_log_sd = float(np.median(gsd_log_sds))
+    gsds = [image.gsd_m_per_px for image in with_vehicles]
+    gsd_log_sds = [image.gsd_log_sd for image in with_vehicles]
+    median_gsd = float(np.median(np.repeat(gsds, counts)))
+    gsd_log_sd = float(np.median(np.repeat(gsd_log_sds, counts)))
 
     length = modal_length_m(with_vehicles)
-    spread_m = math.hypot(length.sd_m, region_sd_m / 2, gsd_log_sd * length.mode_m)
+    gsd_sd_m = gsd_log_sd * length.mode_m
+    spread_m = math.hypot(length.sd_m, region_sd_m / 2, gsd_sd_m)
     _check_lengths(length.mode_m, spread_m)
 
     lengths_px = np.concatenate([image.boxes[:, 2] for image in with_vehicles])
@@ -290,7 +297,8 @@ def calibrate(
             f"short. Use images of {length.mode_m / guard_px:.2f} m/px or finer"
         )
     bootstrap = Spread.of_interval(length.mode_m, length.low_m, length.high_m)
-    low_m, high_m = bootstrap.plus(gsd_log_sd).around(length.mode_m)
+    with_scale_error = bootstrap.plus(gsd_log_sd)
+    low_m, high_m = with_scale_error.around(length.mode_m)
     return Calibration(
         reference_length_m=length.mode_m,
         reference_length_ci95_low_m=low_m,

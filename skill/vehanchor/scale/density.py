@@ -42,14 +42,16 @@ _SD_STEP = 0.01
 
 def flat() -> Density:
     """Return the flat density: ``[g]`` equal probabilities."""
-    return np.full(len(GRID), 1.0 / len(GRID))
+    n_cells = len(GRID)
+    return np.full(n_cells, 1.0 / n_cells)
 
 
 def on_grid(gsd_m_per_px: float) -> bool:
     """Test whether a scale is possible: 3 mm to 3 m per pixel."""
     if gsd_m_per_px <= 0:
         return False
-    return bool(GRID[0] <= math.log(gsd_m_per_px) <= GRID[-1])
+    log_gsd = math.log(gsd_m_per_px)
+    return bool(GRID[0] <= log_gsd <= GRID[-1])
 
 
 def lognormal(gsd_m_per_px: float, log_sd: float) -> Density:
@@ -62,7 +64,8 @@ def lognormal(gsd_m_per_px: float, log_sd: float) -> Density:
     Returns:
         ``[g]`` probabilities.
     """
-    deviations = (GRID - math.log(gsd_m_per_px)) / max(log_sd, LOG_STEP)
+    log_errors = GRID - math.log(gsd_m_per_px)
+    deviations = log_errors / max(log_sd, LOG_STEP)
     return normalised(np.exp(-0.5 * deviations**2))
 
 
@@ -110,27 +113,32 @@ def product(*densities: Density) -> Density:
     logs = [np.log(np.maximum(density, MIN_PROBABILITY)) for density in densities]
     log_product = np.sum(logs, axis=0)
     # The largest cell becomes 1 before the exponential, so that no product underflows.
-    return normalised(np.exp(log_product - log_product.max()))
+    relative = log_product - log_product.max()
+    return normalised(np.exp(relative))
 
 
 def shifted(density: Density, offset: float) -> Density:
     """Shift a density ``[g]`` of log scale down by ``offset``, to another photograph's pixels."""
     if offset == 0:
         return density
-    return normalised(np.interp(GRID + offset, GRID, density))
+    moved = np.interp(GRID + offset, GRID, density)
+    return normalised(moved)
 
 
 def quantile(density: Density, probability: float) -> float:
     """Compute a quantile of a density ``[g]``, metres per pixel."""
     upper_edges = GRID + LOG_STEP / 2
-    log_gsd = np.interp(probability, np.cumsum(density), upper_edges)
+    mass_below = np.cumsum(density)
+    log_gsd = np.interp(probability, mass_below, upper_edges)
     return float(np.exp(log_gsd))
 
 
 def credible_interval(density: Density, probability: float = 0.95) -> Interval:
     """Compute the central interval of a density ``[g]`` with a probability, metres per pixel."""
     tail = (1.0 - probability) / 2
-    return Interval(quantile(density, tail), quantile(density, 1.0 - tail))
+    low = quantile(density, tail)
+    high = quantile(density, 1.0 - tail)
+    return Interval(low, high)
 
 
 def mass_within(density: Density, gsd_m_per_px: float) -> float:
@@ -169,7 +177,8 @@ class Votes(NamedTuple):
 
     def log_odds(self, scores: ArrayLike) -> NDArray[np.float64]:
         """Compute the log odds that each box is a car from its score, in steps of a quarter."""
-        log_odds = self.share_at_zero + self.share_slope * np.asarray(scores, dtype=np.float64)
+        values = np.asarray(scores, dtype=np.float64)
+        log_odds = self.share_at_zero + self.share_slope * values
         limited = np.clip(log_odds, _MIN_LOG_ODDS, _MAX_LOG_ODDS)
         return np.round(limited / _LOG_ODDS_STEP) * _LOG_ODDS_STEP
 
@@ -207,22 +216,30 @@ def vehicle_likelihood(
         return flat()
     # The scale at which each box would have its length in metres, as a cell of the grid.
     log_scales = np.log(np.asarray(lengths_m) / lengths)
-    cells = np.rint((log_scales - GRID[0]) / LOG_STEP).astype(np.intp)
-    inside = (cells >= 0) & (cells < len(GRID))
+    n_cells = len(GRID)
+    positions = (log_scales - GRID[0]) / LOG_STEP
+    cells = np.rint(positions).astype(np.intp)
+    inside = (cells >= 0) & (cells < n_cells)
     log_odds = votes.log_odds(scores)
-    sd_steps = np.round(np.broadcast_to(log_sds, lengths.shape) / _SD_STEP)
+    box_log_sds = np.broadcast_to(log_sds, lengths.shape)
+    sd_steps = np.round(box_log_sds / _SD_STEP)
     spreads = np.maximum(sd_steps, 1) * _SD_STEP
 
     # Boxes of equal odds and spread have the same curve log(1 + o N). The sum of their curves is
     # one convolution of the curve with the number of boxes in each cell.
-    log_likelihood = np.zeros(len(GRID))
-    bins = set(zip(log_odds[inside].tolist(), spreads[inside].tolist(), strict=True))
+    log_likelihood = np.zeros(n_cells)
+    odds_inside = log_odds[inside].tolist()
+    spreads_inside = spreads[inside].tolist()
+    bins = set(zip(odds_inside, spreads_inside, strict=True))
     for bin_log_odds, log_sd in sorted(bins):
         in_bin = inside & (log_odds == bin_log_odds) & (spreads == log_sd)
-        counts = np.bincount(cells[in_bin], minlength=len(GRID)).astype(np.float64)
+        counts = np.bincount(cells[in_bin], minlength=n_cells).astype(np.float64)
         reach = int(np.ceil(KERNEL_REACH_SDS * log_sd / LOG_STEP))
         deviations = np.arange(-reach, reach + 1) * LOG_STEP / log_sd
-        normal = np.exp(-0.5 * deviations**2) / (log_sd * np.sqrt(2 * np.pi))
+        norm = log_sd * np.sqrt(2 * np.pi)
+        normal = np.exp(-0.5 * deviations**2) / norm
         curve = np.log1p(np.exp(bin_log_odds) * normal)
-        log_likelihood += np.convolve(counts, curve)[reach : reach + len(GRID)]
-    return normalised(np.exp(log_likelihood - log_likelihood.max()))
+        grid_cells = slice(reach, reach + n_cells)
+        log_likelihood += np.convolve(counts, curve)[grid_cells]
+    relative = log_likelihood - log_likelihood.max()
+    return normalised(np.exp(relative))

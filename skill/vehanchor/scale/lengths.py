@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,21 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.scale.defaults import Aggregation
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """``[n]`` lengths of vehicles."""
+
+    Weights: TypeAlias = NDArray[np.float64]
+    """``[n]`` weights of vehicles, non-negative."""
+
+    KernelDensity: TypeAlias = NDArray[np.float64]
+    """``[g]`` density per pixel at some lengths."""
+
+    IsMember: TypeAlias = NDArray[np.bool_]
+    """``[n]`` vehicles that belong to a group."""
+
+    Cells: TypeAlias = NDArray[np.intp]
+    """``[n]`` cell of each length."""
 
 # Paper, GSD_max of the resolution guard.
 GUARD_GSD_M_PER_PX = 0.3
@@ -74,9 +89,9 @@ class Spread(NamedTuple):
         """
         if not (value and low and high):
             return cls()
-        below = max(math.log(value / low), 0.0) / Z95
-        above = max(math.log(high / value), 0.0) / Z95
-        return cls(below, above)
+        log_below = max(math.log(value / low), 0.0)
+        log_above = max(math.log(high / value), 0.0)
+        return cls(log_below / Z95, log_above / Z95)
 
     def times(self, factor: float) -> Spread:
         """Return the spread of a power of the quantity: its relative error times a factor."""
@@ -84,7 +99,9 @@ class Spread(NamedTuple):
 
     def plus(self, log_sd: float) -> Spread:
         """Add an independent symmetric error to each side."""
-        return Spread(math.hypot(self.below, log_sd), math.hypot(self.above, log_sd))
+        below = math.hypot(self.below, log_sd)
+        above = math.hypot(self.above, log_sd)
+        return Spread(below, above)
 
     def around(self, value: float) -> Interval:
         """Return the 95 % interval around a value."""
@@ -93,7 +110,7 @@ class Spread(NamedTuple):
         return Interval(low, high)
 
 
-def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> tuple[NDArray[np.bool_], float]:
+def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> tuple[IsMember, float]:
     """Split lengths of any scale into the fleet with the largest weight and the rest.
 
     A search over scales finds car-shaped objects of every size. Cars of one image lie within a
@@ -111,19 +128,20 @@ def dominant_group(lengths: ArrayLike, weights: ArrayLike) -> tuple[NDArray[np.b
     """
     log_lengths = np.log(np.asarray(lengths, dtype=np.float64))
     shares = _normalised(log_lengths, weights)
-    cells = np.rint((log_lengths - log_lengths.min()) / _GROUP_LOG_STEP).astype(np.intp)
+    from_shortest = log_lengths - log_lengths.min()
+    cells = np.rint(from_shortest / _GROUP_LOG_STEP).astype(np.intp)
 
     everything = np.ones(len(log_lengths), dtype=bool)
     members = _near_strongest_mode(cells, shares, everything)
     if members.all():
         return members, 0.0
     rivals = _near_strongest_mode(cells, shares, ~members) & ~members
-    return members, float(shares[rivals].sum() / shares[members].sum())
+    weight = shares[members].sum()
+    rival_weight = shares[rivals].sum()
+    return members, float(rival_weight / weight)
 
 
-def _near_strongest_mode(
-    cells: NDArray[np.intp], shares: NDArray[np.float64], voting: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _near_strongest_mode(cells: Cells, shares: Weights, voting: IsMember) -> IsMember:
     """Select all lengths within a factor of 1.5 of the strongest mode of the voting ones.
 
     Args:
@@ -137,16 +155,20 @@ def _near_strongest_mode(
     # The kernel density on the cells: their weights, convolved with a Gaussian of four sigmas.
     reach = round(4 * _GROUP_LOG_BANDWIDTH / _GROUP_LOG_STEP)
     offsets = np.arange(-reach, reach + 1) * _GROUP_LOG_STEP
-    kernel = np.exp(-0.5 * (offsets / _GROUP_LOG_BANDWIDTH) ** 2)
-    mass = np.bincount(cells[voting], weights=shares[voting], minlength=int(cells.max()) + 1)
-    density = np.convolve(mass, kernel)[reach : reach + len(mass)]
+    deviations = offsets / _GROUP_LOG_BANDWIDTH
+    kernel = np.exp(-0.5 * deviations**2)
+    n_cells = int(cells.max()) + 1
+    mass = np.bincount(cells[voting], weights=shares[voting], minlength=n_cells)
+    convolved = np.convolve(mass, kernel)
+    density = convolved[reach : reach + n_cells]
     # The first of equal maxima, whatever the rounding.
-    mode = int(np.argmax(density > density.max() * (1 - 1e-9)))
+    is_maximum = density > density.max() * (1 - 1e-9)
+    mode = int(np.argmax(is_maximum))
     log_distances = np.abs(cells - mode) * _GROUP_LOG_STEP
     return np.asarray(log_distances <= GROUP_LOG_REACH + 1e-9)
 
 
-def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> NDArray[np.bool_]:
+def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> IsMember:
     """Keep ``P_i <= alpha * median(P)`` (paper, equation 2), which drops long outliers only.
 
     Args:
@@ -159,10 +181,11 @@ def inlier_mask(lengths: ArrayLike, alpha: float | None = OUTLIER_ALPHA) -> NDAr
     values = np.asarray(lengths, dtype=np.float64)
     if alpha is None or len(values) == 0:
         return np.ones(len(values), dtype=bool)
-    return np.asarray(values <= alpha * np.median(values))
+    longest = alpha * np.median(values)
+    return np.asarray(values <= longest)
 
 
-def scott_bandwidth(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def scott_bandwidth(values: Lengths, weights: Weights) -> float:
     """Compute Scott's bandwidth with the effective sample size, as ``scipy.stats.gaussian_kde``.
 
     Args:
@@ -172,15 +195,18 @@ def scott_bandwidth(values: NDArray[np.float64], weights: NDArray[np.float64]) -
     Returns:
         The standard deviation of the kernel, in the unit of the values; 0 without spread.
     """
-    n_effective = 1.0 / np.sum(weights**2)
+    sum_of_squares = np.sum(weights**2)
+    n_effective = 1.0 / sum_of_squares
     if len(values) < 2 or n_effective <= 1.0 + 1e-12:
         return 0.0
     mean = np.sum(weights * values)
-    variance = np.sum(weights * (values - mean) ** 2) / (1.0 - np.sum(weights**2))
-    return float(np.sqrt(max(variance, 0.0)) * n_effective ** (-0.2))
+    squared_deviations = weights * (values - mean) ** 2
+    variance = np.sum(squared_deviations) / (1.0 - sum_of_squares)
+    sd = np.sqrt(max(variance, 0.0))
+    return float(sd * n_effective ** (-0.2))
 
 
-def _normalised(values: NDArray[np.float64], weights: ArrayLike | None) -> NDArray[np.float64]:
+def _normalised(values: Lengths, weights: ArrayLike | None) -> Weights:
     """Scale the weights ``[n]`` of values to the sum 1; None gives equal weights."""
     shares = np.ones(len(values))
     if weights is not None:
@@ -194,8 +220,12 @@ def _normalised(values: NDArray[np.float64], weights: ArrayLike | None) -> NDArr
 
 
 def kde_density(
-    at: ArrayLike, lengths: ArrayLike, weights: ArrayLike | None = None, *, smoothing: float = 1.0
-) -> NDArray[np.float64]:
+    at: ArrayLike,
+    lengths: ArrayLike,
+    weights: ArrayLike | None = None,
+    *,
+    smoothing: float = 1.0,
+) -> KernelDensity:
     """Compute the Gaussian kernel density of lengths (paper, equation 3).
 
     With a smoothing of 1, it equals ``scipy.stats.gaussian_kde``.
@@ -215,23 +245,41 @@ def kde_density(
     bandwidth = smoothing * scott_bandwidth(values, shares)
     if bandwidth == 0.0:
         return np.zeros(len(points))
-    return _mixture(points, values, shares=shares, bandwidth=bandwidth)
+    mixture = _NormalMixture(values, shares, bandwidth)
+    return mixture.density_at(points)
 
 
-def _mixture(
-    points: NDArray[np.float64],
-    values: NDArray[np.float64],
-    shares: NDArray[np.float64],
-    bandwidth: float,
-) -> NDArray[np.float64]:
-    """Compute a mixture of normal densities at points ``[g]``, in blocks that bound the memory."""
-    density = np.empty(len(points))
-    block = max(1, _BLOCK_VALUES // max(1, len(values)))
-    for start in range(0, len(points), block):
-        block_points = points[start : start + block, None]
-        deviations = (block_points - values[None, :]) / bandwidth
-        density[start : start + block] = np.exp(-0.5 * deviations * deviations) @ shares
-    return np.asarray(density / (bandwidth * np.sqrt(2 * np.pi)))
+class _NormalMixture(NamedTuple):
+    """Kernel density: a mixture of normal densities of one width.
+
+    Attributes:
+        values: ``[n]`` means, the lengths.
+        shares: ``[n]`` weights, their sum 1 for all lengths.
+        bandwidth: standard deviation of each.
+    """
+
+    values: Lengths
+    shares: Weights
+    bandwidth: float
+
+    def density_at(self, points: Lengths) -> KernelDensity:
+        """Compute the density at points ``[g]``, in blocks that bound the memory."""
+        density = np.empty(len(points))
+        points_at_once = max(1, _BLOCK_VALUES // max(1, len(self.values)))
+        for start in range(0, len(points), points_at_once):
+            block = slice(start, start + points_at_once)
+            offsets = points[block, None] - self.values[None, :]
+            deviations = offsets / self.bandwidth
+            kernels = np.exp(-0.5 * deviations * deviations)
+            density[block] = kernels @ self.shares
+        norm = self.bandwidth * np.sqrt(2 * np.pi)
+        return np.asarray(density / norm)
+
+    def near(self, point: float) -> _NormalMixture:
+        """Leave out the normal densities that are negligible around a point."""
+        # Beyond 12 bandwidths a Gaussian adds less than 1e-31.
+        is_near = np.abs(self.values - point) < 12 * self.bandwidth
+        return _NormalMixture(self.values[is_near], self.shares[is_near], self.bandwidth)
 
 
 def kde_mode(
@@ -258,63 +306,58 @@ def kde_mode(
     low = float(values.min())
     high = float(values.max())
     bandwidth = smoothing * scott_bandwidth(values, shares)
-    if high - low <= 1e-9 * high or bandwidth <= 1e-9 * high:
+    negligible = 1e-9 * high
+    if high - low <= negligible or bandwidth <= negligible:
         return float(np.sum(shares * values))
 
-    n_steps = int(np.ceil((high - low) / (_GRID_STEP * bandwidth)))
+    step = _GRID_STEP * bandwidth
+    n_steps = int(np.ceil((high - low) / step))
     points = np.linspace(low, high, n_steps + 2)
-    density = _mixture(points, values, shares=shares, bandwidth=bandwidth)
+    mixture = _NormalMixture(values, shares, bandwidth)
+    density = mixture.density_at(points)
 
     # A peak of the grid is at least as high as its left neighbour and higher than its right one.
     padded = np.pad(density, 1, constant_values=-np.inf)
-    is_peak = (density >= padded[:-2]) & (density > padded[2:])
+    left = padded[:-2]
+    right = padded[2:]
+    is_peak = (density >= left) & (density > right)
     may_be_highest = density >= _MAY_BE_HIGHEST * density.max()
-    modes = []
-    for index in np.flatnonzero(is_peak & may_be_highest):
-        mode = _refined_peak(points, int(index), values=values, shares=shares, bandwidth=bandwidth)
-        modes.append(mode)
-    heights = _mixture(np.array(modes), values, shares=shares, bandwidth=bandwidth)
-    return float(modes[np.argmax(heights)])
+    peaks = np.flatnonzero(is_peak & may_be_highest).tolist()
+    modes = [_refined_peak(mixture, points, peak) for peak in peaks]
+    heights = mixture.density_at(np.array(modes))
+    highest = np.argmax(heights)
+    return float(modes[highest])
 
 
-def _refined_peak(
-    points: NDArray[np.float64],
-    index: int,
-    values: NDArray[np.float64],
-    shares: NDArray[np.float64],
-    bandwidth: float,
-) -> float:
+def _refined_peak(mixture: _NormalMixture, points: Lengths, index: int) -> float:
     """Refine the peak of the density beside a point of the grid, to 1e-5 px.
 
     Args:
+        mixture: the density.
         points: ``[g]`` grid.
         index: index of the highest point of this peak.
-        values: ``[n]`` lengths.
-        shares: ``[n]`` weights, their sum 1.
-        bandwidth: standard deviation of the kernel.
     """
+    last = len(points) - 1
     left = points[max(index - 1, 0)]
-    right = points[min(index + 1, len(points) - 1)]
-    # Beyond 12 bandwidths a Gaussian adds less than 1e-31.
-    near = np.abs(values - points[index]) < 12 * bandwidth
-    near_values = values[near]
-    near_shares = shares[near]
+    right = points[min(index + 1, last)]
+    near = mixture.near(points[index])
     # Golden-section search: the part beside the lower of two inner points is dropped.
     golden = (np.sqrt(5) - 1) / 2
     while right - left > 1e-5:
         step = golden * (right - left)
-        inner = np.array([right - step, left + step])
-        heights = _mixture(inner, near_values, shares=near_shares, bandwidth=bandwidth)
-        if heights[0] >= heights[1]:
-            right = inner[1]
+        inner_left = right - step
+        inner_right = left + step
+        height_left, height_right = near.density_at(np.array([inner_left, inner_right]))
+        if height_left >= height_right:
+            right = inner_right
         else:
-            left = inner[0]
+            left = inner_left
     return float((left + right) / 2)
 
 
 def kernel_weights(
     lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[Weights, float]:
     """Choose the vehicles' weights, and the factor on the bandwidth of their density.
 
     ``weighted_kde`` uses ``score^2 * length`` and 2: most false alarms, such as roof windows and
@@ -331,14 +374,15 @@ def kernel_weights(
     values = np.asarray(lengths, dtype=np.float64)
     if aggregation != "weighted_kde":
         return np.ones(len(values)), 1.0
-    score = np.maximum(np.asarray(scores, dtype=np.float64), MIN_SCORE)
+    score = np.asarray(scores, dtype=np.float64)
+    score = np.maximum(score, MIN_SCORE)
     weights = np.asarray(score**2 * values)
     return weights, _WEIGHTED_SMOOTHING
 
 
 def modal_density(
     at: ArrayLike, lengths: ArrayLike, scores: ArrayLike, aggregation: Aggregation
-) -> NDArray[np.float64]:
+) -> KernelDensity:
     """Compute the density whose mode is ``modal_length``; the paper's for median and mean.
 
     Args:
@@ -381,11 +425,8 @@ def modal_length(
 
 
 def resampled_modes(
-    values: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    smoothing: float,
-    block: NDArray[np.intp] | None = None,
-) -> NDArray[np.float64]:
+    values: Lengths, weights: Weights, smoothing: float, block: NDArray[np.intp] | None = None
+) -> Lengths:
     """Compute the KDE modes of 400 resamples, from a fixed seed.
 
     Lengths are binned to a fifth of a bandwidth, so that the cost hardly depends on their number.
@@ -400,30 +441,39 @@ def resampled_modes(
     Returns:
         ``[400]`` modal lengths.
     """
-    bandwidth = smoothing * scott_bandwidth(values, weights / weights.sum())
+    shares = weights / weights.sum()
+    bandwidth = smoothing * scott_bandwidth(values, shares)
     low = float(values.min())
     high = float(values.max())
     if bandwidth <= 1e-9 * high:
-        return np.full(_BOOTSTRAP_REPLICATES, kde_mode(values, weights, smoothing=smoothing))
-    n_cells = int(np.clip(np.ceil((high - low) / (_GRID_STEP * bandwidth)), 8, 1024))
-    counts, edges = np.histogram(values, bins=n_cells, range=(low, high))
+        mode = kde_mode(values, weights, smoothing=smoothing)
+        return np.full(_BOOTSTRAP_REPLICATES, mode)
+    step = _GRID_STEP * bandwidth
+    n_steps = np.ceil((high - low) / step)
+    n_cells = int(np.clip(n_steps, 8, 1024))
+    ends = (low, high)
+    counts, edges = np.histogram(values, bins=n_cells, range=ends)
     if block is None:
-        mass, _ = np.histogram(values, bins=n_cells, range=(low, high), weights=weights)
-        masses = _resampled_lengths(counts, mean_weights=mass / np.maximum(counts, 1))
+        mass, _ = np.histogram(values, bins=n_cells, range=ends, weights=weights)
+        mean_weights = mass / np.maximum(counts, 1)
+        masses = _resampled_lengths(counts, mean_weights)
     else:
-        cells = np.minimum(np.searchsorted(edges, values, side="right") - 1, n_cells - 1)
+        cells = np.searchsorted(edges, values, side="right") - 1
+        # The longest length lies on the last edge.
+        cells = np.minimum(cells, n_cells - 1)
         masses = _resampled_blocks(cells, weights, n_cells, block=block)
 
     # Each resample's density at the centres of the cells is its masses times the kernel.
     centres = (edges[:-1] + edges[1:]) / 2
-    deviations = (centres[:, None] - centres[None, :]) / bandwidth
+    offsets = centres[:, None] - centres[None, :]
+    deviations = offsets / bandwidth
     kernel = np.exp(-0.5 * deviations**2)
-    return np.asarray(centres[np.argmax(masses @ kernel, axis=1)])
+    densities = masses @ kernel
+    highest = np.argmax(densities, axis=1)
+    return np.asarray(centres[highest])
 
 
-def _resampled_lengths(
-    counts: NDArray[np.intp], mean_weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _resampled_lengths(counts: NDArray[np.intp], mean_weights: Weights) -> Weights:
     """Draw single lengths with replacement.
 
     Args:
@@ -440,12 +490,8 @@ def _resampled_lengths(
 
 
 def _resampled_blocks(
-    cells: NDArray[np.intp],
-    weights: NDArray[np.float64],
-    n_cells: int,
-    *,
-    block: NDArray[np.intp],
-) -> NDArray[np.float64]:
+    cells: Cells, weights: Weights, n_cells: int, *, block: NDArray[np.intp]
+) -> Weights:
     """Draw whole blocks with replacement.
 
     Args:
@@ -461,7 +507,11 @@ def _resampled_blocks(
     n_blocks = int(block.max()) + 1
     chances = np.full(n_blocks, 1 / n_blocks)
     times_drawn = rng.multinomial(n_blocks, chances, size=_BOOTSTRAP_REPLICATES)
-    return np.array([np.bincount(cells, weights * times[block], n_cells) for times in times_drawn])
+    masses = []
+    for times in times_drawn:
+        drawn_weights = weights * times[block]
+        masses.append(np.bincount(cells, drawn_weights, n_cells))
+    return np.array(masses)
 
 
 def statistical_log_sds(
@@ -484,9 +534,11 @@ def statistical_log_sds(
     weights, smoothing = kernel_weights(values, scores, aggregation)
     resampling = 0.0
     if len(values) >= MIN_KDE_VEHICLES:
-        log_errors = np.log(resampled_modes(values, weights, smoothing) / mode_px)
+        modes_px = resampled_modes(values, weights, smoothing)
+        log_errors = np.log(modes_px / mode_px)
         resampling = float(np.sqrt(np.mean(log_errors**2)))
-    return resampling, _FLEET_LOG_SD / np.sqrt(len(values))
+    fleet = _FLEET_LOG_SD / np.sqrt(len(values))
+    return resampling, fleet
 
 
 def guard_length(reference_length_m: float, min_length_px: float = 0.0) -> float:

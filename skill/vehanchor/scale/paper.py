@@ -9,7 +9,7 @@ train split (commit ``3b3b4f3`` has the program). Outlier filter and modal lengt
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from vehanchor.scale.defaults import Aggregation
+
+    LowConfidence: TypeAlias = Literal["too_coarse", "too_few", "imprecise"]
+    """Cause of a confidence below 0.5."""
 
 # Paper, section III-E: with less a planner must fall back.
 FALLBACK_CONFIDENCE = 0.5
@@ -66,7 +69,7 @@ class PaperScale(NamedTuple):
     terms: Terms
     guarded: bool
 
-    def reason(self, n_vehicles: int) -> Literal["too_coarse", "too_few", "imprecise"] | None:
+    def reason(self, n_vehicles: int) -> LowConfidence | None:
         """Name the cause of a C below 0.5; None if it is not below."""
         if self.confidence >= FALLBACK_CONFIDENCE:
             return None
@@ -110,12 +113,18 @@ def paper_scale(
     # the reference length.
     resampling, fleet = statistical_log_sds(lengths, scores, mode_px, aggregation)
     region = reference_sd_m / reference_length_m
-    log_sd = np.sqrt(resampling**2 + fleet**2 + region**2)
+    log_variance = resampling**2 + fleet**2 + region**2
+    log_sd = np.sqrt(log_variance)
     factor = float(np.exp(Z95 * log_sd))
 
-    seen_px = mode_px * reduction
-    guarded = seen_px < guard_length_px
-    terms = confidence_terms(lengths, scores, mode_px=seen_px, length_range_px=length_range_px)
+    reduced_px = mode_px * reduction
+    guarded = reduced_px < guard_length_px
+    terms = confidence_terms(
+        lengths,
+        scores,
+        mode_px=reduced_px,
+        length_range_px=length_range_px,
+    )
     return PaperScale(
         gsd,
         Interval(gsd / factor, gsd * factor),
@@ -126,7 +135,10 @@ def paper_scale(
 
 
 def confidence_terms(
-    lengths: ArrayLike, scores: ArrayLike, mode_px: float, length_range_px: tuple[float, float]
+    lengths: ArrayLike,
+    scores: ArrayLike,
+    mode_px: float,
+    length_range_px: tuple[float, float],
 ) -> Terms:
     """Compute the four terms, each in [0, 1].
 
@@ -149,14 +161,18 @@ def confidence_terms(
     if len(values) >= MIN_KDE_VEHICLES:
         variation = float(np.std(values) / np.mean(values))
         concentration = _ramp(variation, zero_at=_CV_NONE, one_at=_CV_FULL)
-    median_score = float(np.median(np.asarray(scores, dtype=np.float64)))
+    sample = 1.0 - np.exp(-len(values) / _SAMPLE_SCALE)
+    median_score = np.median(np.asarray(scores, dtype=np.float64))
     shortest, longest = length_range_px
-    log_outside = max(np.log(shortest / mode_px), np.log(mode_px / longest), 0.0)
+    log_below = np.log(shortest / mode_px)
+    log_above = np.log(mode_px / longest)
+    log_outside = max(log_below, log_above, 0.0)
+    log_fade = float(np.log(_FADE))
     return Terms(
-        sample=float(1.0 - np.exp(-len(values) / _SAMPLE_SCALE)),
+        sample=float(sample),
         concentration=concentration,
-        quality=_ramp(median_score, zero_at=_SCORE_NONE, one_at=_SCORE_FULL),
-        plausibility=_ramp(log_outside, zero_at=float(np.log(_FADE)), one_at=0.0),
+        quality=_ramp(float(median_score), zero_at=_SCORE_NONE, one_at=_SCORE_FULL),
+        plausibility=_ramp(log_outside, zero_at=log_fade, one_at=0.0),
     )
 
 
@@ -167,7 +183,8 @@ def composite(terms: Terms, *, guarded: bool) -> float:
         terms: of the confidence.
         guarded: whether the resolution guard applies; C is then at most 0.3.
     """
-    total = math.fsum(weight * term for weight, term in zip(_WEIGHTS, terms, strict=True))
+    weighted_terms = zip(_WEIGHTS, terms, strict=True)
+    total = math.fsum(weight * term for weight, term in weighted_terms)
     if guarded:
         return min(total, GUARD_CONFIDENCE)
     return total
@@ -175,4 +192,5 @@ def composite(terms: Terms, *, guarded: bool) -> float:
 
 def _ramp(value: float, *, zero_at: float, one_at: float) -> float:
     """Interpolate linearly from 0 to 1, and stay there outside."""
-    return float(np.clip((value - zero_at) / (one_at - zero_at), 0.0, 1.0))
+    share = (value - zero_at) / (one_at - zero_at)
+    return float(np.clip(share, 0.0, 1.0))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,15 @@ from vehanchor.errors import TooObliqueError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    Vector: TypeAlias = NDArray[np.float64]
+    """One point or direction."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """``[n, 2]`` pixels, or ``[n, 3]`` metres in the camera's frame."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """``[n]`` lengths or scales."""
 
 # Cosine of 80 degrees. Closer to the horizon, one degree changes the scale by a sixth or more.
 MIN_DESCENT = 0.174
@@ -47,7 +56,7 @@ class GroundPlane:
     roll_deg: float = 0.0
 
     @property
-    def down(self) -> NDArray[np.float64]:
+    def down(self) -> Vector:
         """Unit vector ``[3]`` straight down, in the camera's frame.
 
         The components are to the right, to the lower side, and along the axis.
@@ -55,14 +64,17 @@ class GroundPlane:
         tilt = math.radians(self.tilt_deg)
         roll = math.radians(self.roll_deg)
         sine = math.sin(tilt)
-        return np.array([-sine * math.sin(roll), sine * math.cos(roll), math.cos(tilt)])
+        right = -sine * math.sin(roll)
+        lower = sine * math.cos(roll)
+        return np.array([right, lower, math.cos(tilt)])
 
     @property
     def height_m(self) -> float:
         """Height of the camera above the plane, metres."""
         # The GSD of the module's equation at the centre, where n d = cos(tilt), solved for h.
         cosine = math.cos(math.radians(self.tilt_deg))
-        return self.gsd_m_per_px * self.focal_px * float(cosine**1.5)
+        nadir_height_m = self.gsd_m_per_px * self.focal_px
+        return nadir_height_m * float(cosine**1.5)
 
     def check(self) -> None:
         """Refuse a plane whose horizon is in the image or close to it.
@@ -71,14 +83,15 @@ class GroundPlane:
             TooObliqueError: the ray of a corner descends at less than ten degrees.
         """
         rays = self._rays(self._corners)
-        descents = rays @ self.down / np.linalg.norm(rays, axis=1)
+        lengths = np.linalg.norm(rays, axis=1)
+        descents = rays @ self.down / lengths
         if float(descents.min()) < MIN_DESCENT:
             raise TooObliqueError(
                 f"the camera was tilted by {self.tilt_deg:.0f} degrees: the horizon is in the "
                 "image or close to it, and no scale holds there. Crop the image to the near ground"
             )
 
-    def ground(self, points: ArrayLike) -> NDArray[np.float64]:
+    def ground(self, points: ArrayLike) -> Points:
         """Project pixels onto the ground.
 
         Args:
@@ -94,7 +107,7 @@ class GroundPlane:
         descents = self._below_horizon(rays @ self.down)
         return np.asarray(self.height_m * rays / descents[:, None])
 
-    def from_above(self, points: ArrayLike) -> NDArray[np.float64]:
+    def from_above(self, points: ArrayLike) -> Points:
         """Rectify pixels to a nadir view at the scale of the image's centre.
 
         Args:
@@ -109,12 +122,13 @@ class GroundPlane:
         return self._nadir_pixels(self.ground(points))
 
     @property
-    def foot(self) -> NDArray[np.float64]:
+    def foot(self) -> Vector:
         """``[2]`` point straight below the camera, in the pixels of ``from_above``."""
         ground = self.height_m * self.down
-        return np.asarray(self._nadir_pixels(ground[None])[0])
+        pixels = self._nadir_pixels(ground[None])
+        return np.asarray(pixels[0])
 
-    def gsd_at(self, points: ArrayLike) -> NDArray[np.float64]:
+    def gsd_at(self, points: ArrayLike) -> Lengths:
         """Compute the GSD at points of the image.
 
         Args:
@@ -126,8 +140,10 @@ class GroundPlane:
         Raises:
             TooObliqueError: as in ``ground``.
         """
-        descents = self._below_horizon(self._rays(points) @ self.down)
-        return np.asarray(self.height_m / self.focal_px * descents**-1.5)
+        rays = self._rays(points)
+        descents = self._below_horizon(rays @ self.down)
+        nadir_gsd = self.height_m / self.focal_px
+        return np.asarray(nadir_gsd * descents**-1.5)
 
     @property
     def gsd_range(self) -> tuple[float, float]:
@@ -156,11 +172,13 @@ class GroundPlane:
             if len(rows) == 0:
                 continue
             # The centre of a pixel lies half a pixel from its upper left corner.
-            points = np.column_stack([columns + left + 0.5, rows + start + top + 0.5])
-            total += float((self.gsd_at(points) ** 2).sum())
+            x = columns + left + 0.5
+            y = rows + start + top + 0.5
+            gsds = self.gsd_at(np.column_stack([x, y]))
+            total += float((gsds**2).sum())
         return total
 
-    def length(self, first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
+    def length(self, first: ArrayLike, second: ArrayLike) -> Lengths:
         """Compute the lengths of lines on the ground, metres.
 
         Args:
@@ -173,28 +191,35 @@ class GroundPlane:
         offsets = self.ground(first) - self.ground(second)
         return np.asarray(np.linalg.norm(offsets, axis=1))
 
-    def _nadir_pixels(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _nadir_pixels(self, ground: Points) -> Points:
         """Convert points ``[n, 3]`` on the ground to pixels of a nadir view, from the centre."""
-        centre = [[self.width_px / 2, self.height_px / 2]]
-        from_centre = (ground - self.ground(centre)) / self.gsd_m_per_px
+        centre = self.ground(self._centre)
+        from_centre = (ground - centre) / self.gsd_m_per_px
         # Axes of the ground plane: the image's right without its vertical part, and across it.
         down = self.down
-        right = np.array([1.0, 0.0, 0.0]) - down[0] * down
+        image_right = np.array([1.0, 0.0, 0.0])
+        right = image_right - down[0] * down
         right /= np.linalg.norm(right)
-        axes = np.column_stack([right, np.cross(down, right)])
+        across = np.cross(down, right)
+        axes = np.column_stack([right, across])
         return np.asarray(from_centre @ axes)
 
     @property
-    def _corners(self) -> NDArray[np.float64]:
+    def _centre(self) -> Vector:
+        return np.array([self.width_px / 2, self.height_px / 2])
+
+    @property
+    def _corners(self) -> Points:
         right = float(self.width_px)
         bottom = float(self.height_px)
-        return np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]])
+        return np.array([(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)])
 
-    def _rays(self, points: ArrayLike) -> NDArray[np.float64]:
+    def _rays(self, points: ArrayLike) -> Points:
         """Compute the rays ``[n, 3]`` of pixels ``[n, 2]``, with length 1 along the axis."""
         pixels = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        centre = np.array([self.width_px / 2, self.height_px / 2])
-        return np.column_stack([(pixels - centre) / self.focal_px, np.ones(len(pixels))])
+        across_axis = (pixels - self._centre) / self.focal_px
+        along_axis = np.ones(len(pixels))
+        return np.column_stack([across_axis, along_axis])
 
     def _below_horizon(self, descents: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the descents ``[n]`` of rays; refuse rays at the horizon and above."""

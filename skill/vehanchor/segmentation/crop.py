@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.contracts import MaskLogits
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.shape import Mask
+
+    RgbImage: TypeAlias = NDArray[np.uint8]
+    """``[h, w, 3]`` RGB."""
 
 MAX_POINT_CROP_PX = 1024
 """Largest crop in which points are tried, unless the object does not end in it."""
@@ -56,12 +59,14 @@ def crop_window(prompt: Prompt, image_width_px: int, image_height_px: int, side_
     # Centred on the prompt, then shifted into the image.
     left = math.floor((x1 + x2 - width) / 2 + 0.5)
     top = math.floor((y1 + y2 - height) / 2 + 0.5)
-    left = min(max(left, 0), image_width_px - width)
-    top = min(max(top, 0), image_height_px - height)
+    max_left = image_width_px - width
+    max_top = image_height_px - height
+    left = min(max(left, 0), max_left)
+    top = min(max(top, 0), max_top)
     return Window(left, top, width_px=width, height_px=height)
 
 
-def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
+def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> RgbImage:
     """Read a window at another size: averaged if it shrinks, interpolated if it grows.
 
     Args:
@@ -77,8 +82,14 @@ def read_resized(raster: Raster, window: Window, size: tuple[int, int]) -> NDArr
     narrow = np.empty((window.height_px, width, 3), np.uint8)
     for top in range(0, window.height_px, _ROWS_PER_STRIP):
         rows = min(_ROWS_PER_STRIP, window.height_px - top)
-        part = Window(window.x_px, window.y_px + top, width_px=window.width_px, height_px=rows)
-        narrow[top : top + rows] = _resize(raster.read(part), width, rows)
+        strip = Window(
+            window.x_px,
+            window.y_px + top,
+            width_px=window.width_px,
+            height_px=rows,
+        )
+        pixels = raster.read(strip)
+        narrow[top : top + rows] = _resize(pixels, width, rows)
     return _resize(narrow, width, height)
 
 
@@ -91,8 +102,10 @@ def place_mask(chosen: MaskLogits) -> Mask:
     grid = chosen.logits
     width_px = chosen.window.width_px
     height_px = chosen.window.height_px
-    columns = _neighbours(width_px, chosen.cells_per_px[0], grid.shape[1])
-    rows = _neighbours(height_px, chosen.cells_per_px[1], grid.shape[0])
+    n_rows, n_columns = grid.shape
+    columns_per_px, rows_per_px = chosen.cells_per_px
+    columns = _neighbours(width_px, columns_per_px, n_columns)
+    rows = _neighbours(height_px, rows_per_px, n_rows)
     mask = np.empty((height_px, width_px), dtype=bool)
     # In strips, to save memory: first between rows of the grid, then between its columns.
     for top in range(0, height_px, _ROWS_PER_STRIP):
@@ -103,7 +116,8 @@ def place_mask(chosen: MaskLogits) -> Mask:
         lines = above * (1 - weight) + below * weight
         left = lines[:, columns.before]
         right = lines[:, columns.after]
-        mask[strip] = left * (1 - columns.weight) + right * columns.weight > 0
+        logits = left * (1 - columns.weight) + right * columns.weight
+        mask[strip] = logits > 0
     return mask
 
 
@@ -122,14 +136,16 @@ class _Neighbours(NamedTuple):
 
 
 def _neighbours(side_px: int, cells_per_px: float, n_cells: int) -> _Neighbours:
-    centres = (np.arange(side_px) + 0.5) * cells_per_px - 0.5
-    position = np.clip(centres, 0, n_cells - 1)
+    last = n_cells - 1
+    pixel_centres = np.arange(side_px) + 0.5
+    position = np.clip(pixel_centres * cells_per_px - 0.5, 0, last)
     before = position.astype(np.intp)
-    after = np.minimum(before + 1, n_cells - 1)
-    return _Neighbours(before, after, (position - before).astype(np.float32))
+    after = np.minimum(before + 1, last)
+    weight = (position - before).astype(np.float32)
+    return _Neighbours(before, after, weight)
 
 
-def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+def _resize(image: RgbImage, width: int, height: int) -> RgbImage:
     image_height, image_width = image.shape[:2]
     if (height, width) == (image_height, image_width):
         return image

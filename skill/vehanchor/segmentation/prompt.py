@@ -23,6 +23,9 @@ Box: TypeAlias = tuple[float, float, float, float]
 Point: TypeAlias = tuple[float, float] | tuple[float, float, bool]
 """x, y and, optionally, whether the point is on the object (the default) or outside it."""
 
+LabelledPoint: TypeAlias = tuple[float, float, bool]
+"""x, y, and whether the point is on the object."""
+
 MIN_BOX_PX = 2.0
 """Smallest side of a box, pixels of the full image."""
 
@@ -37,7 +40,7 @@ class Prompt:
     """
 
     box: Box | None = None
-    points: tuple[tuple[float, float, bool], ...] = ()
+    points: tuple[LabelledPoint, ...] = ()
 
     @property
     def extent(self) -> Box:
@@ -54,8 +57,10 @@ class Prompt:
         if self.box is not None:
             x1, y1, x2, y2 = self.box
             box = (*convert(x1, y1), *convert(x2, y2))
-        points = tuple((*convert(x, y), include) for x, y, include in self.points)
-        return Prompt(box, points)
+        points = []
+        for x, y, include in self.points:
+            points.append((*convert(x, y), include))
+        return Prompt(box, tuple(points))
 
 
 def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
@@ -82,7 +87,8 @@ def read_prompt(box: Box | None, points: Sequence[Point] | None) -> Prompt:
 
 
 def _read_box(box: Any) -> Box:
-    numbers = read_numbers(_plain_box(box), (4,), name="box", expected="x1, y1, x2, y2")
+    values = _plain_box(box)
+    numbers = read_numbers(values, (4,), name="box", expected="x1, y1, x2, y2")
     x1, y1, x2, y2 = numbers
     if x2 <= x1 or y2 <= y1:
         raise PromptError(
@@ -92,11 +98,14 @@ def _read_box(box: Any) -> Box:
     return x1, y1, x2, y2
 
 
-def _read_points(points: Sequence[Point]) -> tuple[tuple[float, float, bool], ...]:
+def _read_points(points: Sequence[Point]) -> tuple[LabelledPoint, ...]:
     read = []
     for point in points:
         x, y, *include = read_numbers(
-            point, (2, 3), name="a point", expected="x, y and whether it is on the object"
+            point,
+            (2, 3),
+            name="a point",
+            expected="x, y and whether it is on the object",
         )
         # A point without the third value is on the object.
         read.append((x, y, all(include)))
@@ -187,7 +196,8 @@ def read_numbers(
     if not isinstance(values, str):
         with contextlib.suppress(TypeError, ValueError):
             numbers = tuple(float(value) for value in values)
-    if len(numbers) not in counts or not all(math.isfinite(number) for number in numbers):
+    are_finite = all(math.isfinite(number) for number in numbers)
+    if len(numbers) not in counts or not are_finite:
         raise PromptError(f"{name} is {values!r}: use {expected}, finite numbers")
     return numbers
 

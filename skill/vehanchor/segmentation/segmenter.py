@@ -234,7 +234,8 @@ class Segmenter(LoadedModel):
         if min(x2 - x1, y2 - y1) < MIN_BOX_PX:
             return best
         boxed = Prompt(box, prompt.points)
-        refined = self._segment_crop(raster, boxed, side_px=crop_side(boxed), limits=limits)
+        side_px = crop_side(boxed)
+        refined = self._segment_crop(raster, boxed, side_px=side_px, limits=limits)
         if not refined.mask.any():
             return best
         score = min(best.score, refined.score)
@@ -254,13 +255,15 @@ class Segmenter(LoadedModel):
             window = crop_window(
                 prompt, raster.width_px, image_height_px=raster.height_px, side_px=side
             )
-            is_enough = side > MAX_POINT_CROP_PX or not _is_within_limits(window, limits)
-            if masks and is_enough:
+            is_largest = side > MAX_POINT_CROP_PX
+            if masks and (is_largest or not _is_within_limits(window, limits)):
                 return masks
             mask = self._segment_crop(raster, prompt, side_px=side, limits=limits)
             if not _is_cut_by_window(mask, raster):
                 masks.append(mask)
-            if window.width_px == raster.width_px and window.height_px == raster.height_px:
+            has_all_columns = window.width_px == raster.width_px
+            has_all_rows = window.height_px == raster.height_px
+            if has_all_columns and has_all_rows:
                 return masks
             side *= 2
 
@@ -279,7 +282,8 @@ class Segmenter(LoadedModel):
         size = self._contract.input_size(window.width_px, window.height_px)
         picture = read_resized(raster, window, size)
         logits = self._contract.predict(picture, window, prompt)
-        return Segmentation(place_mask(logits), window, logits.score)
+        mask = place_mask(logits)
+        return Segmentation(mask, window, logits.score)
 
 
 _opened = file_cached(max_models=2)(Segmenter)
@@ -300,7 +304,8 @@ def _is_within_limits(window: Window, limits: ImageLimits) -> bool:
 
 def _is_cut_by_window(segmentation: Segmentation, raster: Raster) -> bool:
     """Test whether the mask touches a side of its window that is not an edge of the image."""
-    left, top, right, bottom = outer_sides(segmentation.window, raster.width_px, raster.height_px)
+    window = segmentation.window
+    left, top, right, bottom = outer_sides(window, raster.width_px, raster.height_px)
     inner_sides = (not left, not top, not right, not bottom)
     return touches_edge(segmentation.mask, inner_sides)
 
@@ -320,7 +325,8 @@ def _choose_objects(masks: Sequence[Segmentation]) -> list[Segmentation]:
     for mask in best_first[1:]:
         if not mask.mask.any():
             continue
-        if all(_mask_iou(mask, other) < _SAME_OBJECT_IOU for other in objects):
+        is_new = all(_mask_iou(mask, other) < _SAME_OBJECT_IOU for other in objects)
+        if is_new:
             objects.append(mask)
     return objects[:_MAX_OBJECTS]
 
@@ -344,12 +350,15 @@ def _mask_iou(one: Segmentation, other: Segmentation) -> float:
     common_part = Window(left, top, width_px=right - left, height_px=bottom - top)
     in_both = _cut_out(one, common_part) & _cut_out(other, common_part)
     intersection = int(in_both.sum())
-    union = int(one.mask.sum()) + int(other.mask.sum()) - intersection
-    return intersection / union
+    area = int(one.mask.sum())
+    other_area = int(other.mask.sum())
+    return intersection / (area + other_area - intersection)
 
 
 def _cut_out(segmentation: Segmentation, part: Window) -> Mask:
     """Return the mask in a part of its window."""
     left = part.x_px - segmentation.window.x_px
     top = part.y_px - segmentation.window.y_px
-    return segmentation.mask[top : top + part.height_px, left : left + part.width_px]
+    rows = slice(top, top + part.height_px)
+    columns = slice(left, left + part.width_px)
+    return segmentation.mask[rows, columns]

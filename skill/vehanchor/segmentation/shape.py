@@ -22,11 +22,17 @@ if TYPE_CHECKING:
     Mask: TypeAlias = NDArray[np.bool_]
     """Pixels of an object, ``[h, w]``."""
 
+    Distances: TypeAlias = NDArray[np.float32]
+    """Distances to the background, ``[h, w]``, in cells."""
+
     Cells: TypeAlias = NDArray[np.uint8]
     """Pixels, or points of a lattice, ``[h, w]``: 1 inside, 0 outside."""
 
     Ring: TypeAlias = NDArray[np.int32]
     """Corners of a contour, ``[n, 2]`` or ``[n, 1, 2]``, in half cells."""
+
+    Sides: TypeAlias = tuple[bool, bool, bool, bool]
+    """Left, top, right and bottom of an array."""
 
     Bounds: TypeAlias = tuple[int, int, int, int]
     """Smallest box of whole pixels around a mask: x1, y1, x2, y2 from the array's corner."""
@@ -49,6 +55,8 @@ _MIN_RING_POINTS = 4
 # OpenCV needs empty lattice points around a mask. The number is even, so corners stay even.
 _RIM = 2
 _ALL_SIDES = (True, True, True, True)
+# Column of the parent in OpenCV's hierarchy of contours.
+_PARENT_COLUMN = 3
 
 
 class Circle(NamedTuple):
@@ -72,7 +80,7 @@ def mask_bounds(mask: Mask) -> Bounds | None:
     return x1, y1, x2, y2
 
 
-def touches_edge(mask: Mask, sides: tuple[bool, bool, bool, bool] = _ALL_SIDES) -> bool:
+def touches_edge(mask: Mask, sides: Sides = _ALL_SIDES) -> bool:
     """Test whether a mask touches a side of its array.
 
     Args:
@@ -85,7 +93,8 @@ def touches_edge(mask: Mask, sides: tuple[bool, bool, bool, bool] = _ALL_SIDES) 
     right = mask[:, -1]
     bottom = mask[-1]
     lines = (left, top, right, bottom)
-    return any(line.any() for counts, line in zip(sides, lines, strict=True) if counts)
+    counted = [line for line, counts in zip(lines, sides, strict=True) if counts]
+    return any(line.any() for line in counted)
 
 
 def piece_areas_px(mask: Mask) -> NDArray[np.int64]:
@@ -115,7 +124,8 @@ def perimeter(mask: Mask) -> float:
     for rings in _simplify(contours, tolerance_px):
         for ring in rings:
             sides = ring - np.roll(ring, 1, axis=0)
-            length += float(np.linalg.norm(sides, axis=1).sum())
+            side_lengths = np.linalg.norm(sides, axis=1)
+            length += float(side_lengths.sum())
     return length
 
 
@@ -169,12 +179,14 @@ def inscribed_circle(mask: Mask) -> Circle | None:
         diameter_px = 2 * largest - 1
     # The last bit of OpenCV's result depends on the array's address in memory: take the first of
     # equal circles.
-    index = int(np.argmax(distance >= largest * (1 - _EQUAL_SHARE)))
+    is_largest = distance >= largest * (1 - _EQUAL_SHARE)
+    index = int(np.argmax(is_largest))
     row, column = np.unravel_index(index, distance.shape)
     # The padding adds one pixel before the mask.
     x = float(column) * step_px + first_px - 1
     y = float(row) * step_px + first_px - 1
-    return Circle(bounds[0] + x, bounds[1] + y, diameter_px)
+    left, top, _, _ = bounds
+    return Circle(left + x, top + y, diameter_px)
 
 
 def trace_outline(mask: Mask) -> list[Rings]:
@@ -210,10 +222,11 @@ def _count_points(outline: list[Rings]) -> int:
 
 def _crop_to_bounds(mask: Mask, bounds: Bounds) -> Cells:
     x1, y1, x2, y2 = bounds
-    return np.ascontiguousarray(mask[y1:y2, x1:x2]).view(np.uint8)
+    part = np.ascontiguousarray(mask[y1:y2, x1:x2])
+    return part.view(np.uint8)
 
 
-def _distance_to_background(free: Cells) -> NDArray[np.float32]:
+def _distance_to_background(free: Cells) -> Distances:
     distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(distance, dtype=np.float32)
 
@@ -227,7 +240,8 @@ def _closed_lattice(cells: Cells) -> Cells:
     lattice = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
     lattice[1::2, 1::2] = cells
     square = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(lattice, square), dtype=np.uint8)
+    closed = cv2.dilate(lattice, square)
+    return np.asarray(closed, dtype=np.uint8)
 
 
 def _side_midpoints(cells: Cells) -> Ring:
@@ -236,23 +250,24 @@ def _side_midpoints(cells: Cells) -> Ring:
     Each row and each column contributes the outer side of its first and of its last set pixel.
     """
     in_rows = _midpoints_along_rows(cells)
-    in_columns = _midpoints_along_rows(cells.T)
     # In the transposed array, the first coordinate is y.
-    points = [*in_rows, *(ends[:, ::-1] for ends in in_columns)]
-    return np.concatenate(points).astype(np.int32)
+    in_columns = _midpoints_along_rows(cells.T)[:, ::-1]
+    points = np.concatenate([in_rows, in_columns])
+    return points.astype(np.int32)
 
 
-def _midpoints_along_rows(cells: Cells) -> list[NDArray[np.int64]]:
+def _midpoints_along_rows(cells: Cells) -> NDArray[np.int64]:
     """List the midpoints ``[n, 2]`` of the first sides of all rows, then of the last ones."""
     rows = np.flatnonzero(cells.any(axis=1))
     set_rows = cells[rows]
     backwards = set_rows[:, ::-1]
+    last_column = cells.shape[1] - 1
     first = np.argmax(set_rows, axis=1)
-    last = cells.shape[1] - 1 - np.argmax(backwards, axis=1)
+    last = last_column - np.argmax(backwards, axis=1)
     middle_of_row = 2 * rows + 1
     first_sides = np.stack([2 * first, middle_of_row], axis=1)
     last_sides = np.stack([2 * last + 2, middle_of_row], axis=1)
-    return [first_sides, last_sides]
+    return np.concatenate([first_sides, last_sides])
 
 
 class _Contours(NamedTuple):
@@ -277,10 +292,11 @@ def _trace_contours(mask: Mask) -> _Contours:
         return _Contours([], np.zeros(2), 1)
     cells = _crop_to_bounds(mask, bounds)
     # A huge mask is sampled at the middle of larger cells, to bound memory.
-    cell_px = max(1, math.ceil(math.sqrt(cells.size / _MAX_LATTICE_PX)))
+    excess = cells.size / _MAX_LATTICE_PX
+    cell_px = max(1, math.ceil(math.sqrt(excess)))
     if cell_px > 1:
-        middle = cell_px // 2
-        cells = np.ascontiguousarray(cells[middle::cell_px, middle::cell_px])
+        middles = slice(cell_px // 2, None, cell_px)
+        cells = np.ascontiguousarray(cells[middles, middles])
     lattice = np.pad(_closed_lattice(cells), _RIM)
     contours, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings = []
@@ -294,7 +310,8 @@ def _trace_contours(mask: Mask) -> _Contours:
     for k in by_size:
         if parents[k] >= 0:
             pieces[parents[k]].append(rings[k])
-    origin = np.array(bounds[:2]) - _RIM / 2 * cell_px
+    first_pixel = np.array(bounds[:2])
+    origin = first_pixel - _RIM / 2 * cell_px
     return _Contours(list(pieces.values()), origin, cell_px)
 
 
@@ -303,7 +320,8 @@ def _parents_of(hierarchy: Any) -> list[int]:
     # Without rings there is no hierarchy.
     if hierarchy is None:
         return []
-    parents: list[int] = hierarchy.reshape(-1, 4)[:, 3].tolist()
+    rows = hierarchy.reshape(-1, 4)
+    parents: list[int] = rows[:, _PARENT_COLUMN].tolist()
     return parents
 
 
@@ -321,9 +339,9 @@ def _restore_corners(ring: Ring) -> Ring:
     is_even = ring % 2 == 0
     corner = np.where(is_even, ring, following)
     # A corner behind every point, then only those of slanted steps.
-    with_corners = np.stack([ring, corner], axis=1).reshape(-1, 2)
+    with_corners = np.stack([ring, corner], axis=1)
     is_point = np.ones(len(ring), dtype=bool)
-    is_kept = np.stack([is_point, is_slanted], axis=1).reshape(-1)
+    is_kept = np.stack([is_point, is_slanted], axis=1)
     kept = np.ascontiguousarray(with_corners[is_kept])
     return kept.reshape(-1, 1, 2)
 
@@ -337,8 +355,9 @@ def _simplify(contours: _Contours, tolerance_px: float) -> list[Rings]:
     tolerance = 2 * tolerance_px / contours.cell_px
     outline = []
     for rings in contours.pieces:
-        simple_rings = [_simplify_ring(ring, tolerance) for ring in rings]
-        outline.append([contours.origin + ring * half_cell_px for ring in simple_rings])
+        in_half_cells = [_simplify_ring(ring, tolerance) for ring in rings]
+        in_pixels = [contours.origin + ring * half_cell_px for ring in in_half_cells]
+        outline.append(in_pixels)
     return outline
 
 
@@ -347,5 +366,6 @@ def _simplify_ring(ring: Ring, tolerance: float) -> Ring:
     if len(simple) < 3:
         x1, y1 = ring.min(axis=(0, 1))
         x2, y2 = ring.max(axis=(0, 1))
-        simple = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
+        corners = [(x1, y1), (x2, y1), (x2, y2), (x1, y2)]
+        simple = np.array(corners)
     return np.asarray(simple, dtype=np.int32)

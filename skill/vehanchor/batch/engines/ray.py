@@ -83,7 +83,8 @@ def ray_rows(
         # The command shows its own progress.
         ray.data.DataContext.get_current().enable_progress_bars = False
         n_workers = min(workers or _cluster_cpus(ray), len(tasks))
-        n_blocks = max(n_workers, math.ceil(len(tasks) / _IMAGES_PER_BLOCK))
+        min_blocks = math.ceil(len(tasks) / _IMAGES_PER_BLOCK)
+        n_blocks = max(n_workers, min_blocks)
         # A name of a file can hold bytes that are not UTF-8, and Arrow's strings cannot.
         items = [
             {"number": number, "file": task.file, "path": os.fsencode(task.path)}
@@ -103,11 +104,10 @@ def ray_rows(
                 yield tasks[int(row["number"])], BatchRow.model_validate_json(row["row"])
         except ray.exceptions.RayError as error:
             # The last line of Ray's long message names the cause.
-            message = str(error).strip()
-            reason = message.splitlines()[-1] if message else type(error).__name__
+            lines = str(error).strip().splitlines() or [type(error).__name__]
             raise WorkerDiedError(
-                f"Ray ended the run ({reason}). Finished rows are kept; run the same command again "
-                "to resume"
+                f"Ray ended the run ({lines[-1]}). Finished rows are kept; run the same command "
+                "again to resume"
             ) from None
 
 
@@ -148,10 +148,9 @@ def _cluster(ray: Any, address: str | None) -> Iterator[None]:
             logging_level=logging.CRITICAL,
         )
     except (OSError, ValueError) as error:
-        message = str(error)
-        reason = message.splitlines()[0] if message else type(error).__name__
+        lines = str(error).splitlines() or [type(error).__name__]
         raise InvalidParameterError(
-            f"no Ray cluster at {address!r} ({reason}): start one with 'ray start --head', or "
+            f"no Ray cluster at {address!r} ({lines[0]}): start one with 'ray start --head', or "
             "leave --address out"
         ) from None
     try:

@@ -97,7 +97,8 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
     properties = _read_properties(read_at, parts[b"iprp"])
     decoded_px = properties.width_px * properties.height_px
     complete = True
-    for start, end in _item_spans(read_at, parts[b"iloc"], parts.get(b"idat")):
+    spans = _item_spans(read_at, parts[b"iloc"], parts.get(b"idat"))
+    for start, end in spans:
         has_last_byte = len(read_at(end - 1, 1)) == 1
         complete = complete and has_last_byte
         decoded_px = max(decoded_px, _largest_frame_px(read_at, start, end))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, metadata_blocks
 from vehanchor.imagery.metadata.exif import read_exif
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.exif import ExifTags
     from vehanchor.imagery.metadata.makers import Maker
     from vehanchor.imagery.metadata.xmp import Properties
+
+    TwoAngles: TypeAlias = tuple[float | None, float | None]
+    """Two angles in degrees; None for an unknown one."""
 
 _INCH = 2
 _MM_PER_UNIT = {_INCH: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
@@ -188,7 +191,11 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
 
 
 def _first_quantity(
-    statements: Statements, makers: Sequence[Maker], *, field: str, units: Mapping[str, float]
+    statements: Statements,
+    makers: Sequence[Maker],
+    *,
+    field: str,
+    units: Mapping[str, float],
 ) -> tuple[float | None, str]:
     """Read a quantity of the first maker that has it, and the maker's and the property's name."""
     for maker in makers:
@@ -212,7 +219,7 @@ def _maker_focal(statements: Statements, makers: Sequence[Maker]) -> tuple[float
     return None, ""
 
 
-def _attitude(statements: Statements, makers: Sequence[Maker]) -> tuple[float | None, float | None]:
+def _attitude(statements: Statements, makers: Sequence[Maker]) -> TwoAngles:
     """Compute the off-nadir angle and the gimbal's roll from the first maker with a pitch.
 
     Returns:
@@ -230,7 +237,10 @@ def _attitude(statements: Statements, makers: Sequence[Maker]) -> tuple[float | 
                 "angles"
             )
             continue
-        from_nadir = math.radians(pitch + 90 if is_from_horizon else pitch)
+        pitch_from_nadir = pitch
+        if is_from_horizon:
+            pitch_from_nadir += 90
+        from_nadir = math.radians(pitch_from_nadir)
         # A gimbal's roll turns the image about the optical axis, so it does not tilt the camera.
         if maker.level_below_deg == math.inf:
             # Any angle becomes one of 0 to 180 degrees.
@@ -246,9 +256,10 @@ def _attitude(statements: Statements, makers: Sequence[Maker]) -> tuple[float | 
     return None, None
 
 
-def _position(tags: Sequence[ExifTags]) -> tuple[float | None, float | None]:
+def _position(tags: Sequence[ExifTags]) -> TwoAngles:
     """Get latitude and longitude from the first block with a position; None if one is invalid."""
-    block = next((block for block in tags if "GPSLatitude" in block), {})
+    with_position = (block for block in tags if "GPSLatitude" in block)
+    block = next(with_position, {})
     latitude = block.get("GPSLatitude")
     longitude = block.get("GPSLongitude")
     if not isinstance(latitude, float) or not isinstance(longitude, float):

@@ -116,7 +116,12 @@ def read_exif(read_at: ReadAt) -> ExifTags:
 
 
 def _read_directory(
-    read_at: ReadAt, order: str, *, offset: int, tags: ExifTags, names: Mapping[int, str]
+    read_at: ReadAt,
+    order: str,
+    *,
+    offset: int,
+    tags: ExifTags,
+    names: Mapping[int, str],
 ) -> dict[int, int]:
     """Read one directory into ``tags``, keeping earlier values.
 
@@ -152,7 +157,8 @@ def _read_tag(read_at: ReadAt, order: str, *, name: str, entry: _Entry) -> ExifV
     if name == _APPLICATION_NOTES:
         if not is_text:
             return None
-        return _read_value_bytes(read_at, order, entry, min(entry.n_bytes, MAX_XMP_BYTES))
+        n_bytes = min(entry.n_bytes, MAX_XMP_BYTES)
+        return _read_value_bytes(read_at, order, entry, n_bytes)
     if name in _SEXAGESIMAL:
         if entry.kind != _RATIONAL or entry.n_values != 3:
             return None
@@ -205,7 +211,8 @@ def _degrees(raw: bytes, order: str) -> float | None:
 def _text_or_number(raw: bytes, kind: int, order: str) -> str | float | None:
     """Decode a text up to its first zero byte, or one number; None if the number is not finite."""
     if kind in (_ASCII, _UNDEFINED):
-        return raw.split(b"\0", 1)[0].decode("ascii", "replace").strip()
+        text, _, _ = raw.partition(b"\0")
+        return text.decode("ascii", "replace").strip()
     numbers = struct.unpack_from(order + _FORMATS[kind], raw)
     if kind in (_RATIONAL, _SIGNED_RATIONAL):
         numerator, denominator = numbers

@@ -56,7 +56,8 @@ def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
     w2 = 1 - eccentricity2 * math.sin(latitude) ** 2
     meridian_radius = WGS84_SEMI_MAJOR_AXIS_M * (1 - eccentricity2) / w2**1.5
     normal_radius = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(w2)
-    return math.radians(meridian_radius), math.radians(normal_radius * math.cos(latitude))
+    parallel_radius = normal_radius * math.cos(latitude)
+    return math.radians(meridian_radius), math.radians(parallel_radius)
 
 
 def gsd_units_per_px(transform: AffineCoefficients) -> float:
@@ -94,7 +95,8 @@ def dataset_gsd_m_per_px(dataset: Any) -> float | None:
     transform: AffineCoefficients = (affine.a, affine.b, affine.c, affine.d, affine.e, affine.f)
     try:
         crs = dataset.crs
-        if not crs or transform == _IDENTITY or not all(map(math.isfinite, transform)):
+        is_finite = all(map(math.isfinite, transform))
+        if not crs or transform == _IDENTITY or not is_finite:
             return None
         gsd = _gsd_in_crs(transform, crs, column=dataset.width / 2, row=dataset.height / 2)
     # PROJ cannot use the system; CRSError is a ValueError.
@@ -123,14 +125,18 @@ def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: flo
     # Mercator's scale depends on the latitude, and on the latitude of true scale: the pixel and its
     # neighbours to the right and below are converted to degrees.
     if _MERCATOR_WKT.search(crs.to_wkt()):
-        longitudes, latitudes = reproject(crs, "EPSG:4326", [x, x + a, x + b], [y, y + d, y + e])
+        xs = [x, x + a, x + b]
+        ys = [y, y + d, y + e]
+        longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
+        longitude, longitude_right, longitude_below = longitudes
+        latitude, latitude_right, latitude_below = latitudes
         transform_in_degrees = (
-            longitudes[1] - longitudes[0],
-            longitudes[2] - longitudes[0],
+            longitude_right - longitude,
+            longitude_below - longitude,
             0.0,
-            latitudes[1] - latitudes[0],
-            latitudes[2] - latitudes[0],
+            latitude_right - latitude,
+            latitude_below - latitude,
             0.0,
         )
-        return geographic_gsd_m_per_px(transform_in_degrees, latitudes[0])
+        return geographic_gsd_m_per_px(transform_in_degrees, latitude)
     return gsd_units_per_px(transform) * float(crs.linear_units_factor[1])

@@ -88,7 +88,9 @@ class Statements:
 
     def text(self, name: str) -> str:
         """Read a tag's text from the first EXIF block that has it, or from XMP."""
-        for text in (*self._tag_values(name, str), *self._texts_in_xmp(name)):
+        in_exif = self._tag_values(name, str)
+        in_xmp = self._texts_in_xmp(name)
+        for text in (*in_exif, *in_xmp):
             printable = "".join(filter(str.isprintable, text)).strip()
             if printable:
                 return printable
@@ -117,7 +119,8 @@ class Statements:
         for text in self._texts_of(maker, name):
             value = _number(text, units)
             if value is None:
-                self.refused.append(f"{label} is {text[:_SHOWN_CHARS]!r}, which is not understood")
+                shown = text[:_SHOWN_CHARS]
+                self.refused.append(f"{label} is {shown!r}, which is not understood")
             else:
                 values.append(value)
         return self._agreed(label, values, _TEXT_TOLERANCE)
@@ -149,7 +152,8 @@ class Statements:
 
     def _texts_in_xmp(self, name: str) -> list[str]:
         """List the texts of a tag that programs copy into XMP."""
-        return self._texts.get((IN_XMP.get(name, ""), name), [])
+        namespace = IN_XMP.get(name, "")
+        return self._texts.get((namespace, name), [])
 
     def _texts_of(self, maker: Maker, name: str) -> list[str]:
         """List all texts of a maker's property."""

@@ -51,7 +51,9 @@ def read_xmp(packet: bytes, names: tuple[str, ...]) -> tuple[Properties, str]:
     text = _decode(packet)
     if _DECLARATION.search(text):
         return {}, "its XMP declares a document type or entities, which no camera writes"
-    namespaces = {prefix: address.rstrip("/") for prefix, address in _NAMESPACE.findall(text)}
+    namespaces = {}
+    for prefix, address in _NAMESPACE.findall(text):
+        namespaces[prefix] = address.rstrip("/")
     structure_pattern, property_pattern = _patterns(names)
     # A field has its structure's name before it; outside of structures there is none.
     parts = [("", text)]
@@ -61,11 +63,11 @@ def read_xmp(packet: bytes, names: tuple[str, ...]) -> tuple[Properties, str]:
     for structure_name, part in parts:
         for match in property_pattern.finditer(part):
             name = structure_name + match["name"]
-            value = match["element"] if match["attribute"] is None else match["attribute"]
-            value = html.unescape(value).strip()
-            if value and name in names and match["prefix"] in namespaces:
-                key = (namespaces[match["prefix"]], name)
-                properties.setdefault(key, []).append(value)
+            escaped = match["element"] if match["attribute"] is None else match["attribute"]
+            value = html.unescape(escaped).strip()
+            namespace = namespaces.get(match["prefix"])
+            if value and name in names and namespace is not None:
+                properties.setdefault((namespace, name), []).append(value)
     if properties or _is_xml(text):
         return properties, ""
     return properties, DAMAGED
@@ -81,7 +83,8 @@ def _decode(packet: bytes) -> str:
 def _is_xml(text: str) -> bool:
     """Test whether a text is well-formed XML."""
     try:
-        expat.ParserCreate("utf-8").Parse(text.encode("utf-8", "replace"), True)
+        parser = expat.ParserCreate("utf-8")
+        parser.Parse(text.encode("utf-8", "replace"), True)
     except expat.ExpatError:
         return False
     return True

@@ -120,7 +120,8 @@ def _files_below(top: Path) -> Iterator[Path]:
                 # os.walk does not follow links.
                 paths = [Path(folder, name) for name in sorted(subfolders)]
                 links += [path for path in paths if path.is_symlink()]
-                yield from (Path(folder, name) for name in files if holds_photographs(name))
+                for name in filter(holds_photographs, files):
+                    yield Path(folder, name)
         waiting = links
 
 
@@ -138,7 +139,8 @@ def _images_named(name: str) -> list[str]:
     name = spelled_as_stored(name)
     path = Path(name)
     if path.is_dir():
-        return sorted(str(file) for file in _files_below(path) if _is_image(file))
+        images = filter(_is_image, _files_below(path))
+        return sorted(map(str, images))
     if path.exists():
         return [name]
     if glob.has_magic(name):

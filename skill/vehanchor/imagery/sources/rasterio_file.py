@@ -32,7 +32,14 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.bands import BandChoice
     from vehanchor.imagery.formats.image_header import ImageHeader
+    from vehanchor.imagery.raster import RgbImage
     from vehanchor.options import ImageLimits
+
+    Bands: TypeAlias = NDArray[Any]
+    """``[bands, h, w]`` stored values."""
+
+    IsValid: TypeAlias = NDArray[np.bool_]
+    """``[h, w]`` pixels that hold data."""
 
 _CACHE_BYTES = 192 << 20
 """GDAL's cache of decoded blocks, for all files together.
@@ -95,7 +102,12 @@ def open_dataset(dataset: Any, bands: BandChoice, limits: ImageLimits) -> Datase
 
 
 def open_file(
-    file: str | bytes, source: str, *, header: ImageHeader, bands: BandChoice, limits: ImageLimits
+    file: str | bytes,
+    source: str,
+    *,
+    header: ImageHeader,
+    bands: BandChoice,
+    limits: ImageLimits,
 ) -> DatasetRaster:
     """Open a TIFF or JPEG 2000; sidecar files are ignored.
 
@@ -128,7 +140,8 @@ def open_file(
             opened = rasterio.open(file, driver=driver, sharing=False, GEOREF_SOURCES="INTERNAL")
             dataset = stack.enter_context(opened)
             # The limits were applied to the size in the header.
-            if (dataset.width, dataset.height) != (header.width_px, header.height_px):
+            size = (dataset.width, dataset.height)
+            if size != (header.width_px, header.height_px):
                 raise ImageDecodeError(
                     f"the {header.format} ({source}) declares two different sizes: damaged"
                 )
@@ -302,7 +315,7 @@ class DatasetRaster(Raster):
         """Close the file unless it is the caller's dataset."""
         self.closing.close()
 
-    def read_overview(self, window: Window, factor: int) -> NDArray[np.uint8] | None:
+    def read_overview(self, window: Window, factor: int) -> RgbImage | None:
         """Read a window of the reduced image from the file's overviews; None if none fits."""
         overview_factor = self._overview_factor(factor)
         # Overviews of a palette image can hold means of indexes, which are not colours.
@@ -314,11 +327,16 @@ class DatasetRaster(Raster):
             width_px=factor * window.width_px,
             height_px=factor * window.height_px,
         )
-        stored = stored_window(
-            full, self.width_px, height_px=self.height_px, orientation=self._orientation
+        window_in_file = stored_window(
+            full,
+            self.width_px,
+            height_px=self.height_px,
+            orientation=self._orientation,
         )
-        shape = (stored.height_px // overview_factor, stored.width_px // overview_factor)
-        overview = self._to_rgb(self._read_stored(stored, shape))
+        rows = window_in_file.height_px // overview_factor
+        columns = window_in_file.width_px // overview_factor
+        stored = self._read_stored(window_in_file, (rows, columns))
+        overview = self._to_rgb(stored)
         if overview_factor == factor:
             return overview
         size = (window.width_px, window.height_px)
@@ -328,8 +346,8 @@ class DatasetRaster(Raster):
     def _overview_factor(self, factor: int) -> int | None:
         """Choose the overview to read: of this factor, or of half of it; None if there is none."""
         with gdal_environment(self.source):
-            of_each_band = [set(self._dataset.overviews(index)) for index in self._unique_indexes]
-        available = set.intersection(*of_each_band)
+            overviews = [self._dataset.overviews(index) for index in self._unique_indexes]
+        available = set.intersection(*map(set, overviews))
         for candidate in (factor, factor // 2):
             if candidate > 1 and candidate in available:
                 return candidate
@@ -352,9 +370,9 @@ class DatasetRaster(Raster):
             rgb[~valid] = 0
         return StoredPixels(rgb, valid)
 
-    def _read_valid(self, window: Window, shape: Shape | None) -> NDArray[np.bool_] | None:
+    def _read_valid(self, window: Window, shape: Shape | None) -> IsValid | None:
         """Read which pixels hold data by mask, no-data value and alpha; None if all do."""
-        valid: NDArray[np.bool_] | None = None
+        valid: IsValid | None = None
         if self._has_mask:
             indexes = self._unique_indexes
             options = _reading_options(window, shape, n_bands=len(indexes))
@@ -367,10 +385,10 @@ class DatasetRaster(Raster):
             valid = _both(valid, alpha != 0)
         return valid
 
-    def _read_bands(self, indexes: list[int], window: Window, shape: Shape | None) -> NDArray[Any]:
+    def _read_bands(self, indexes: list[int], window: Window, shape: Shape | None) -> Bands:
         """Read bands of a window, ``[bands, h, w]``."""
         options = _reading_options(window, shape, n_bands=len(indexes))
-        bands: NDArray[Any] = self._dataset.read(indexes, **options)
+        bands: Bands = self._dataset.read(indexes, **options)
         return bands
 
     def _find_mask(self) -> bool:
@@ -409,8 +427,10 @@ class DatasetRaster(Raster):
         samples = []
         for window, shape in self._sample_windows():
             rgb, valid = self._read_stored(window, shape)
-            values = rgb.reshape(-1, 3) if valid is None else rgb[valid]
-            samples.append(values)
+            if valid is None:
+                samples.append(rgb.reshape(-1, 3))
+            else:
+                samples.append(rgb[valid])
         return np.concatenate(samples)
 
     def _sample_windows(self) -> list[tuple[Window, Shape | None]]:
@@ -426,9 +446,11 @@ class DatasetRaster(Raster):
             return [(whole, None)]
         # A raster of large blocks is read once, so that no block is decoded again for each window.
         if _largest_block_px(self._dataset) > SAMPLE_PX:
-            step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
-            reduced = (max(1, height // step), max(1, width // step))
-            return [(whole, reduced)]
+            excess = width * height / SAMPLE_PX
+            step = math.ceil(math.sqrt(excess))
+            rows = max(1, height // step)
+            columns = max(1, width // step)
+            return [(whole, (rows, columns))]
         # Otherwise a grid of windows, from border to border, costs only the blocks that it meets.
         side = math.isqrt(SAMPLE_PX) // _SAMPLE_GRID
         window_width = min(side, width)
@@ -454,9 +476,11 @@ def _reading_options(window: Window, shape: Shape | None, n_bands: int) -> dict[
     return options
 
 
-def _both(valid: NDArray[np.bool_] | None, other_valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _both(valid: IsValid | None, other_valid: IsValid) -> IsValid:
     """Combine two masks of valid pixels; None is a mask in which all pixels are valid."""
-    return other_valid if valid is None else valid & other_valid
+    if valid is None:
+        return other_valid
+    return valid & other_valid
 
 
 def _read_palette(dataset: Any) -> NDArray[np.uint8] | None:
@@ -465,6 +489,6 @@ def _read_palette(dataset: Any) -> NDArray[np.uint8] | None:
         return None
     n_bits = 16 if dataset.dtypes[0] == "uint16" else 8
     palette = np.zeros((1 << n_bits, 3), np.uint8)
-    for value, (red, green, blue, _) in dataset.colormap(1).items():
-        palette[value] = (red, green, blue)
+    for value, rgba in dataset.colormap(1).items():
+        palette[value] = rgba[:3]
     return palette

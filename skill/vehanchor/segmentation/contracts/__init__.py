@@ -96,7 +96,8 @@ def recognise_contract(
             if names.fit(contract):
                 return contract(encoder, decoder, input_px)
     swapped = ""
-    if any(names.decoder_inputs == contract.encoder_inputs for contract in CONTRACTS):
+    encoders = [contract.encoder_inputs for contract in CONTRACTS]
+    if names.decoder_inputs in encoders:
         swapped = " (are encoder and decoder swapped?)"
     *kinds, last = (contract.described for contract in CONTRACTS)
     raise ModelContractError(

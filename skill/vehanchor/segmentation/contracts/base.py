@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -13,12 +13,24 @@ from vehanchor.models.runtime import LoadedModel
 from vehanchor.models.session import Session, run_session
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Window
     from vehanchor.segmentation.prompt import Prompt
+
+    RgbImage: TypeAlias = NDArray[np.uint8]
+    """``[h, w, 3]`` RGB."""
+
+    Tensors: TypeAlias = dict[str, NDArray[Any]]
+    """Arrays by the names of a graph's inputs or outputs."""
+
+    Channels: TypeAlias = NDArray[np.float32]
+    """``[3]`` a value for red, green and blue."""
+
+    Size: TypeAlias = tuple[int, int]
+    """Width and height, pixels."""
 
 # Normalisation of SAM and ImageNet, for values 0..255.
 MEAN_RGB = np.array([123.675, 116.28, 103.53], dtype=np.float32)
@@ -94,7 +106,7 @@ class SamContract(LoadedModel, ABC):
     decoder_inputs: ClassVar[frozenset[str]]
     decoder_outputs: ClassVar[tuple[str, str]]
     embedding: ClassVar[str] = "image_embeddings"
-    mean_sd: tuple[NDArray[np.float32], NDArray[np.float32]] = MEAN_RGB, SD_RGB
+    mean_sd: tuple[Channels, Channels] = MEAN_RGB, SD_RGB
 
     def __init__(self, encoder: Session, decoder: Session, input_px: int | None) -> None:
         self._encoder = encoder
@@ -117,8 +129,10 @@ class SamContract(LoadedModel, ABC):
         # input by their strides, unless the two contradict each other.
         embedding = self._side(self.embedding)
         mask_prompt = self._side("mask_input")
-        if embedding is not None and mask_prompt in (None, embedding * _MASK_PER_EMBEDDING):
-            return embedding * SAM_STRIDE_PX
+        if embedding is not None:
+            fitting_mask_prompt = embedding * _MASK_PER_EMBEDDING
+            if mask_prompt in (None, fitting_mask_prompt):
+                return embedding * SAM_STRIDE_PX
         if embedding is None and mask_prompt is not None:
             return mask_prompt * SAM_STRIDE_PX // _MASK_PER_EMBEDDING
         raise ModelContractError(
@@ -129,7 +143,9 @@ class SamContract(LoadedModel, ABC):
 
     def _side(self, name: str) -> int | None:
         """Return the last side of the named tensor of the graphs; None if it is not fixed."""
-        for item in (*self._encoder.get_outputs(), *self._decoder.get_inputs()):
+        outputs = self._encoder.get_outputs()
+        inputs = self._decoder.get_inputs()
+        for item in (*outputs, *inputs):
             if item.name != name or len(item.shape) != 4:
                 continue
             side = item.shape[-1]
@@ -145,15 +161,18 @@ class SamContract(LoadedModel, ABC):
         """
         shape = self._image.shape
         described = f"the encoder's input {self._image.name!r} has shape {shape}"
-        if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
+        # An unknown number of planes may be three.
+        n_planes = _fixed(shape[1:2])
+        if len(shape) != 4 or n_planes not in ([], [3]):
             raise ModelContractError(f"{described}: not [b, 3, h, w]")
-        if any(side != self.input_px for side in _fixed(shape[-2:])):
+        sides = _fixed(shape[-2:])
+        if any(side != self.input_px for side in sides):
             raise ModelContractError(
                 f"{described}, but the input size is {self.input_px} px: only square inputs can "
                 "be used"
             )
 
-    def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
+    def input_size(self, width_px: int, height_px: int) -> Size:
         """Compute the width and height to which a crop is resized before ``predict``.
 
         The default is a square, to which the crop is stretched.
@@ -161,13 +180,14 @@ class SamContract(LoadedModel, ABC):
         del width_px, height_px
         return self.input_px, self.input_px
 
-    def _encoder_input(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _encoder_input(self, image: RgbImage) -> NDArray[np.float32]:
         """Convert the resized crop to the encoder's input."""
         mean, sd = self.mean_sd
-        normal: NDArray[np.float32] = (image.astype(np.float32) - mean) / sd
+        pixels = image.astype(np.float32)
+        normal: NDArray[np.float32] = (pixels - mean) / sd
         return normal.transpose(2, 0, 1)[None]
 
-    def predict(self, image: NDArray[np.uint8], window: Window, prompt: Prompt) -> MaskLogits:
+    def predict(self, image: RgbImage, window: Window, prompt: Prompt) -> MaskLogits:
         """Run encoder and decoder for one prompt.
 
         Args:
@@ -187,32 +207,33 @@ class SamContract(LoadedModel, ABC):
 
         def in_input(x: float, y: float) -> tuple[float, float]:
             # The graphs take indices of pixels and add half a pixel.
-            return (x - window.x_px) * across - 0.5, (y - window.y_px) * down - 0.5
+            input_x = (x - window.x_px) * across
+            input_y = (y - window.y_px) * down
+            return input_x - 0.5, input_y - 0.5
 
-        outputs = self._run(
-            self._decoder,
-            {
-                **features,
-                **self._no_mask_prompt(),
-                "orig_im_size": np.array([height, width], np.float32),
-                **self._prompt_inputs(prompt.mapped(in_input)),
-            },
-        )
-        masks, (covered_width, covered_height) = self._mask_output(outputs, (width, height))
+        decoder_inputs = {
+            **features,
+            **self._no_mask_prompt(),
+            "orig_im_size": np.array([height, width], np.float32),
+            **self._prompt_inputs(prompt.mapped(in_input)),
+        }
+        outputs = self._run(self._decoder, decoder_inputs)
+
+        masks, covered_size = self._mask_output(outputs, (width, height))
         scores = outputs[self.decoder_outputs[1]]
         grid, score = self._choose_mask(masks, scores, prompt)
-        rows, columns = grid.shape
         # The grid covers the input, or the input with its padding.
-        cells_per_px = (columns / covered_width * across, rows / covered_height * down)
-        return MaskLogits(grid, score, cells_per_px=cells_per_px, window=window)
+        rows, columns = grid.shape
+        covered_width, covered_height = covered_size
+        cells_across = columns / covered_width * across
+        cells_down = rows / covered_height * down
+        return MaskLogits(grid, score, cells_per_px=(cells_across, cells_down), window=window)
 
     @abstractmethod
-    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> Tensors:
         """Build the decoder's inputs for a prompt in pixel indices of the encoder's picture."""
 
-    def _mask_output(
-        self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
-    ) -> tuple[NDArray[Any], tuple[int, int]]:
+    def _mask_output(self, outputs: Tensors, size: Size) -> tuple[NDArray[Any], Size]:
         """Choose the output with the masks.
 
         Args:
@@ -224,31 +245,31 @@ class SamContract(LoadedModel, ABC):
         """
         return outputs[self.decoder_outputs[0]], size
 
-    def _run(self, session: Session, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def _run(self, session: Session, feeds: Tensors) -> Tensors:
         """Run a session on its inputs, converted to its types; return the outputs by name."""
         inputs = {}
         for item in session.get_inputs():
-            inputs[item.name] = feeds[item.name].astype(DTYPES[item.type])
+            dtype = DTYPES[item.type]
+            inputs[item.name] = feeds[item.name].astype(dtype)
         names = [output.name for output in session.get_outputs()]
-        shapes = ", ".join(f"{name} {list(value.shape)}" for name, value in inputs.items())
+        shapes = [f"{name} {list(value.shape)}" for name, value in inputs.items()]
         results = run_session(
             session,
             names,
             feeds=inputs,
             runtime=self.runtime,
-            described=f"the {self.name} segmenter fails on {shapes}",
+            described=f"the {self.name} segmenter fails on {', '.join(shapes)}",
         )
         arrays = [np.asarray(result) for result in results]
         return dict(zip(names, arrays, strict=True))
 
-    def _no_mask_prompt(self) -> dict[str, NDArray[Any]]:
+    def _no_mask_prompt(self) -> Tensors:
         """Build the inputs that mean "no mask prompt"."""
         fallback = self.input_px * _MASK_PER_EMBEDDING // SAM_STRIDE_PX
         sides = [fallback, fallback]
         for item in self._decoder.get_inputs():
-            if item.name == "mask_input":
-                declared = item.shape[2:]
-                sides = [side if isinstance(side, int) else fallback for side in declared] or sides
+            if item.name == "mask_input" and len(item.shape) > 2:
+                sides = [side if isinstance(side, int) else fallback for side in item.shape[2:]]
         return {
             "mask_input": np.zeros((1, 1, *sides), np.float32),
             "has_mask_input": np.zeros(1, np.float32),
@@ -263,7 +284,8 @@ class SamContract(LoadedModel, ABC):
             The logits ``[gh, gw]`` and the score, 0..1.
         """
         grids = masks.reshape(-1, *masks.shape[-2:])
-        flat_scores = np.nan_to_num(scores.reshape(-1).astype(np.float64), nan=0.0)
+        flat_scores = scores.reshape(-1).astype(np.float64)
+        flat_scores = np.nan_to_num(flat_scores, nan=0.0)
         n_masks = len(grids)
         if n_masks != len(flat_scores) or grids.size == 0:
             raise ModelContractError(

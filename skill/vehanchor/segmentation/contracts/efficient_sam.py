@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from vehanchor.errors import PromptError
 from vehanchor.segmentation.contracts.base import SAM_STRIDE_PX, SamContract, corner_prompt
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from vehanchor.segmentation.contracts.base import Tensors
     from vehanchor.segmentation.prompt import Prompt
 
 # The graph silently drops further points.
@@ -44,7 +43,7 @@ class EfficientSam(SamContract):
             return _INPUT_PX
         return side * SAM_STRIDE_PX
 
-    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> Tensors:
         """Build inputs for up to six points on the object, or a box."""
         if not all(include for _, _, include in prompt.points):
             raise PromptError(

@@ -17,10 +17,9 @@ import numpy as np
 from vehanchor.segmentation.contracts.base import MEAN_RGB, SD_RGB, SamContract, corner_prompt
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
+    from vehanchor.segmentation.contracts.base import RgbImage, Size, Tensors
     from vehanchor.segmentation.prompt import Prompt
 
 # Label of a padding point.
@@ -46,7 +45,7 @@ class Sam(SamContract):
                 return
         super()._check_image_shape()
 
-    def input_size(self, width_px: int, height_px: int) -> tuple[int, int]:
+    def input_size(self, width_px: int, height_px: int) -> Size:
         """Compute the size at which the crop's long side fills the model's input.
 
         Sides are rounded half up, as in SAM.
@@ -56,16 +55,16 @@ class Sam(SamContract):
         height = max(1, int(height_px * factor + 0.5))
         return width, height
 
-    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> Tensors:
         coords, labels = corner_prompt(prompt)
+        coords.append((0.0, 0.0))
+        labels.append(_PADDING)
         return {
-            "point_coords": np.array([[*coords, (0.0, 0.0)]], np.float32),
-            "point_labels": np.array([[*labels, _PADDING]], np.float32),
+            "point_coords": np.array([coords], np.float32),
+            "point_labels": np.array([labels], np.float32),
         }
 
-    def _mask_output(
-        self, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int]
-    ) -> tuple[NDArray[Any], tuple[int, int]]:
+    def _mask_output(self, outputs: Tensors, size: Size) -> tuple[NDArray[Any], Size]:
         coarse = outputs.get("low_res_masks")
         # Exports with extra metrics use the name for other outputs.
         if coarse is not None and coarse.ndim == 4:
@@ -73,7 +72,7 @@ class Sam(SamContract):
             return coarse, (self.input_px, self.input_px)
         return super()._mask_output(outputs, size)
 
-    def _encoder_input(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _encoder_input(self, image: RgbImage) -> NDArray[np.float32]:
         """Convert the resized crop to the encoder's input, padded right and below if needed."""
         height, width = image.shape[:2]
         pixels = image.astype(np.float32)

@@ -7,15 +7,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vehanchor.segmentation.contracts.base import SamContract, corner_prompt
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from vehanchor.segmentation.contracts.base import Tensors
     from vehanchor.segmentation.prompt import Prompt
 
 
@@ -30,7 +29,7 @@ class Sam2(SamContract):
     decoder_outputs = "masks", "iou_predictions"
     embedding = "image_embed"
 
-    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> Tensors:
         # This graph adds the padding point itself.
         coords, labels = corner_prompt(prompt)
         return {

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +16,8 @@ from vehanchor.segmentation.contracts.base import SamContract, corner_prompt
 from vehanchor.segmentation.prompt import Prompt
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from vehanchor.models.session import Session
+    from vehanchor.segmentation.contracts.base import Tensors
 
 # SAM 3 normalises by a mean and a standard deviation of 0.5, for values 0..1.
 _SAM3_LEVEL = np.full(3, 127.5, np.float32)
@@ -51,7 +50,7 @@ class Transformers(SamContract):
             return _SAM3_INPUT_PX
         return super()._infer_input_px()
 
-    def _prompt_inputs(self, prompt: Prompt) -> dict[str, NDArray[Any]]:
+    def _prompt_inputs(self, prompt: Prompt) -> Tensors:
         """Build separate inputs for boxes and points."""
         coords, labels = corner_prompt(Prompt(points=prompt.points))
         corners, _ = corner_prompt(Prompt(box=prompt.box))
