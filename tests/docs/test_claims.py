@@ -23,7 +23,7 @@ from tests.packaging.container import read_dockerfile
 from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.engine import Engine
 from vehanchor.options import Frame, KnownLength, Lengths, Reading, Reference, Search
-from vehanchor.records import AreaMeasurement, GsdEstimate
+from vehanchor.records import AreaMeasurement, GsdEstimate, RulerScale
 from vehanchor_server.settings import Settings
 
 _READING = (ROOT / "docs/reading.md").read_text(encoding="utf-8")
@@ -94,7 +94,11 @@ def test_the_named_variables_exist(document: Path) -> None:
 
 def _known_quantities() -> set[str]:
     """Return the names of all record fields, options and tool arguments."""
-    records = {*GsdEstimate.model_fields, *AreaMeasurement.model_fields}
+    records = {
+        *GsdEstimate.model_fields,
+        *RulerScale.model_fields,
+        *AreaMeasurement.model_fields,
+    }
     groups = (Search, Lengths, Reference, Frame, Reading, KnownLength)
     options = {field.name for group in groups for field in fields_of(group)}
     keywords = set(signature(Engine.analyse_area).parameters)

@@ -45,6 +45,7 @@ from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import vehicle_witness
 from vehanchor.rulers.witnesses import disagreements, measure_all, with_doubts
 from vehanchor.scale.defaults import PROBABLY_RIGHT
+from vehanchor.scale.density import quantile
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judge
 from vehanchor.scale.reliability import SAME_NUMBER
@@ -463,12 +464,14 @@ def _vehicle_details(vehicles: VehicleWitness | None) -> dict[str, Any]:
 
 def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
     """Show the scale of one ruler."""
+    assert witness.right is not None
     ruler = ruler_class(witness.kind)
     return RulerScale(
         kind=witness.kind,
         label=ruler.label,
         sets_scale=ruler.sets_scale,
         **_with_ci95(witness.gsd_m_per_px, witness.interval),
+        density_median_m_per_px=quantile(witness.right, 0.5),
         n=witness.n,
         p_right=min(1.0, p_right),
         probably_right=p_right >= PROBABLY_RIGHT,

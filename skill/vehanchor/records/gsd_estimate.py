@@ -81,6 +81,11 @@ class RulerScale(Record):
     gsd_m_per_px: float = Field(
         gt=0, description="Scale from this ruler alone, metres per pixel of the full image."
     )
+    density_median_m_per_px: float = Field(
+        gt=0,
+        description="Median of the density with which this ruler counts if it is right. For "
+        "vehicles it can differ from their own scale, because all boxes vote.",
+    )
     gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its own 95 % interval.")
     gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its own 95 % interval.")
     n: int = Field(
