@@ -95,7 +95,8 @@ def search_flight(
         ImageError: no photograph is given, or none can be used.
     """
     report_progress = detector.runtime.tell
-    silent_detector = detector.under(replace(detector.runtime, progress=None))
+    silent_runtime = replace(detector.runtime, progress=None)
+    silent_detector = detector.under(silent_runtime)
     results: list[Photograph | Failure] = []
     n_photographs = len(inputs) if isinstance(inputs, Sized) else 0
     for n_done, photograph in enumerate(inputs):
@@ -158,16 +159,19 @@ def _search(
 
 def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
     """Reduce an image to ``[32, 32]`` grey levels."""
-    factor = max(1, max(raster.width_px, raster.height_px) // _MIN_READ_PX)
+    side_px = max(raster.width_px, raster.height_px)
+    factor = max(1, side_px // _MIN_READ_PX)
     whole = Window(
         0,
         0,
         width_px=max(1, raster.width_px // factor),
         height_px=max(1, raster.height_px // factor),
     )
-    grey = cv2.cvtColor(read_preview(raster, whole, factor), cv2.COLOR_RGB2GRAY)
-    side = (_REDUCED_SIDE_PX, _REDUCED_SIDE_PX)
-    return np.asarray(cv2.resize(grey, side, interpolation=cv2.INTER_AREA), np.uint8)
+    preview = read_preview(raster, whole, factor)
+    grey = cv2.cvtColor(preview, cv2.COLOR_RGB2GRAY)
+    size = (_REDUCED_SIDE_PX, _REDUCED_SIDE_PX)
+    reduced = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(reduced, np.uint8)
 
 
 def without_copies(results: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
@@ -201,12 +205,13 @@ def _is_copy(small: Photograph, large: Photograph) -> bool:
     if small_image.width_px == large_image.width_px:
         return False
     # Quotient of the aspect ratios.
-    aspect = (small_image.width_px * large_image.height_px) / (
-        small_image.height_px * large_image.width_px
-    )
+    numerator = small_image.width_px * large_image.height_px
+    denominator = small_image.height_px * large_image.width_px
+    aspect = numerator / denominator
     if abs(aspect - 1) > _ASPECT_TOLERANCE:
         return False
-    difference = np.abs(small.reduced.astype(float) - large.reduced).mean()
+    differences = small.reduced.astype(float) - large.reduced
+    difference = np.abs(differences).mean()
     return bool(difference <= _MAX_COPY_DIFFERENCE)
 
 

@@ -106,7 +106,8 @@ class _Exposure(NamedTuple):
         """Check whether a sortie begins between the exposure before and this one."""
         if self.camera != before.camera:
             return True
-        return before.taken > datetime.min and self.taken - before.taken > _PAUSE
+        has_time = before.taken > datetime.min
+        return has_time and self.taken - before.taken > _PAUSE
 
 
 def conclude_flight(
@@ -130,6 +131,7 @@ def conclude_flight(
         The record.
     """
     sorties = _sorties(results)
+    has_others = len(sorties) > 1 and not same_scale
     photographs: dict[int, FlightPhotograph] = {}
     for index, result in enumerate(results):
         if isinstance(result, Failure):
@@ -143,7 +145,7 @@ def conclude_flight(
             reference=component.reference,
             extra=component.extra,
         )
-        is_unlinked = len(component) == 1 and len(sorties) > 1 and not same_scale
+        is_unlinked = has_others and len(component) == 1
         component_record = FlightComponent(
             number=number,
             n_photographs=len(component),
@@ -170,11 +172,12 @@ def conclude_flight(
         common = component_records[0].pooled
         warnings = (*common.warnings, *_several_sorties(sorties.values()))
     scale: dict[str, Any] = {name: getattr(common, name, None) for name in SCALE_FIELDS}
+    confidences = [record.confidence for record in ordered]
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
         **scale,
-        confidence=min(record.confidence for record in ordered if record.confidence is not None),
+        confidence=min(confidence for confidence in confidences if confidence is not None),
         n_vehicles=sum(record.pooled.n_vehicles or 0 for record in component_records),
         photographs=ordered,
         components=tuple(component_records),
@@ -344,8 +347,10 @@ def _carried_scale(pooled: GsdEstimate, offset: float, log_sd: float) -> _Carrie
     link_reach = Z95 * log_sd
     reach_down = math.log(pooled_gsd / pooled_low)
     reach_up = math.log(pooled_high / pooled_gsd)
-    low = gsd * math.exp(-math.hypot(reach_down, link_reach))
-    high = gsd * math.exp(math.hypot(reach_up, link_reach))
+    carried_down = math.hypot(reach_down, link_reach)
+    carried_up = math.hypot(reach_up, link_reach)
+    low = gsd * math.exp(-carried_down)
+    high = gsd * math.exp(carried_up)
     # The confidence falls as the chance of an error below 20 % does in a wider normal distribution.
     within = _chance_within_tolerance(math.log(high / low))
     pooled_within = _chance_within_tolerance(reach_up + reach_down)
@@ -360,7 +365,8 @@ def _chance_within_tolerance(log_width: float) -> float:
         log_width: width of its 95 % interval, in logs: 2 ``Z95`` standard deviations.
     """
     tolerance = 2 * Z95 * math.log1p(TOLERANCE)
-    return math.erf(tolerance / max(log_width, 1e-9) / math.sqrt(2))
+    width = max(log_width, 1e-9)
+    return math.erf(tolerance / width / math.sqrt(2))
 
 
 def _status(photographs: Sequence[FlightPhotograph]) -> Status:
@@ -379,7 +385,8 @@ def _supporting_rulers(
     supports = measured + of_flight
     if not supports:
         return [()] * len(members)
-    strongest = max(measured or of_flight, key=lambda support: support.strength).member
+    candidates = measured or of_flight
+    strongest = max(candidates, key=lambda support: support.strength).member
     # Rulers that are probably right come first, and of one ruler the strongest photograph.
     p_right = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
     supports.sort(key=lambda support: (-p_right.get(support.ruler, 0.0), -support.strength))
@@ -416,23 +423,28 @@ def _supports(
     supports = []
     for index, member in enumerate(members):
         detections = member.rectified_detections
-        lengths = detections.boxes[:, 2] * math.exp(component.offsets[index])
+        factor = math.exp(component.offsets[index])
+        lengths = detections.boxes[:, 2] * factor
         scores = detections.scores[_is_in_fleet(lengths, pooled)]
         strength = float((scores**2).sum())
         if strength > 0:
             supports.append(_Support(Vehicles.kind, index, strength))
         for witness in per_photograph_witnesses(member.analysis.witnesses):
             if witness.found and witness.sets_scale:
-                supports.append(_Support(witness.kind, index, 1.0 - witness.chance_wrong))
+                strength = 1.0 - witness.chance_wrong
+                supports.append(_Support(witness.kind, index, strength))
     return supports
 
 
 def _is_in_fleet(lengths: NDArray[np.float64], pooled: ScaleAnalysis) -> NDArray[np.bool_]:
     """Find lengths ``[n]``, in pixels of the reference, among those behind the pooled scale."""
-    if pooled.vehicles is None or not len(pooled.vehicles.fleet.lengths):
+    if pooled.vehicles is None:
         return np.zeros(len(lengths), dtype=bool)
-    shortest = pooled.vehicles.fleet.lengths.min()
-    longest = pooled.vehicles.fleet.lengths.max()
+    fleet_lengths = pooled.vehicles.fleet.lengths
+    if not len(fleet_lengths):
+        return np.zeros(len(lengths), dtype=bool)
+    shortest = fleet_lengths.min()
+    longest = fleet_lengths.max()
     return np.asarray((lengths >= shortest) & (lengths <= longest))
 
 

@@ -96,7 +96,9 @@ class FilterState(NamedTuple):
     def interval(self) -> Interval:
         """95 % interval, metres per pixel."""
         reach = Z95 * self.log_sd
-        return Interval(math.exp(self.log_gsd - reach), math.exp(self.log_gsd + reach))
+        low = math.exp(self.log_gsd - reach)
+        high = math.exp(self.log_gsd + reach)
+        return Interval(low, high)
 
     @property
     def chance(self) -> float:

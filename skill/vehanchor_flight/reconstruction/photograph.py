@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -42,6 +42,21 @@ if TYPE_CHECKING:
     from vehanchor_flight.reconstruction.ground import Plane
     from vehanchor_flight.reconstruction.model import Shot
 
+    Points: TypeAlias = NDArray[np.float64]
+    """Points ``[n, 3]`` in model units."""
+
+    Pixels: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """Lengths ``[n]``, or their natural logs."""
+
+    Shares: TypeAlias = NDArray[np.float64]
+    """Scores of boxes, or parts of rays."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the boxes or points have a property."""
+
 _N_DESCENTS = 3  # Steps in which a ray meets the ground around its foot.
 _MAX_RELIEF = 0.3  # Of the camera's height.
 _SAME_CAR_DISTANCE = 0.5  # Of a car's length: boxes that are closer show one car.
@@ -65,7 +80,7 @@ class ShotAboveGround(NamedTuple):
 
     @classmethod
     def of(
-        cls, shot: Shot, points: NDArray[np.float64], whole_plane: Plane, size: tuple[int, int]
+        cls, shot: Shot, points: Points, whole_plane: Plane, size: tuple[int, int]
     ) -> ShotAboveGround:
         """Fit the plane below a shot.
 
@@ -84,8 +99,9 @@ class ShotAboveGround(NamedTuple):
         plane = plane_below(shot, points, whole_plane)
         # Straight down, in the camera's frame: z along its axis, y to the lower side of the image.
         right, down, ahead = (-shot.rotation @ plane.normal).tolist()
+        cosine = min(1.0, max(-1.0, ahead))
         tilt = CameraTilt(
-            math.degrees(math.acos(min(1.0, max(-1.0, ahead)))),
+            math.degrees(math.acos(cosine)),
             math.degrees(math.atan2(-right, down)) % 360,
             focal_length_px=shot.lens.focal_px,
             source="the reconstruction",
@@ -103,9 +119,7 @@ class ShotAboveGround(NamedTuple):
         cosine = max(math.cos(math.radians(self.tilt.tilt_deg)), LEAST_DESCENT)
         return float(self.height / self.shot.lens.focal_px / cosine**1.5)
 
-    def on_ground(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def on_ground(self, points: Pixels) -> tuple[Points, Flags]:
         """Project pixels to the plane.
 
         Args:
@@ -116,10 +130,12 @@ class ShotAboveGround(NamedTuple):
         """
         rays = self.shot.rays(points)
         descents = -rays @ self.plane.normal
-        is_steep = descents >= LEAST_DESCENT * np.linalg.norm(rays, axis=1)
+        lengths = np.linalg.norm(rays, axis=1)
+        is_steep = descents >= LEAST_DESCENT * lengths
         # Multiples of the rays that end on the plane; of flat rays they have no meaning.
         reach = self.height / np.where(is_steep, descents, 1.0)
-        return self.shot.centre + reach[:, None] * rays, is_steep
+        feet = self.shot.centre + reach[:, None] * rays
+        return feet, is_steep
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +155,7 @@ class SearchedPhotograph:
     view: View
     others: tuple[Witness, ...]
     above_ground: ShotAboveGround
-    places: NDArray[np.float64]
+    places: Points
 
     @property
     def gsd(self) -> float:
@@ -152,7 +168,7 @@ class SearchedPhotograph:
         stored: StoredPhotograph,
         shot: Shot,
         *,
-        points: NDArray[np.float64],
+        points: Points,
         whole_plane: Plane,
         card: DetectorCard,
         options: ScaleOptions,
@@ -181,9 +197,10 @@ class SearchedPhotograph:
     def alone(self) -> Photograph:
         """Analyse the photograph by itself."""
         boxes = self.view.detections.boxes
-        return self.photograph(np.ones(len(boxes), dtype=bool), boxes[:, 2])
+        kept = np.ones(len(boxes), dtype=bool)
+        return self.photograph(kept, boxes[:, 2])
 
-    def photograph(self, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Photograph:
+    def photograph(self, kept: Flags, lengths: Lengths) -> Photograph:
         """Analyse a choice of the boxes.
 
         Args:
@@ -200,7 +217,7 @@ def search_photograph(
     image: Path,
     shot: Shot,
     *,
-    points: NDArray[np.float64],
+    points: Points,
     whole_plane: Plane,
     detector: Detector,
     options: ScaleOptions,
@@ -253,22 +270,19 @@ def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:
     lengths = np.concatenate([part.boxes[:, 2] for part in detections])
     scores = np.concatenate([part.scores for part in detections])
     places = np.concatenate([photograph.places for photograph in photographs])
-    kept, log_lengths = _distinct_cars(places, np.log(lengths * gsds), scores)
-    mean_lengths = np.exp(log_lengths) / gsds
+    log_lengths = np.log(lengths * gsds)
+    kept, mean_log_lengths = _distinct_cars(places, log_lengths, scores)
+    mean_lengths = np.exp(mean_log_lengths) / gsds
     ends = np.cumsum(n_boxes)[:-1]
     kept_parts = np.split(kept, ends)
     length_parts = np.split(mean_lengths, ends)
+    parts = zip(photographs, kept_parts, length_parts, strict=True)
     return [
-        photograph.photograph(own_kept, own_lengths)
-        for photograph, own_kept, own_lengths in zip(
-            photographs, kept_parts, length_parts, strict=True
-        )
+        photograph.photograph(own_kept, own_lengths) for photograph, own_kept, own_lengths in parts
     ]
 
 
-def _distinct_cars(
-    places: NDArray[np.float64], log_lengths: NDArray[np.float64], scores: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+def _distinct_cars(places: Points, log_lengths: Lengths, scores: Shares) -> tuple[Flags, Lengths]:
     """Find the boxes that show one car: those around its box with the best score.
 
     Args:
@@ -289,8 +303,10 @@ def _distinct_cars(
             continue
         reach = _SAME_CAR_DISTANCE * math.exp(log_lengths[best])
         # Boxes in a cube first, which is faster than distances to all.
-        is_same = is_left & (np.abs(places - places[best]).max(axis=1) <= reach)
-        is_same[is_same] = np.linalg.norm(places[is_same] - places[best], axis=1) <= reach
+        offsets = np.abs(places - places[best])
+        is_same = is_left & (offsets.max(axis=1) <= reach)
+        distances = np.linalg.norm(places[is_same] - places[best], axis=1)
+        is_same[is_same] = distances <= reach
         is_left[is_same] = False
         kept[best] = True
         weights = np.maximum(scores[is_same], _MIN_WEIGHT)
@@ -302,7 +318,8 @@ def _measure_on_ground(view: View, above_ground: ShotAboveGround) -> tuple[Witne
     """Measure with the rulers that use no vehicles; in a tilted view, only with the plane."""
     ruler_options = view.options.rulers
     lines = tuple(_undistorted_line(line, above_ground) for line in ruler_options.known_lengths)
-    options = replace(view.options, rulers=replace(ruler_options, known_lengths=lines))
+    ground_rulers = replace(ruler_options, known_lengths=lines)
+    options = replace(view.options, rulers=ground_rulers)
     ground_view = replace(view, tilt=above_ground.tilt, options=options)
     witnesses = []
     for ruler in active_rulers(ruler_options):
@@ -315,8 +332,8 @@ def _measure_on_ground(view: View, above_ground: ShotAboveGround) -> tuple[Witne
 
 
 def _project_boxes(
-    detections: Detections, above_ground: ShotAboveGround, points: NDArray[np.float64]
-) -> tuple[Detections, NDArray[np.float64]]:
+    detections: Detections, above_ground: ShotAboveGround, points: Points
+) -> tuple[Detections, Points]:
     """Project boxes to the ground; boxes whose rays are too flat are left out.
 
     Args:
@@ -337,7 +354,8 @@ def _project_boxes(
         sides.append(np.linalg.norm(first - second, axis=1))
         kept &= is_first_steep & is_second_steep
     lengths, widths = sides
-    is_finite = np.isfinite(np.column_stack([places, lengths, widths])).all(axis=1)
+    positions_and_sizes = np.column_stack([places, lengths, widths])
+    is_finite = np.isfinite(positions_and_sizes).all(axis=1)
     kept &= is_finite & (lengths > 0) & (widths > 0)
     lengths = lengths[kept]
     widths = widths[kept]
@@ -345,15 +363,15 @@ def _project_boxes(
         lengths = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
     rays = places[kept] - above_ground.shot.centre
     nearness = _nearness(rays, above_ground, points)
+    sizes = np.column_stack([lengths, widths])
     measured = boxes.copy()
-    measured[kept, 2:4] = np.column_stack([lengths, widths]) * nearness / above_ground.gsd
-    selected = _select_boxes(replace(detections, boxes=measured), kept, measured[:, 2])
+    measured[kept, 2:4] = sizes * nearness / above_ground.gsd
+    measured_detections = replace(detections, boxes=measured)
+    selected = _select_boxes(measured_detections, kept, measured[:, 2])
     return selected, above_ground.shot.centre + nearness * rays
 
 
-def _nearness(
-    rays: NDArray[np.float64], above_ground: ShotAboveGround, points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _nearness(rays: Points, above_ground: ShotAboveGround, points: Points) -> Shares:
     """Compute the parts of rays down to the plane at which these meet the real ground.
 
     Ground above the plane is nearer to the camera, so that things on it look larger.
@@ -380,9 +398,7 @@ def _nearness(
     return nearness
 
 
-def _select_boxes(
-    detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]
-) -> Detections:
+def _select_boxes(detections: Detections, kept: Flags, lengths: Lengths) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
     boxes = detections.boxes.copy()
     boxes[:, 2] = lengths
@@ -405,5 +421,6 @@ def _select_boxes(
 def _undistorted_line(line: KnownLength, above_ground: ShotAboveGround) -> KnownLength:
     """Convert a line to pixels of a pinhole camera, which the ground plane assumes."""
     ends = [(line.x1, line.y1), (line.x2, line.y2)]
-    (x1, y1), (x2, y2) = above_ground.shot.lens.ideal(ends).tolist()
+    ideal_ends = above_ground.shot.lens.ideal(ends)
+    (x1, y1), (x2, y2) = ideal_ends.tolist()
     return replace(line, x1=x1, y1=y1, x2=x2, y2=y2)
