@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import OutputError
 from vehanchor.records.escaping import in_cell
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.gsd import ScaleBenchmark, ScaleReport, ScaleTrial
     from vehanchor_evaluation.known_scale import FileIssue
     from vehanchor_evaluation.reliability import GroupRow, ReliabilityReport
+
+    Rows: TypeAlias = Sequence[Mapping[str, object]]
+    """Rows of a table, all with the same keys."""
 
 _SHORT_SHA = 12
 _LEGEND = """An error above 20 % is wrong; (<) is the 95 % upper bound of the wrong share.
@@ -48,7 +51,8 @@ def markdown_table(
     widths = [0] * len(headings)
     rules = ["---"] * len(headings)
     if aligned:
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        columns = zip(*table, strict=True)
+        widths = [max(map(len, column)) for column in columns]
         rules = ["-" * max(3, width + 2) for width in widths]
     lines = []
     for cells in table:
@@ -59,7 +63,7 @@ def markdown_table(
 
 
 def write_results(
-    folder: Path, stem: str, record: BaseModel, rows: Sequence[Mapping[str, object]], markdown: str
+    folder: Path, stem: str, record: BaseModel, rows: Rows, markdown: str
 ) -> list[Path]:
     """Write a result as ``<stem>.json``, its table as ``<stem>.csv``, and ``<stem>.md``.
 
@@ -76,16 +80,15 @@ def write_results(
     Raises:
         OutputError: a file cannot be written.
     """
+    json_text = record.model_dump_json(indent=2)
     return [
-        _write(folder / f"{stem}.json", record.model_dump_json(indent=2) + "\n"),
+        _write(folder / f"{stem}.json", json_text + "\n"),
         write_table(folder / f"{stem}.csv", rows),
         _write(folder / f"{stem}.md", markdown),
     ]
 
 
-def write_table(
-    path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()
-) -> Path:
+def write_table(path: Path, rows: Rows, columns: Sequence[str] = ()) -> Path:
     """Write rows with the same keys as CSV; None becomes an empty cell.
 
     Args:
@@ -100,7 +103,8 @@ def write_table(
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, fieldnames=fields, lineterminator="\n")
     writer.writeheader()
-    writer.writerows({name: in_cell(value) for name, value in row.items()} for row in rows)
+    for row in rows:
+        writer.writerow({name: in_cell(value) for name, value in row.items()})
     return _write(path, text.getvalue())
 
 
