@@ -14,7 +14,7 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
 
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
 _REGIONS = {
     "cannes": "europe",
     "estonia": "northern_europe",
@@ -63,12 +66,12 @@ def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
     return [((data / "gsd" / row["file"]).resolve(), float(row["gsd_m_per_px"])) for row in rows]
 
 
-def read(path: Path) -> NDArray[np.uint8]:
+def read(path: Path) -> Picture:
     """Read an image, ``[h, w, 3]`` BGR."""
     return np.asarray(cv2.imread(str(path)), dtype=np.uint8)
 
 
-def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def spoiled(image: Picture, rng: np.random.Generator) -> Picture:
     """Change exposure, add noise and JPEG artefacts."""
     pixels = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
     pixels += rng.normal(0, rng.uniform(0, 4), image.shape)
@@ -77,7 +80,7 @@ def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.ui
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
-def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def turned(image: Picture, rng: np.random.Generator) -> Picture:
     """Cut the largest square inside the image at any angle; turn a small one by right angles."""
     side = min(image.shape[:2])
     if side < 400:
@@ -179,7 +182,7 @@ def _pooled_row(name: str, estimates: Sequence[FlightEstimate], truth: float) ->
     return f"| {name} | {percents} | {median} | {inside} of {len(estimates)} | {ratio:.2f} |"
 
 
-def worlds(data: Path) -> dict[str, NDArray[np.uint8]]:
+def worlds(data: Path) -> dict[str, Picture]:
     """Load mosaics of neighbouring val tiles, and single large ones, all of 0.20 m/px."""
     folder = data / "vehicles" / "images"
     strips = {"cannes 846 to 850": range(846, 851), "cannes 911 to 914": range(911, 915)}
@@ -194,15 +197,15 @@ def worlds(data: Path) -> dict[str, NDArray[np.uint8]]:
 
 
 def cut_flight(
-    world: NDArray[np.uint8], rng: np.random.Generator, n: int
-) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64]]:
+    world: Picture, rng: np.random.Generator, n: int
+) -> tuple[list[Picture], NDArray[np.float64]]:
     """Make photographs of 480 x 360 px at random positions, turns and scales of 0.6 to 1.7.
 
     Returns the photographs and their scales.
     """
     width = 480
     height = 360
-    photographs: list[NDArray[np.uint8]] = []
+    photographs: list[Picture] = []
     scales: list[float] = []
     while len(photographs) < n:
         scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.7))))
@@ -254,7 +257,7 @@ class _Links(NamedTuple):
 
 
 def _matched_flight(
-    world: NDArray[np.uint8], detector: Detector, rng: np.random.Generator
+    world: Picture, detector: Detector, rng: np.random.Generator
 ) -> tuple[list[float], int, _Links]:
     """Estimate a flight over a mosaic; two thirds of its photographs lose their vehicles.
 

@@ -24,7 +24,7 @@ import argparse
 import csv
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -45,6 +45,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+    Polygons: TypeAlias = NDArray[np.float64]
+    """Corners ``[n, 4, 2]`` of areas."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]``."""
+
+    Scores: TypeAlias = NDArray[np.float64]
+    """Scores ``[n]``."""
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _MIN_SCORE = 0.15
@@ -70,11 +82,11 @@ class Sighted(NamedTuple):
         spared_px: largest distance to them.
     """
 
-    boxes: NDArray[np.float64]
-    scores: NDArray[np.float64]
+    boxes: Boxes
+    scores: Scores
     megapixels: float
-    labels: NDArray[np.float64] = np.zeros((0, 4, 2))
-    spared: NDArray[np.float64] = np.zeros((0, 2))
+    labels: Polygons = np.zeros((0, 4, 2))
+    spared: Points = np.zeros((0, 2))
     spared_px: float = 0.0
 
     def above(self, min_score: float) -> Sighted:
@@ -83,7 +95,7 @@ class Sighted(NamedTuple):
         return self._replace(boxes=self.boxes[is_kept], scores=self.scores[is_kept])
 
 
-def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArray[np.intp]:
+def hit_labels(boxes: Boxes, labels: Polygons) -> NDArray[np.intp]:
     """Find the upright label that each box hits, -1 for none.
 
     Args:

@@ -26,8 +26,8 @@ from research.scenes.sprites import CROWN_SPAN, VEHICLE_PAD, Sun, crown_sprite, 
 from research.scenes.tile import SUBPIXEL_BITS, Tile
 from research.scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Surface, Tree, World
 
-_F = NDArray[np.float32]
-_U8 = NDArray[np.uint8]
+_Layer = NDArray[np.float32]
+_Pixels = NDArray[np.uint8]
 
 # Light of the bluish sky relative to sun and sky.
 _SHADE = (0.40, 0.44, 0.52)
@@ -65,7 +65,7 @@ class Painter:
     rng: np.random.Generator
     px_per_m: float
     """Resolution of the canvas before downsampling."""
-    _sprites: dict[tuple[str, int], tuple[_F, float, float]] = field(default_factory=dict)
+    _sprites: dict[tuple[str, int], tuple[_Layer, float, float]] = field(default_factory=dict)
     _hulls: dict[int, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -155,21 +155,23 @@ class Painter:
                 cv2.fillPoly(stain, [points], mark.level, cv2.LINE_AA, SUBPIXEL_BITS)
         blur = 0.06 * self.px_per_m
         if blur > 0.4:
-            stain = cast("_U8", cv2.GaussianBlur(stain, (0, 0), min(blur, 6.0)))
+            stain = cast("_Pixels", cv2.GaussianBlur(stain, (0, 0), min(blur, 6.0)))
         table = np.zeros((256, 6), dtype=np.float32)
         for entry, amplitudes in _TEXTURES.items():
             table[entry] = amplitudes
         gain = cv2.LUT(stain, np.arange(256, dtype=np.float32) / 128)
-        texture: _F = np.ones_like(tile.noise[0])
+        texture: _Layer = np.ones_like(tile.noise[0])
         for index, field_ in enumerate(tile.noise):
             cv2.accumulateProduct(
-                cast("_F", cv2.LUT(material, table[:, index].copy())), field_, texture
+                cast("_Layer", cv2.LUT(material, table[:, index].copy())), field_, texture
             )
         gain = cv2.multiply(gain, texture)
         for channel in range(3):
             value = cv2.multiply(tile.rgb[:, :, channel], gain, dtype=cv2.CV_32F)
             cv2.accumulateProduct(
-                cast("_F", cv2.LUT(material, table[:, 3 + channel].copy())), tile.noise[2], value
+                cast("_Layer", cv2.LUT(material, table[:, 3 + channel].copy())),
+                tile.noise[2],
+                value,
             )
             np.clip(value, 0, 255, out=value)
             tile.rgb[:, :, channel] = value
@@ -276,7 +278,7 @@ class Painter:
         blend = target * (1 - cover) + paint * colour + grey * glass + red * lamp
         target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
-    def _vehicle_sprite(self, model: VehicleModel, angle: float) -> tuple[_F, float, float]:
+    def _vehicle_sprite(self, model: VehicleModel, angle: float) -> tuple[_Layer, float, float]:
         """Get the body's sprite for the sun's octant, with the length and width of its drawing."""
         octant = round((angle - self.sun.azimuth) / (math.pi / 4)) % 8
         key = (model.body, octant)
@@ -291,7 +293,7 @@ class Painter:
 
     def _crown_patch(
         self, tile: Tile, tree: Tree, x: float, y: float
-    ) -> tuple[tuple[int, int, int, int], _F] | None:
+    ) -> tuple[tuple[int, int, int, int], _Layer] | None:
         radius = tree.radius / tile.step * CROWN_SPAN
         cx = (x - tile.x) / tile.step
         cy = (y - tile.y) / tile.step
@@ -314,7 +316,7 @@ class Painter:
         )
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         sprite = cv2.warpAffine(level, matrix, (x1 - x0, y1 - y0), flags=flags, borderValue=(0, 0))
-        return window, cast("_F", sprite.reshape(y1 - y0, x1 - x0, 2))
+        return window, cast("_Layer", sprite.reshape(y1 - y0, x1 - x0, 2))
 
     def _crown(self, tile: Tile, tree: Tree) -> None:
         patch = self._crown_patch(tile, tree, x=tree.x, y=tree.y)
@@ -336,12 +338,12 @@ class Painter:
         np.maximum(hidden, (cover * 255).astype(np.uint8), out=hidden)
 
 
-def _pyramid(sprite: _F) -> list[_F]:
+def _pyramid(sprite: _Layer) -> list[_Layer]:
     levels = [sprite]
     while levels[-1].shape[0] > 8:
         size = levels[-1].shape[0] // 2
         levels.append(
-            cast("_F", cv2.resize(levels[-1], (size, size), interpolation=cv2.INTER_AREA))
+            cast("_Layer", cv2.resize(levels[-1], (size, size), interpolation=cv2.INTER_AREA))
         )
     return levels
 
@@ -354,7 +356,7 @@ def _bounds(
     return low[:, 0], low[:, 1], high[:, 0], high[:, 1]
 
 
-def _darken(rgb: _U8, shadow: _U8) -> None:
+def _darken(rgb: _Pixels, shadow: _Pixels) -> None:
     """Reduce the light in shadows to that of the sky."""
     for channel, share in enumerate(_SHADE):
         table = np.rint(255 * (1 - (1 - share) * np.arange(256) / 255)).astype(np.uint8)

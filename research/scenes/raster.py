@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import TypeAlias, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+Points: TypeAlias = NDArray[np.float64]
+"""Points x, y ``[n, 2]``."""
+
+Texture: TypeAlias = NDArray[np.float32]
+"""Texture ``[h, w]``."""
+
 _SMOOTH_BELOW = 0.34
 
 
-def polygon_area(points: NDArray[np.float64]) -> float:
+def polygon_area(points: Points) -> float:
     """Compute the area of a simple polygon [N,2] by the shoelace formula, in squared units."""
     x = points[:, 0]
     y = points[:, 1]
     return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
 
 
-def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
+def polygon_mask(points: Points, width: int, height: int) -> NDArray[np.bool_]:
     """Rasterise a polygon: pixels whose centre lies inside (even-odd rule).
 
     The number of pixels is an unbiased estimate of the area. ``cv2.fillPoly`` also fills every
@@ -51,16 +57,14 @@ def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArra
     )
 
 
-def clip_polygon(
-    points: NDArray[np.float64], x0: float, y0: float, x1: float, y1: float
-) -> NDArray[np.float64]:
+def clip_polygon(points: Points, x0: float, y0: float, x1: float, y1: float) -> Points:
     """Clip a polygon to a rectangle (Sutherland-Hodgman); the result may be empty [0,2]."""
     current = points
     for axis, bound, sign in ((0, x0, 1.0), (0, x1, -1.0), (1, y0, 1.0), (1, y1, -1.0)):
         if len(current) == 0:
             break
         inside = sign * (current[:, axis] - bound) >= 0
-        clipped: list[NDArray[np.float64]] = []
+        clipped: list[Points] = []
         for index, point in enumerate(current):
             previous = current[index - 1]
             if inside[index] != inside[index - 1]:
@@ -72,7 +76,7 @@ def clip_polygon(
     return current
 
 
-def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArray[np.float32]:
+def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> Texture:
     """Create periodic noise [size, size]: spectrum f ** -exponent, zero mean, unit variance."""
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
@@ -84,14 +88,14 @@ def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArr
 
 
 def sample_noise(
-    texture: NDArray[np.float32],
+    texture: Texture,
     texel: float,
     x: float,
     y: float,
     step: float,
     width: int,
     height: int,
-) -> NDArray[np.float32]:
+) -> Texture:
     """Sample a periodic texture, laid over the world, at the pixels of a window.
 
     Args:
@@ -113,7 +117,7 @@ def sample_noise(
         factor *= 2
     if factor > 1:
         texture = cast(
-            "NDArray[np.float32]",
+            "Texture",
             cv2.resize(texture, (size // factor,) * 2, interpolation=cv2.INTER_AREA),
         )
         texel = texel * factor
@@ -136,4 +140,4 @@ def sample_noise(
         border = cv2.BORDER_REPLICATE
     matrix = np.array([[scale, 0, left], [0, scale, top]])
     sampled = cv2.warpAffine(texture, matrix, (width, height), flags=flags, borderMode=border)
-    return cast("NDArray[np.float32]", sampled)
+    return cast("Texture", sampled)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple, cast, get_args
+from typing import NamedTuple, TypeAlias, cast, get_args
 
 import cv2
 import numpy as np
@@ -27,6 +27,15 @@ from research.scenes.truth import (
 )
 from research.scenes.world import PlacedCourt, PlacedVehicle, Target, World
 from vehanchor.errors import InvalidParameterError
+
+Points: TypeAlias = NDArray[np.float64]
+"""Points x, y ``[n, 2]``."""
+
+Picture: TypeAlias = NDArray[np.uint8]
+"""RGB picture ``[h, w, 3]``."""
+
+Labels: TypeAlias = NDArray[np.uint16]
+"""Numbers ``[h, w]`` of objects; 0 is the background."""
 
 _TILE_PX = 1024
 _MIN_SIZE_PX = 16
@@ -114,7 +123,7 @@ def render_scene(
 
 
 def _scene(
-    image: NDArray[np.uint8],
+    image: Picture,
     world: World,
     view: _View,
     *,
@@ -192,7 +201,7 @@ def _oversampling(gsd_m_per_px: float) -> int:
 
 def _paint(
     painter: Painter, x0: float, y0: float, *, gsd_m_per_px: float, width_px: int, height_px: int
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+) -> tuple[Picture, Picture]:
     """Paint the view from (x0, y0) metres on.
 
     Returns:
@@ -260,16 +269,16 @@ def _thin(
     world.vehicles[:] = [vehicle for vehicle in world.vehicles if id(vehicle) in kept]
 
 
-def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def _photograph(image: Picture, rng: np.random.Generator) -> Picture:
     """Apply lens, haze, sensor and compression."""
     sigma = float(rng.uniform(0.45, 0.85))
     blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-    image = cast("NDArray[np.uint8]", blurred)
+    image = cast("Picture", blurred)
     # Sharpening in post-processing.
     if rng.random() < 0.35:
         soft = cv2.GaussianBlur(image, (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
         amount = float(rng.uniform(0.3, 0.9))
-        image = cast("NDArray[np.uint8]", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))
+        image = cast("Picture", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))
     gamma = rng.uniform(0.88, 1.12)
     gain = rng.uniform(0.9, 1.12)
     haze = rng.uniform(0, 16)
@@ -298,7 +307,7 @@ def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     if rng.random() < 0.6:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(78, 96))]
         _, encoded = cv2.imencode(".jpg", out, quality)
-        out = cast("NDArray[np.uint8]", cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+        out = cast("Picture", cv2.imdecode(encoded, cv2.IMREAD_COLOR))
     return out
 
 
@@ -323,15 +332,15 @@ class _View(NamedTuple):
         height, width = self.hidden.shape
         return width, height
 
-    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pixels(self, points: Points) -> Points:
         """Convert points in metres to pixels."""
         return np.asarray((points - (self.x0, self.y0)) / self.gsd_m_per_px)
 
-    def is_cut(self, corners: NDArray[np.float64]) -> bool:
+    def is_cut(self, corners: Points) -> bool:
         """Return whether the image's edge cuts a polygon in pixels."""
         return bool((corners < 0).any() or (corners > self.size).any())
 
-    def hidden_share(self, corners: NDArray[np.float64]) -> float:
+    def hidden_share(self, corners: Points) -> float:
         """Compute the share of a polygon's pixels that crowns hide; 0 without pixels."""
         width, height = self.size
         low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
@@ -343,10 +352,10 @@ class _View(NamedTuple):
 
 def _masks(
     targets: list[Target], view: _View
-) -> tuple[dict[Category, NDArray[np.uint16]], tuple[SceneObject, ...]]:
+) -> tuple[dict[Category, Labels], tuple[SceneObject, ...]]:
     """Number the visible pixels of each object by category, and measure its areas."""
     width, height = view.size
-    masks: dict[Category, NDArray[np.uint16]] = {
+    masks: dict[Category, Labels] = {
         category: np.zeros((height, width), dtype=np.uint16) for category in CATEGORIES
     }
     full_areas: dict[Category, list[float]] = {category: [] for category in CATEGORIES}
@@ -363,7 +372,7 @@ def _masks(
     return masks, tuple(objects)
 
 
-def _draw_target(mask: NDArray[np.uint16], target: Target, number: int, view: _View) -> bool:
+def _draw_target(mask: Labels, target: Target, number: int, view: _View) -> bool:
     """Write a target's number into its visible pixels; return whether there are any."""
     width, height = view.size
     is_visible = False

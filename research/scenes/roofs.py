@@ -13,7 +13,7 @@ from research.scenes.sprites import Sun
 from research.scenes.tile import Tile
 from research.scenes.world import Rect, Rgb, Roof
 
-_F = NDArray[np.float32]
+_Layer = NDArray[np.float32]
 # Depth of one course of tiles.
 _COURSE_M = 0.36
 _PARAPET_M = 0.7
@@ -55,7 +55,9 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
     target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
 
-def _roof_coordinates(tile: Tile, window: tuple[int, int, int, int], roof: Roof) -> tuple[_F, _F]:
+def _roof_coordinates(
+    tile: Tile, window: tuple[int, int, int, int], roof: Roof
+) -> tuple[_Layer, _Layer]:
     """Compute the coordinates of a window's pixels in the roof's frame, metres."""
     x0, y0, x1, y1 = window
     cos = np.float32(math.cos(roof.frame.angle))
@@ -68,8 +70,8 @@ def _roof_coordinates(tile: Tile, window: tuple[int, int, int, int], roof: Roof)
 
 
 def _part(
-    roof: Roof, part: Rect, *, u: _F, v: _F, light: tuple[float, float, float], step: float
-) -> tuple[_F, _F, _F]:
+    roof: Roof, part: Rect, *, u: _Layer, v: _Layer, light: tuple[float, float, float], step: float
+) -> tuple[_Layer, _Layer, _Layer]:
     """Compute distance inside the outline, height and shading of one rectangle's roof."""
     left, top, right, bottom = part
     distances = [
@@ -107,8 +109,8 @@ _NORMALS = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 def _flat_shade(
-    inset: _F, distances: list[_F], *, light: tuple[float, float, float], step: float
-) -> _F:
+    inset: _Layer, distances: list[_Layer], *, light: tuple[float, float, float], step: float
+) -> _Layer:
     """Shade a flat roof: a bright parapet, whose shadow falls inside on the sides to the sun."""
     shade = np.ones_like(inset)
     reach = _PARAPET_M / math.tan(max(math.asin(light[2]), 0.2))
@@ -124,13 +126,13 @@ def _flat_shade(
 
 
 def _pitched_shade(
-    distances: list[_F],
+    distances: list[_Layer],
     normals: list[tuple[int, int]],
     *,
     pitch: float,
     light: tuple[float, float, float],
     step: float,
-) -> tuple[_F, _F]:
+) -> tuple[_Layer, _Layer]:
     """Shade the faces of a pitched roof, one for each side, with courses of tiles and ridges.
 
     Returns:
@@ -174,9 +176,9 @@ class _Canvas:
         angle: angle of the frame in the scene, radians.
     """
 
-    rgb: _F
-    u: _F
-    v: _F
+    rgb: _Layer
+    u: _Layer
+    v: _Layer
     step: float
     sun: Sun
     angle: float
@@ -204,7 +206,7 @@ class _Canvas:
         top = cast("Rgb", tuple(int(0.88 * channel) for channel in rgb))
         self.rectangle((x, y, 0.6 * w, 0.6 * h), top)
 
-    def _cover(self, x: float, y: float, w: float, h: float) -> _F:
+    def _cover(self, x: float, y: float, w: float, h: float) -> _Layer:
         """Compute the cover of each pixel by a rectangle, a ramp one pixel wide."""
         from_ends = w / 2 - np.abs(self.u - np.float32(x))
         from_sides = h / 2 - np.abs(self.v - np.float32(y))

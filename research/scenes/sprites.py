@@ -19,7 +19,7 @@ CROWN_SPAN = 1.25
 # Transparent margin on every side of a vehicle's sprite, as a share of the length.
 VEHICLE_PAD = 0.03
 
-_F = NDArray[np.float32]
+_Layer = NDArray[np.float32]
 _Reals = NDArray[np.floating[Any]]
 
 
@@ -148,18 +148,18 @@ _CARS = {
 }
 
 
-def _soft(distance: _F, width: float) -> _F:
+def _soft(distance: _Layer, width: float) -> _Layer:
     """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide."""
-    return cast("_F", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
+    return cast("_Layer", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
 
 
-def _band(value: _F, low: float, high: float, width: float) -> _F:
-    return cast("_F", _soft(value - low, width) * _soft(high - value, width))
+def _band(value: _Layer, low: float, high: float, width: float) -> _Layer:
+    return cast("_Layer", _soft(value - low, width) * _soft(high - value, width))
 
 
 def vehicle_sprite(
     body: str, length: float, width: float, px_per_m: float, light: tuple[float, float, float]
-) -> _F:
+) -> _Layer:
     """Draw a vehicle that points to +x.
 
     Args:
@@ -180,7 +180,7 @@ def vehicle_sprite(
         length + 2 * pad
     )
     v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
-    grid_u, grid_v = cast("tuple[_F, _F]", np.meshgrid(u, v))
+    grid_u, grid_v = cast("tuple[_Layer, _Layer]", np.meshgrid(u, v))
     if body in _CARS:
         return _car(
             _CARS[body], body, u=grid_u, v=grid_v, length=length, width=width, px=px, light=light
@@ -188,10 +188,10 @@ def vehicle_sprite(
     return _heavy(body, grid_u, v=grid_v, length=length, width=width, px=px, light=light)
 
 
-def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
+def _lit(height: _Layer, px: float, light: tuple[float, float, float]) -> _Layer:
     """Compute the Lambert shading of a height map; 1 for horizontal surfaces."""
     blur = max(0.05 / px, 0.4)
-    height = cast("_F", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
+    height = cast("_Layer", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
     slope_v, slope_u = np.gradient(height, px)
     slope_u = np.clip(slope_u, -2, 2)
     slope_v = np.clip(slope_v, -2, 2)
@@ -200,20 +200,21 @@ def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
     )
     ambient = 0.45
     return cast(
-        "_F", np.clip(ambient + (1 - ambient) * lambert / light[2], 0.38, 1.35).astype(np.float32)
+        "_Layer",
+        np.clip(ambient + (1 - ambient) * lambert / light[2], 0.38, 1.35).astype(np.float32),
     )
 
 
 def _car(
     car: _Car,
     body: str,
-    u: _F,
-    v: _F,
+    u: _Layer,
+    v: _Layer,
     length: float,
     width: float,
     px: float,
     light: tuple[float, float, float],
-) -> _F:
+) -> _Layer:
     half_width = width / 2
     t = (length / 2 - u) / length
     across = np.abs(v) / half_width
@@ -261,11 +262,14 @@ def _car(
         car, paint, grey=grey, t=t, across=across, length=length, half_width=half_width, px=px
     )
     return cast(
-        "_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32)
+        "_Layer",
+        np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32),
     )
 
 
-def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
+def _car_inset(
+    body: str, u: _Layer, v: _Layer, t: _Layer, across: _Reals, length: float, width: float
+) -> _Layer:
     """Compute the distance inside the outline, metres; front and rear are rounded and narrower."""
     half_length = length / 2
     half_width = width / 2
@@ -278,19 +282,19 @@ def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, wi
         - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
     )
     return cast(
-        "_F", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32)
+        "_Layer", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32)
     )
 
 
 def _car_glass(
     car: _Car,
-    t: _F,
+    t: _Layer,
     across: _Reals,
     base_front: _Reals,
     length: float,
     half_width: float,
     px: float,
-) -> _F:
+) -> _Layer:
     """Compute the share of glass: windscreen, rear window, and side windows between pillars."""
     base_half = _BASE_HALF_WIDTH
     roof_half = car.roof_half_width
@@ -327,14 +331,14 @@ def _car_glass(
     )
     pillar = (car.roof_front * 0.45 + car.roof_rear * 0.55) * length
     pillars = _band(t * length, pillar - 0.06, high=pillar + 0.06, width=px)
-    return cast("_F", np.clip(screen + sides * (1 - pillars), 0, 1))
+    return cast("_Layer", np.clip(screen + sides * (1 - pillars), 0, 1))
 
 
 def _car_trim(
     car: _Car,
     paint: _Reals,
     grey: _Reals,
-    t: _F,
+    t: _Layer,
     across: _Reals,
     length: float,
     half_width: float,
@@ -360,13 +364,13 @@ def _car_trim(
 
 def _heavy(
     body: str,
-    u: _F,
-    v: _F,
+    u: _Layer,
+    v: _Layer,
     length: float,
     width: float,
     px: float,
     light: tuple[float, float, float],
-) -> _F:
+) -> _Layer:
     half_length = length / 2
     half_width = width / 2
     rounding = 0.10 if body in ("truck", "semitrailer") else 0.30
@@ -411,11 +415,12 @@ def _heavy(
     paint = shade * (1 - dark)
     grey = grey + 34 * dark
     return cast(
-        "_F", np.stack([cover, paint * cover, grey * cover, 0 * cover], axis=2).astype(np.float32)
+        "_Layer",
+        np.stack([cover, paint * cover, grey * cover, 0 * cover], axis=2).astype(np.float32),
     )
 
 
-def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool = False) -> _F:
+def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool = False) -> _Layer:
     """Draw a crown of leaf clusters in sunlight.
 
     Args:
@@ -453,7 +458,7 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     inside = (height > -1).astype(np.float32)
     leaves = rng.standard_normal((size, size)).astype(np.float32)
     leaves = cast(
-        "_F",
+        "_Layer",
         cv2.GaussianBlur(leaves, (0, 0), max(0.6, 0.014 * size), borderType=cv2.BORDER_REPLICATE),
     )
     leaves /= leaves.std()
@@ -477,7 +482,7 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     depth = np.clip((surface + 0.1) / 0.9, 0, 1)
     value = (0.34 + 0.26 * depth) + 0.62 * np.clip(lambert, 0, 1) * lit
     value = value * (1 + 0.09 * leaves)
-    cover = cast("_F", cv2.GaussianBlur(inside, (0, 0), max(0.5, size / 160)))
+    cover = cast("_Layer", cv2.GaussianBlur(inside, (0, 0), max(0.5, size / 160)))
     return cast(
-        "_F", np.stack([cover, np.clip(value, 0.15, 1.5) * cover], axis=2).astype(np.float32)
+        "_Layer", np.stack([cover, np.clip(value, 0.15, 1.5) * cover], axis=2).astype(np.float32)
     )

@@ -15,7 +15,7 @@ import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -35,6 +35,21 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
+
+Boxes: TypeAlias = NDArray[np.float64]
+"""Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+Polygons: TypeAlias = NDArray[np.float64]
+"""Corners ``[n, 4, 2]`` of areas."""
+
+Objects: TypeAlias = NDArray[np.float64]
+"""Centres and lengths ``[n, 3]`` of objects judged by eye."""
+
+Scores: TypeAlias = NDArray[np.float64]
+"""Scores ``[n]``."""
+
+Flags: TypeAlias = NDArray[np.bool_]
+"""Which of the boxes ``[n]`` have a property."""
 
 # Largest enlargement of an image, by the length of cars in pixels that it is to have.
 _MAX_ENLARGEMENT = {15.0: 1.5, 28.0: 2.2, 55.0: 1.2}
@@ -76,9 +91,9 @@ class Seen(NamedTuple):
         others: ``[k, 3]`` centres and lengths of objects that are not cars.
     """
 
-    squares: NDArray[np.float64] = np.zeros((0, 4, 2))
-    cars: NDArray[np.float64] = np.zeros((0, 3))
-    others: NDArray[np.float64] = np.zeros((0, 3))
+    squares: Polygons = np.zeros((0, 4, 2))
+    cars: Objects = np.zeros((0, 3))
+    others: Objects = np.zeros((0, 3))
 
 
 class Named(NamedTuple):
@@ -105,7 +120,7 @@ def type_of(body: str, length_m: float) -> int:
     return KINDS.index("saloon")
 
 
-def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float32]:
+def relative(boxes: Boxes, truth: Boxes) -> NDArray[np.float32]:
     """Compute true boxes relative to candidates, ``[n, 5]``; see ``Rows.box``.
 
     Args:
@@ -122,9 +137,7 @@ def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[
     return np.column_stack([along, across, log_sizes, turn]).astype(np.float32)
 
 
-def overlaps(
-    boxes: NDArray[np.float64], labels: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def overlaps(boxes: Boxes, labels: Boxes) -> tuple[Scores, NDArray[np.intp]]:
     """Compute the largest IoU of each box with a label, and that label's index, both ``[n]``."""
     if not len(labels):
         return np.zeros(len(boxes)), np.zeros(len(boxes), np.intp)
@@ -132,7 +145,7 @@ def overlaps(
     return iou.max(axis=1), iou.argmax(axis=1)
 
 
-def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _ignored(boxes: Boxes, polygons: Polygons) -> Flags:
     """Mark boxes whose centre lies in an ignored polygon, or within 0.3 lengths of it."""
     ignored = np.zeros(len(boxes), bool)
     for polygon in polygons:
@@ -147,7 +160,7 @@ def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArr
     return ignored
 
 
-def _fits_by_eye(boxes: NDArray[np.float64], objects: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _fits_by_eye(boxes: Boxes, objects: Objects) -> Flags:
     """Mark boxes that lie on an object judged by eye, ``[k, 3]``, and are about as long."""
     gap = np.linalg.norm(boxes[:, None, :2] - objects[None, :, :2], axis=2)
     is_near = gap < _MAX_GAP * objects[None, :, 2]
@@ -157,10 +170,10 @@ def _fits_by_eye(boxes: NDArray[np.float64], objects: NDArray[np.float64]) -> ND
 
 def rows_of(
     image: Named,
-    boxes: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    combined: NDArray[np.float64],
-) -> tuple[Rows, NDArray[np.bool_]]:
+    boxes: Boxes,
+    scores: Scores,
+    combined: Scores,
+) -> tuple[Rows, Flags]:
     """Compare boxes with labels and with objects judged by eye.
 
     Returns:
@@ -204,7 +217,7 @@ def rows_of(
 
 def detect(
     sample: TrainImage, detector: Detector, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Boxes, Scores, Scores]:
     """Search an image at one or two sizes.
 
     Returns:
@@ -257,9 +270,7 @@ def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_P
     return sample._replace(image=image, boxes=boxes[whole], ignore=ignore)
 
 
-def search(
-    sample: TrainImage, detector: Detector
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def search(sample: TrainImage, detector: Detector) -> tuple[Boxes, Scores, Scores]:
     """Search an image as the library does: boxes, scores, and the same scores again."""
     with open_raster(sample.image) as raster:
         options = Search(min_score=_MIN_SEARCH_SCORE)
@@ -267,7 +278,7 @@ def search(
     return vehicles.boxes, vehicles.scores, vehicles.scores
 
 
-def moved(rng: np.random.Generator, labels: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(rng: np.random.Generator, labels: Boxes) -> Boxes:
     """Move boxes until they no longer fit: beside a car, half or twice as long, or across it."""
     out = labels[rng.random(len(labels)) < _MOVED_SHARE].copy()
     for box in out:

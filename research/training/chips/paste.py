@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -27,6 +27,12 @@ from research.training.detector.scenery import CAR_M, load_scenery
 from research.training.logistic import weight_of_sets
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.chips import KINDS
+
+Point: TypeAlias = NDArray[np.float64]
+"""Point x, y ``[2]`` in pixels."""
+
+Box: TypeAlias = NDArray[np.float64]
+"""Box ``[5]``: x, y, length, width, angle."""
 
 # Chips are drawn twice as fine as they are stored.
 _CANVAS_PX = 2 * STORED_PX
@@ -65,9 +71,7 @@ class Ground(NamedTuple):
     gsd_m_per_px: float
 
 
-def free_position(
-    rng: np.random.Generator, ground: Ground, reach_m: float
-) -> NDArray[np.float64] | None:
+def free_position(rng: np.random.Generator, ground: Ground, reach_m: float) -> Point | None:
     """Draw a position without a labelled car within ``reach_m``; None after six failures.
 
     Most positions are near a labelled car: on a road or a car park.
@@ -91,9 +95,7 @@ def free_position(
     return None
 
 
-def ground_canvas(
-    ground: Ground, position: NDArray[np.float64], turn: float, px_per_m: float
-) -> Canvas:
+def ground_canvas(ground: Ground, position: Point, turn: float, px_per_m: float) -> Canvas:
     """Cut the ground around a position, turned, at the canvas's resolution."""
     # Pixels of the source to one of the canvas.
     step = 1 / (px_per_m * ground.gsd_m_per_px)
@@ -124,7 +126,7 @@ def ground_canvas(
 def draw_vehicle(
     canvas: Canvas,
     model: VehicleModel,
-    box: NDArray[np.float64],
+    box: Box,
     px_per_m: float,
     sun: Sun,
     strength: float,
@@ -221,7 +223,7 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
 def _pasted_vehicle(
     rng: np.random.Generator,
     ground: Ground,
-    position: NDArray[np.float64],
+    position: Point,
     *,
     model: VehicleModel,
     fleet: Fleet,
@@ -255,7 +257,7 @@ def _pasted_vehicle(
 
 
 def _pasted_lookalike(
-    rng: np.random.Generator, ground: Ground, position: NDArray[np.float64], sun: Sun
+    rng: np.random.Generator, ground: Ground, position: Point, sun: Sun
 ) -> Pasted:
     """Draw a look-alike, with a candidate about as long."""
     px_per_m = 2 * STORED_LENGTH_PX / _LOOKALIKE_M

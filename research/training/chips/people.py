@@ -14,7 +14,7 @@ import argparse
 import csv
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -33,6 +33,15 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
 
+Upright: TypeAlias = NDArray[np.float64]
+"""Upright boxes ``[n, 4]``: left, top, right, bottom."""
+
+Corners: TypeAlias = NDArray[np.float64]
+"""Corners ``[n, 4, 2]`` of boxes."""
+
+ByEye: TypeAlias = dict[str, list[tuple[str, NDArray[np.float64]]]]
+"""Kind and upright box of the objects judged by eye, by file."""
+
 _FITS = 0.5
 _MISSES = 0.15
 # Least score of the detector.
@@ -47,16 +56,16 @@ class Drawn(NamedTuple):
 
     path: Path
     set: str
-    cars: NDArray[np.float64]
-    doubtful: NDArray[np.float64]
+    cars: Upright
+    doubtful: Upright
 
 
-def upright(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def upright(corners: Corners) -> Upright:
     """Upright boxes ``[n, 4]`` around corners ``[n, 4, 2]``."""
     return np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).reshape(-1, 4)
 
 
-def overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def overlap(first: Upright, second: Upright) -> NDArray[np.float64]:
     """IoU ``[n, m]`` of upright boxes."""
     size = np.minimum(first[:, None, 2:], second[None, :, 2:]) - np.maximum(
         first[:, None, :2], second[None, :, :2]
@@ -66,8 +75,8 @@ def overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[
     return np.asarray(both / np.maximum(areas[0][:, None] + areas[1][None, :] - both, 1e-9))
 
 
-def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
-    out: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
+def _looked_at() -> ByEye:
+    out: ByEye = {}
     with LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
             x = float(row["x"])

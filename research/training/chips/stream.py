@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -19,6 +19,15 @@ from research.training.detector.data import photometric
 from research.training.detector.shade import shaded
 from research.training.logistic import weight_of_sets
 from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
+
+Chip: TypeAlias = NDArray[np.uint8]
+"""Chip ``[h, w, 3]``."""
+
+Point: TypeAlias = NDArray[np.float64]
+"""Point or direction ``[2]``."""
+
+Matrix: TypeAlias = NDArray[np.float64]
+"""Matrix ``[2, 2]``."""
 
 # Standard deviations of a candidate's shift in lengths, log scale, and turn in radians.
 _SHIFT = 0.06
@@ -81,13 +90,13 @@ class Move(NamedTuple):
     ``stored = shift + scale * rotation(turn) @ (flip * chip)``.
     """
 
-    shift: NDArray[np.float64]
+    shift: Point
     scale: float
     turn: float
-    flip: NDArray[np.float64]
+    flip: Point
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Matrix:
         """Matrix ``[2, 2]`` from the chip to the stored chip."""
         cos = np.cos(self.turn)
         sin = np.sin(self.turn)
@@ -110,7 +119,7 @@ def draw_move(rng: np.random.Generator) -> Move:
     )
 
 
-def cut(stored: NDArray[np.uint8], length_px: float, move: Move = STILL) -> NDArray[np.uint8]:
+def cut(stored: Chip, length_px: float, move: Move = STILL) -> Chip:
     """Cut a chip ``[64, 96, 3]`` from a stored square whose candidate is ``length_px`` long."""
     matrix = move.matrix * (length_px / CHIP_LENGTH_PX)
     middle = np.array([CHIP_COLUMNS, CHIP_ROWS]) / 2
@@ -157,9 +166,7 @@ def edges_of_box(box: NDArray[np.floating]) -> NDArray[np.float64]:
     )
 
 
-def coarsened(
-    rng: np.random.Generator, chip: NDArray[np.uint8], length_px: float
-) -> NDArray[np.uint8]:
+def coarsened(rng: np.random.Generator, chip: Chip, length_px: float) -> Chip:
     """Simulate a coarser image, in some of the cases."""
     finest = min(length_px, CHIP_LENGTH_PX)
     if rng.random() >= _COARSE_SHARE or finest <= _COARSEST_PX:

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
     from torch import Tensor
+
+    Pixels: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
 
 SIDE_PX = 96
 # Range of the crops' metres per pixel.
@@ -55,13 +58,13 @@ class Picture(NamedTuple):
         sure: whether these are all.
     """
 
-    pixels: NDArray[np.uint8]
+    pixels: Pixels
     gsd_m_per_px: float
     courts: tuple[Court, ...]
     sure: bool
 
 
-def _read(path: Path) -> NDArray[np.uint8]:
+def _read(path: Path) -> Pixels:
     image = cv2.imread(str(path))
     if image is None:
         raise FileNotFoundError(path)
@@ -146,9 +149,7 @@ class CropStream:
         )
 
 
-def _crop(
-    picture: Picture, gsd: float, rng: np.random.Generator
-) -> tuple[NDArray[np.uint8], list[Court]]:
+def _crop(picture: Picture, gsd: float, rng: np.random.Generator) -> tuple[Pixels, list[Court]]:
     """Cut a crop at a scale, turned at random and mirrored, and its courts in pixels."""
     factor = picture.gsd_m_per_px / gsd
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
@@ -197,7 +198,7 @@ def _targets(
     return targets, weights
 
 
-def _recoloured(pixels: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.float32]:
+def _recoloured(pixels: Pixels, rng: np.random.Generator) -> NDArray[np.float32]:
     """Change saturation, order of channels, gain, gamma, sharpness and noise at random."""
     values = pixels.astype(np.float32) / 255.0
     grey = values.mean(axis=2, keepdims=True)

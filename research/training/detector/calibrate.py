@@ -28,7 +28,7 @@ import json
 from itertools import chain, pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -49,6 +49,9 @@ from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.table import survey_table
+
+Boxes: TypeAlias = NDArray[np.float64]
+"""Boxes ``[n, 5]``: x, y, length, width, angle."""
 
 NAME = "vehicles"
 REGION_OF_SET = {
@@ -112,9 +115,7 @@ def mean_error(searched: list[SearchedImage], min_score: float) -> float:
     return float(np.mean(errors + [1.0] * n_without))
 
 
-def matched_lengths(
-    boxes: NDArray[np.float64], labels: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def matched_lengths(boxes: Boxes, labels: Boxes) -> tuple[Boxes, Boxes]:
     """Match the lengths of detections and of labels whose centres are a fifth of a length apart."""
     if not len(boxes) or not len(labels):
         return np.zeros(0), np.zeros(0)

@@ -6,7 +6,7 @@ import csv
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,6 +22,27 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+    Polygons: TypeAlias = NDArray[np.float64]
+    """Corners ``[n, 4, 2]`` of areas."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]``."""
+
+    Mask: TypeAlias = NDArray[np.bool_]
+    """Pixels ``[h, w]``."""
+
+    Point: TypeAlias = NDArray[np.float64]
+    """Point x, y ``[2]`` in pixels."""
+
+    Affine: TypeAlias = NDArray[np.float64]
+    """Affine map ``[2, 3]``."""
 
 CROP_PX = 320
 # Crops are scaled so that the length of cars is log-uniform in this range.
@@ -60,10 +81,10 @@ class TrainImage(NamedTuple):
     """
 
     set: str
-    image: NDArray[np.uint8]
-    boxes: NDArray[np.float64]
-    ignore: NDArray[np.float64]
-    clutter: NDArray[np.float64]
+    image: Picture
+    boxes: Boxes
+    ignore: Polygons
+    clutter: Points
     car_px: float | None = None
 
 
@@ -133,7 +154,7 @@ def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainIma
     Cars are added; doubtful places and labels without a visible car are ignored.
     """
 
-    def of(*kinds: str) -> NDArray[np.float64]:
+    def of(*kinds: str) -> Polygons:
         return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(
             -1, 5
         )
@@ -178,10 +199,10 @@ class Crop(NamedTuple):
         covered: ``[CROP_PX, CROP_PX]`` pixels that the source image covers.
     """
 
-    image: NDArray[np.uint8]
-    boxes: NDArray[np.float64]
-    ignore: NDArray[np.float64]
-    covered: NDArray[np.bool_]
+    image: Picture
+    boxes: Boxes
+    ignore: Polygons
+    covered: Mask
 
 
 def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
@@ -206,11 +227,11 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     interpolation = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
     size = (CROP_PX, CROP_PX)
     warped = cv2.warpAffine(source, matrix, size, flags=interpolation, borderValue=fill.tolist())
-    image: NDArray[np.uint8] = np.asarray(warped, dtype=np.uint8)
+    image: Picture = np.asarray(warped, dtype=np.uint8)
     everywhere = np.ones(source.shape[:2], np.uint8)
     covered = cv2.warpAffine(everywhere, matrix, size, flags=cv2.INTER_NEAREST).astype(bool)
 
-    def moved(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def moved(points: Points) -> Points:
         return np.asarray(points @ forward[:, :2].T + forward[:, 2])
 
     boxes, undecided = _judged(boxes_from_corners(moved(box_corners(sample.boxes))))
@@ -232,7 +253,7 @@ def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
     return min(target / car_px, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
 
 
-def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> NDArray[np.float64]:
+def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> Point:
     """Draw the image point in the middle of the crop: near clutter, near a car, or anywhere."""
     height, width = sample.image.shape[:2]
     if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
@@ -247,9 +268,7 @@ def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> 
     return np.asarray(np.clip(focus, margin, (width, height) - margin))
 
 
-def _reduced(
-    image: NDArray[np.uint8], focus: NDArray[np.float64], scale: float
-) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def _reduced(image: Picture, focus: Point, scale: float) -> tuple[Picture, Affine]:
     """Cut the part around the focus, reduced by averaging; return it with its affine map."""
     height, width = image.shape[:2]
     reduce = min(1.0, scale * 1.15)
@@ -273,7 +292,7 @@ def _reduced(
     return np.asarray(small, dtype=np.uint8), to_source
 
 
-def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _judged(boxes: Boxes) -> tuple[Boxes, Polygons]:
     """Select the boxes that a crop shows whole and at a length to learn, and corners to ignore."""
     corners = box_corners(boxes)
     near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
@@ -306,7 +325,7 @@ def distracted(rng: np.random.Generator, crop: Crop) -> Crop:
     return _hidden_by(hides, crop)._replace(image=image)
 
 
-def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
+def _hidden_by(cover: Mask, crop: Crop) -> Crop:
     """Select the boxes that ``cover`` does not hide; boxes that it cuts are ignored."""
     corners = box_corners(crop.boxes)
     probe = np.concatenate([corners, crop.boxes[:, None, :2]], axis=1)
@@ -318,16 +337,16 @@ def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
     return crop._replace(boxes=crop.boxes[clear], ignore=ignore)
 
 
-def _compose(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _compose(a: Affine, b: Affine) -> Affine:
     return np.column_stack([a[:, :2] @ b[:, :2], a[:, :2] @ b[:, 2] + a[:, 2]])
 
 
-def _invert(a: NDArray[np.float64]) -> NDArray[np.float64]:
+def _invert(a: Affine) -> Affine:
     inverse = np.linalg.inv(a[:, :2])
     return np.column_stack([inverse, -inverse @ a[:, 2]])
 
 
-def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def photometric(rng: np.random.Generator, image: Picture) -> Picture:
     """Change exposure, colour, sharpness, noise and compression strongly at random."""
     x = image.astype(np.float32) / 255.0
     if rng.random() < 0.12:
@@ -357,7 +376,7 @@ def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[n
         x = x + np.float32(rng.uniform(0.3, 1.0)) * (x - cv2.GaussianBlur(x, (0, 0), 1.2))
     if rng.random() < 0.4:
         x = x + rng.normal(0, rng.uniform(0.005, 0.04), x.shape).astype(np.float32)
-    out: NDArray[np.uint8] = np.clip(x * 255.0 + 0.5, 0, 255).astype(np.uint8)
+    out: Picture = np.clip(x * 255.0 + 0.5, 0, 255).astype(np.uint8)
     if rng.random() < 0.5:
         ok, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 96))])
         if ok:
@@ -374,7 +393,7 @@ class Target(NamedTuple):
     weight: torch.Tensor  # [1, h, w] of the shape loss
 
 
-def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Target:
+def dense_target(boxes: Boxes, ignore: Polygons) -> Target:
     """Draw oriented Gaussians at the centres, and spread each box's numbers over near cells."""
     side = CROP_PX // STRIDE_PX
     heat = np.zeros((side, side), np.float32)

@@ -8,20 +8,32 @@ plain, each like its neighbour; a car has windows and neighbours of other colour
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+Picture: TypeAlias = NDArray[np.uint8]
+"""RGB picture ``[h, w, 3]``."""
+
+Mask: TypeAlias = NDArray[np.bool_]
+"""Pixels ``[h, w]``."""
+
+Colour: TypeAlias = NDArray[np.float32]
+"""Colour ``[3]`` in 0..255."""
+
 # Fractional bits of OpenCV's coordinates.
 _SHIFT = 4
 # Colour [h, w, 3] in 0..255, and opacity [h, w] in 0..1.
 _Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
+# Draws one kind of distractor.
+_Draw = Callable[[np.random.Generator, Picture], _Layer]
 
 
 def draw_distractors(
-    rng: np.random.Generator, image: NDArray[np.uint8], kind: str | None = None
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    rng: np.random.Generator, image: Picture, kind: str | None = None
+) -> tuple[Picture, Mask]:
     """Lay a patch of one kind over an image.
 
     Args:
@@ -54,13 +66,11 @@ def draw_distractors(
     return np.clip(mixed + 0.5, 0, 255).astype(np.uint8), whole
 
 
-def _paint(
-    rng: np.random.Generator, low: int, high: int, chroma: float = 12.0
-) -> NDArray[np.float32]:
+def _paint(rng: np.random.Generator, low: int, high: int, chroma: float = 12.0) -> Colour:
     return np.clip(rng.uniform(low, high) + rng.normal(0, chroma, 3), 0, 255).astype(np.float32)
 
 
-def _ground(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
+def _ground(rng: np.random.Generator, image: Picture) -> _Layer:
     """Even ground of the image's own tone, or none."""
     height, width = image.shape[:2]
     tone = image.reshape(-1, 3).mean(axis=0) * rng.uniform(0.6, 1.3)
@@ -76,7 +86,7 @@ def _rectangles(
     layer: _Layer,
     size: tuple[float, float],
     pitch: tuple[float, float],
-    paints: list[NDArray[np.float32]],
+    paints: list[Colour],
     shadow: float,
 ) -> _Layer:
     """Draw a regular array.
@@ -94,7 +104,7 @@ def _rectangles(
     centres = centres + rng.normal(0, jitter, centres.shape)
     corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
 
-    def fill(moved: NDArray[np.float64], paint: NDArray[np.float32], strength: float) -> None:
+    def fill(moved: NDArray[np.float64], paint: Colour, strength: float) -> None:
         polygon = np.round((corner + moved) * 2**_SHIFT).astype(np.int32)
         cv2.fillConvexPoly(colour, polygon, paint.tolist(), cv2.LINE_AA, _SHIFT)
         cv2.fillConvexPoly(opacity, polygon, strength, cv2.LINE_8, _SHIFT)
@@ -112,7 +122,7 @@ def _rectangles(
 _SHADOW = np.array([25.0, 25.0, 30.0], np.float32)
 
 
-def _zebra(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
+def _zebra(rng: np.random.Generator, image: Picture) -> _Layer:
     thick = float(np.exp(rng.uniform(np.log(2.5), np.log(18))))
     long = thick * rng.uniform(3, 9)
     pitch = (long * rng.uniform(1.5, 5), thick * rng.uniform(1.7, 2.4))
@@ -126,7 +136,7 @@ def _zebra(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     )
 
 
-def _posts(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
+def _posts(rng: np.random.Generator, image: Picture) -> _Layer:
     thick = float(np.exp(rng.uniform(np.log(1.5), np.log(9))))
     size = (thick * rng.uniform(1.0, 2.6), thick)
     pitch = (thick * rng.uniform(2.5, 8), thick * rng.uniform(3, 10))
@@ -140,7 +150,7 @@ def _posts(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     )
 
 
-def _slabs(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
+def _slabs(rng: np.random.Generator, image: Picture) -> _Layer:
     """Draw tombs, crates, containers or pontoons: plain, of a few paints, with shadows."""
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.2, 4.5), thick)
@@ -156,7 +166,7 @@ def _slabs(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     )
 
 
-def _panels(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
+def _panels(rng: np.random.Generator, image: Picture) -> _Layer:
     """Solar panels and roof windows: dark, glossy, close together."""
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.3, 2.2), thick)
@@ -172,7 +182,7 @@ def _panels(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     )
 
 
-def _crowns(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
+def _crowns(rng: np.random.Generator, image: Picture) -> _Layer:
     """Plantations: round crowns in rows, each with its shadow."""
     colour, opacity = _ground(rng, image)
     height, width = opacity.shape
@@ -205,7 +215,7 @@ def _crowns(rng: np.random.Generator, image: NDArray[np.uint8]) -> _Layer:
     return colour, opacity
 
 
-KINDS: dict[str, Callable[[np.random.Generator, NDArray[np.uint8]], _Layer]] = {
+KINDS: dict[str, _Draw] = {
     "zebra": _zebra,
     "posts": _posts,
     "slabs": _slabs,

@@ -6,7 +6,7 @@ branches.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -15,6 +15,21 @@ from vehanchor.detection.boxes import box_corners
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+    Point: TypeAlias = NDArray[np.float64]
+    """Point x, y ``[2]`` in pixels."""
+
+    Layer: TypeAlias = NDArray[np.float32]
+    """Coverage or brightness ``[h, w]`` or ``[h, w, 3]``."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
 
 # Length of a car in a crop without cars.
 _CAR_PX = 24.0
@@ -30,9 +45,7 @@ _AT_CAR = 0.6
 _SHIFT = 4
 
 
-def shaded(
-    rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]
-) -> NDArray[np.uint8]:
+def shaded(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Picture:
     """Apply none, one or several of the three, each with its probability.
 
     Args:
@@ -54,9 +67,7 @@ def shaded(
     return image
 
 
-def _position(
-    rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _position(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Point:
     """Draw a position beside a car or anywhere."""
     if len(boxes) and rng.random() < _AT_CAR:
         x, y, length, _, _ = boxes[rng.integers(len(boxes))]
@@ -64,9 +75,7 @@ def _position(
     return rng.uniform(0, 1, 2) * image.shape[1::-1]
 
 
-def darken_cars(
-    rng: np.random.Generator, image: NDArray[np.uint8], boxes: NDArray[np.float64]
-) -> NDArray[np.uint8]:
+def darken_cars(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Picture:
     """Paint some of the cars dark: their form stays, its contrast shrinks."""
     brightness = np.ones(image.shape[:2], np.float32)
     for box in boxes[rng.random(len(boxes)) < _DARK_CARS]:
@@ -78,9 +87,7 @@ def darken_cars(
     return _lit(image, brightness[:, :, None])
 
 
-def cast_shadow(
-    rng: np.random.Generator, image: NDArray[np.uint8], middle: NDArray[np.float64], car_px: float
-) -> NDArray[np.uint8]:
+def cast_shadow(rng: np.random.Generator, image: Picture, middle: Point, car_px: float) -> Picture:
     """Darken a straight-sided area of one to eight cars' lengths with a hard or soft edge."""
     sides = car_px * np.exp(rng.uniform(np.log(1.0), np.log(8.0), 2))
     corners = cv2.boxPoints((middle.tolist(), sides.tolist(), float(rng.uniform(0, 180))))
@@ -94,9 +101,7 @@ def cast_shadow(
     return _lit(image, 1 + inside[:, :, None] * (tint - 1))
 
 
-def draw_crown(
-    rng: np.random.Generator, image: NDArray[np.uint8], foot: NDArray[np.float64], car_px: float
-) -> NDArray[np.uint8]:
+def draw_crown(rng: np.random.Generator, image: Picture, foot: Point, car_px: float) -> Picture:
     """Draw the branches of a bare tree, and their shadow beside them."""
     cover = np.zeros(image.shape[:2], np.float32)
     radius = car_px * float(rng.uniform(0.4, 1.3))
@@ -114,8 +119,8 @@ def draw_crown(
 
 def _draw_branch(
     rng: np.random.Generator,
-    cover: NDArray[np.float32],
-    foot: NDArray[np.float64],
+    cover: Layer,
+    foot: Point,
     heading: float,
     length_px: float,
     car_px: float,
@@ -139,9 +144,9 @@ def _draw_branch(
     np.maximum(cover, line, out=cover)
 
 
-def _fixed(points: NDArray[np.float64]) -> NDArray[np.int32]:
+def _fixed(points: Points) -> NDArray[np.int32]:
     return np.asarray(np.round(points * (1 << _SHIFT)), np.int32)
 
 
-def _lit(image: NDArray[np.uint8], factor: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _lit(image: Picture, factor: Layer) -> Picture:
     return np.asarray(np.clip(image * factor + 0.5, 0, 255), np.uint8)

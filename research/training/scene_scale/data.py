@@ -12,7 +12,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
 
 TILE_PX = 160
 FINEST_M_PER_PX = 0.0135
@@ -77,7 +80,7 @@ class ScaledImage(NamedTuple):
 
     set: str
     name: str
-    pixels: NDArray[np.uint8]  # [h, w, 3] RGB
+    pixels: Picture  # [h, w, 3] RGB
     gsd_m_per_px: float
     label_spread: float  # log standard deviation of gsd_m_per_px
     finest_m_per_px: float
@@ -257,9 +260,7 @@ def coarsest_m_per_px(image: ScaledImage) -> float:
     return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
 
 
-def draw_crop(
-    rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float
-) -> NDArray[np.uint8]:
+def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float) -> Picture:
     """Cut a square of ``TILE_PX`` pixels, averaged over areas, turned and flipped at random.
 
     Returns:
@@ -291,7 +292,7 @@ def draw_crop(
     return np.ascontiguousarray(part[:, ::-1] if rng.random() < 0.5 else part)
 
 
-def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def retouched(rng: np.random.Generator, crop: Picture) -> Picture:
     """Change colours, tones and compression, but not sharpness."""
     x = crop.astype(np.float32) / 255.0
     grey = x.mean(axis=2, keepdims=True)
@@ -310,7 +311,7 @@ def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.u
     return out
 
 
-def featureless(rng: np.random.Generator) -> NDArray[np.uint8]:
+def featureless(rng: np.random.Generator) -> Picture:
     """Draw noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
     roughness = rng.uniform(0.2, 1.2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -28,6 +28,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
+    Coverage: TypeAlias = NDArray[np.float32]
+    """Coverage ``[h, w]`` in 0..1."""
+
+    Box: TypeAlias = NDArray[np.float64]
+    """Box x0, y0, x1, y1."""
 
 # Smaller objects teach nothing.
 LEAST_SIDE_PX = 10
@@ -67,7 +76,7 @@ class MaskImage(NamedTuple):
     source: str
     category: str
     group: str
-    image: NDArray[np.uint8]
+    image: Picture
     mask: NDArray[np.uint16]
 
 
@@ -87,7 +96,7 @@ def is_dev(group: str) -> bool:
     return zlib.crc32(group.encode()) % _DEV_SHARE == HELD_OUT
 
 
-def _read(path: Path, flags: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def _read(path: Path, flags: int) -> Picture | NDArray[np.uint16]:
     array = cv2.imread(str(path), flags)
     if array is None:
         raise FileNotFoundError(path)
@@ -155,8 +164,8 @@ def is_sound(sample: MaskImage, item: MaskObject) -> bool:
 class Example(NamedTuple):
     """Training crop: ``image`` ``[s, s, 3]``, and coverage ``mask`` ``[s, s]`` in 0..1."""
 
-    image: NDArray[np.uint8]
-    mask: NDArray[np.float32]
+    image: Picture
+    mask: Coverage
 
 
 def _turn(rng: np.random.Generator) -> float:
@@ -216,20 +225,20 @@ def cut(
     return Example(np.asarray(image, np.uint8), np.asarray(mask, np.float32) / np.float32(255.0))
 
 
-def box_of(mask: NDArray[np.float32]) -> NDArray[np.float64] | None:
+def box_of(mask: Coverage) -> Box | None:
     """Compute x0, y0, x1, y1 of the pixels that are more than half covered; None for too few."""
     x, y, w, h = cv2.boundingRect((mask > 0.5).astype(np.uint8))
     return np.array([x, y, x + w, y + h], float) if min(w, h) >= 4 else None
 
 
-def jitter(rng: np.random.Generator, box: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+def jitter(rng: np.random.Generator, box: Box, share: float) -> Box:
     """Move each side by up to ``share`` of the box's extent that way."""
     extent = np.tile(box[2:] - box[:2], 2)
     return box + rng.uniform(-share, share, 4) * extent
 
 
 def draw_prompt(
-    rng: np.random.Generator, mask: NDArray[np.float32], box: NDArray[np.float64]
+    rng: np.random.Generator, mask: Coverage, box: Box
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Draw SAM points ``[6, 2]`` and labels ``[6]``: mostly a box, else points, or both."""
     points = np.zeros((MAX_POINTS, 2), np.float32)
@@ -271,7 +280,7 @@ def draw_prompt(
     return points, labels
 
 
-def draw_prior(rng: np.random.Generator, coverage: NDArray[np.float32]) -> NDArray[np.float32]:
+def draw_prior(rng: np.random.Generator, coverage: Coverage) -> NDArray[np.float32]:
     """Draw logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
     moved = np.roll(coverage, rng.integers(-2, 3, 2), axis=(0, 1))
     soft = cv2.GaussianBlur(moved, (0, 0), float(rng.uniform(0.8, 3.0)))
@@ -339,7 +348,7 @@ class BatchStream:
         """Make one batch."""
         names = [name for name in _SOURCE_WEIGHT if name == "shape" or name in self._objects]
         weight = np.array([_SOURCE_WEIGHT[name] for name in names])
-        images: list[NDArray[np.uint8]] = []
+        images: list[Picture] = []
         targets = []
         points = []
         labels = []
@@ -398,7 +407,7 @@ class BatchStream:
         return cut(rng, sample, size.side_px, scale, (float(middle[0]), float(middle[1])), item.id)
 
     def _shape(self, rng: np.random.Generator, size: CropSize, length: float) -> Example:
-        def patch() -> NDArray[np.uint8]:
+        def patch() -> Picture:
             sample = self.images[rng.integers(len(self.images))]
             height, width = sample.image.shape[:2]
             scale = max(

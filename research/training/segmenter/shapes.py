@@ -7,7 +7,7 @@ and look-alikes around them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -17,6 +17,27 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
+    Polygon: TypeAlias = NDArray[np.float64]
+    """Corners x, y ``[n, 2]`` in pixels."""
+
+    Point: TypeAlias = NDArray[np.float64]
+    """Point x, y ``[2]`` in pixels."""
+
+    Coverage: TypeAlias = NDArray[np.float32]
+    """Coverage ``[h, w]`` in 0..1."""
+
+    Surface: TypeAlias = NDArray[np.float32]
+    """Colours ``[h, w, 3]`` in 0..255."""
+
+    Colour: TypeAlias = NDArray[np.float32]
+    """Colour ``[3]`` in 0..255."""
+
+    Coordinates: TypeAlias = NDArray[np.float64]
+    """Coordinate ``[h, w]`` of each pixel."""
+
 # Outlines are drawn at twice the resolution and reduced, which makes their edges soft.
 _FINE = 2
 # Fractional bits of OpenCV's drawing coordinates.
@@ -25,19 +46,19 @@ _SHIFT = 4
 _MIN_CONTRAST = 14.0
 
 
-def _turned(points: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def _turned(points: Polygon, rng: np.random.Generator) -> Polygon:
     angle = rng.uniform(0, 2 * np.pi)
     cos = np.cos(angle)
     sin = np.sin(angle)
-    out: NDArray[np.float64] = points @ np.array([[cos, -sin], [sin, cos]])
+    out: Polygon = points @ np.array([[cos, -sin], [sin, cos]])
     return out
 
 
-def _rectangle(wide: float, high: float) -> NDArray[np.float64]:
+def _rectangle(wide: float, high: float) -> Polygon:
     return np.array([[-wide, -high], [wide, -high], [wide, high], [-wide, high]])
 
 
-def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64]:
+def _ellipse(wide: float, high: float, power: float = 2.0) -> Polygon:
     t = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     cos = np.cos(t)
     sin = np.sin(t)
@@ -47,7 +68,7 @@ def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64
     return np.column_stack([x, y])
 
 
-def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
+def _outline(rng: np.random.Generator) -> list[Polygon]:
     """Draw polygons, whose union is the shape, of about unit half size, not yet turned."""
     kind = rng.choice(7, p=(0.22, 0.14, 0.16, 0.12, 0.12, 0.12, 0.12))
     ratio = float(rng.uniform(0.3, 1.0))
@@ -87,25 +108,23 @@ def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
     return [_rectangle(1.0, ratio)]
 
 
-def _filled(polygons: list[NDArray[np.float64]], side: int) -> NDArray[np.float32]:
+def _filled(polygons: list[Polygon], side: int) -> Coverage:
     fine = np.zeros((side * _FINE, side * _FINE), np.uint8)
     for polygon in polygons:
         scaled = np.round((polygon * _FINE - 0.5) * 2**_SHIFT).astype(np.int32)
         cv2.fillPoly(fine, [scaled], 255, shift=_SHIFT)
     coarse = cv2.resize(fine, (side, side), interpolation=cv2.INTER_AREA)
-    out: NDArray[np.float32] = np.divide(coarse, 255.0, dtype=np.float32)
+    out: Coverage = np.divide(coarse, 255.0, dtype=np.float32)
     return out
 
 
-def _colour(rng: np.random.Generator) -> NDArray[np.float32]:
+def _colour(rng: np.random.Generator) -> Colour:
     level = rng.uniform(15, 240)
     colour: NDArray[np.float64] = level + rng.normal(0, 1, 3) * rng.choice([8.0, 45.0])
     return np.clip(colour, 0, 255).astype(np.float32)
 
 
-def _surface(
-    rng: np.random.Generator, texture: NDArray[np.uint8], polygons: list[NDArray[np.float64]]
-) -> NDArray[np.float32]:
+def _surface(rng: np.random.Generator, texture: Picture, polygons: list[Polygon]) -> Surface:
     """Draw a shape's surface: a colour or real texture, then ridges, a grid, rings or stripes."""
     side = texture.shape[0]
     surface: NDArray[np.floating] = _base(rng, texture)
@@ -140,7 +159,7 @@ def _surface(
     return surface.astype(np.float32)
 
 
-def _base(rng: np.random.Generator, texture: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _base(rng: np.random.Generator, texture: Picture) -> Surface:
     """Draw a real texture of another brightness, or a colour with a little texture."""
     grain = texture.astype(np.float32)
     if rng.random() < 0.35:
@@ -151,8 +170,8 @@ def _base(rng: np.random.Generator, texture: NDArray[np.uint8]) -> NDArray[np.fl
 
 
 def _own_axes(
-    rng: np.random.Generator, side: int, polygons: list[NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], float, NDArray[np.float64], NDArray[np.float64]]:
+    rng: np.random.Generator, side: int, polygons: list[Polygon]
+) -> tuple[Point, float, Coordinates, Coordinates]:
     """Compute a shape's centre and size, and each pixel's coordinates along and across it.
 
     The axis follows the first edge of a polygon; a curve has none, so its axis is random.
@@ -168,9 +187,7 @@ def _own_axes(
     return centre, size, u, v
 
 
-def _placed(
-    rng: np.random.Generator, length_px: float, focus: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
+def _placed(rng: np.random.Generator, length_px: float, focus: Point) -> list[Polygon]:
     """Draw an outline, turned, at its size and position."""
     outline = _outline(rng)
     turned = _turned(np.concatenate(outline), rng)
@@ -183,11 +200,11 @@ def _placed(
 
 def composite(
     rng: np.random.Generator,
-    background: NDArray[np.uint8],
-    texture: Callable[[], NDArray[np.uint8]],
+    background: Picture,
+    texture: Callable[[], Picture],
     length_px: float,
-    focus: NDArray[np.float64],
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    focus: Point,
+) -> tuple[Picture, Coverage]:
     """Paste a shape whose longer side is about ``length_px`` at ``focus``, with company.
 
     Args:
@@ -208,9 +225,7 @@ def composite(
     dark = np.float32(rng.uniform(0.35, 0.75))
     soft = float(rng.uniform(0.4, 1.2))
 
-    def paste(
-        polygons: list[NDArray[np.float64]], cover: NDArray[np.float32], *, has_shadow: bool
-    ) -> None:
+    def paste(polygons: list[Polygon], cover: Coverage, *, has_shadow: bool) -> None:
         nonlocal image
         if has_shadow:
             shaded = _filled([polygon + shadow for polygon in polygons], side)
@@ -248,9 +263,7 @@ def composite(
     return np.clip(image + 0.5, 0, 255).astype(np.uint8), mask
 
 
-def _with_contrast(
-    surface: NDArray[np.float32], cover: NDArray[np.float32], image: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _with_contrast(surface: Surface, cover: Coverage, image: Surface) -> Surface:
     """Brighten or darken a surface that is hardly visible against its surroundings."""
     inside = cover > 0.5
     grown = cv2.dilate(inside.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
