@@ -86,7 +86,7 @@ def turned(image: Picture, rng: np.random.Generator) -> Picture:
     if side < 400:
         return np.ascontiguousarray(np.rot90(image, int(rng.integers(4))))
     inner = int(side / math.sqrt(2))
-    move = cv2.getRotationMatrix2D((side / 2, side / 2), float(rng.uniform(0, 360)), 1.0)
+    move = cv2.getRotationMatrix2D((side / 2, side / 2), rng.uniform(0, 360), 1.0)
     move[:, 2] += (inner - side) / 2
     return np.asarray(
         cv2.warpAffine(image, move, (inner, inner), flags=cv2.INTER_CUBIC), dtype=np.uint8
@@ -209,7 +209,7 @@ def cut_flight(
     scales: list[float] = []
     while len(photographs) < n:
         scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.7))))
-        turn = float(rng.uniform(0, 2 * np.pi))
+        turn = rng.uniform(0, 2 * np.pi)
         reach_x = scale * (abs(width * np.cos(turn)) + abs(height * np.sin(turn))) / 2
         reach_y = scale * (abs(width * np.sin(turn)) + abs(height * np.cos(turn))) / 2
         if 2 * reach_x >= world.shape[1] or 2 * reach_y >= world.shape[0]:

@@ -233,7 +233,7 @@ def main() -> None:
             arguments.side,
             towns[name],
             fields=fields,
-            share=float(rng.uniform(0.05, 0.4)),
+            share=rng.uniform(0.05, 0.4),
             factor=factor,
             rng=rng,
         )

@@ -70,7 +70,7 @@ def lay_out(
     plan = _PLANS[layout]
     extent = max(math.hypot(width_m, height_m), _MIN_EXTENT_M) + 2 * _MARGIN_M
     palette = Palette.draw(rng)
-    turn = float(rng.uniform(0, 2 * math.pi))
+    turn = rng.uniform(0, 2 * math.pi)
     centre = Frame(width_m / 2, height_m / 2, turn)
     world = World()
     shift = rng.uniform(-0.2, 0.2, 2) * 60

@@ -97,7 +97,7 @@ def render_scene(
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     random_layout = int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))
     layout = layout or cast("Layout", get_args(Layout)[random_layout])
-    sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
+    sun = Sun(place_rng.uniform(0, 2 * math.pi), math.radians(place_rng.uniform(33, 64)))
     fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
     width_m = width_px * gsd_m_per_px
     height_m = height_px * gsd_m_per_px
@@ -271,21 +271,21 @@ def _thin(
 
 def _photograph(image: Picture, rng: np.random.Generator) -> Picture:
     """Apply lens, haze, sensor and compression."""
-    sigma = float(rng.uniform(0.45, 0.85))
+    sigma = rng.uniform(0.45, 0.85)
     blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
     image = cast("Picture", blurred)
     # Sharpening in post-processing.
     if rng.random() < 0.35:
         soft = cv2.GaussianBlur(image, (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
-        amount = float(rng.uniform(0.3, 0.9))
+        amount = rng.uniform(0.3, 0.9)
         image = cast("Picture", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))
     gamma = rng.uniform(0.88, 1.12)
     gain = rng.uniform(0.9, 1.12)
     haze = rng.uniform(0, 16)
     cast_rgb = 1 + np.clip(rng.normal(0, 0.018, 3), -0.04, 0.04)
-    saturation = float(rng.uniform(0.75, 1.1))
-    noise_sd = float(rng.uniform(0.8, 3.6))
-    colour_sd = float(rng.uniform(0.2, 1.2))
+    saturation = rng.uniform(0.75, 1.1)
+    noise_sd = rng.uniform(0.8, 3.6)
+    colour_sd = rng.uniform(0.2, 1.2)
     # Gamma, gain, haze and colour cast act on each value, so a table of 256 values holds them.
     levels = np.arange(256) / 255
     tables = [

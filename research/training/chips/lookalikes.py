@@ -64,12 +64,12 @@ def draw_box(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """Draw a shed, crate or container: plain, ridged, ribbed or framed."""
-    length = float(rng.uniform(1.2, 7.0))
-    width = length * float(rng.uniform(0.3, 0.95))
+    length = rng.uniform(1.2, 7.0)
+    width = length * rng.uniform(0.3, 0.95)
     points = _corners(canvas, px_per_m, length, width)
     colour = colour_of(rng)
-    height_px = px_per_m * float(rng.uniform(0.4, 2.8))
-    strength = float(rng.uniform(0.5, 1.0))
+    height_px = px_per_m * rng.uniform(0.4, 2.8)
+    strength = rng.uniform(0.5, 1.0)
     shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
     fill(canvas, points, colour)
     kind = rng.integers(5)
@@ -86,7 +86,7 @@ def draw_box(
     elif kind == 2:
         fill(canvas, _corners(canvas, px_per_m, 0.85 * length, 0.75 * width), colour_of(rng))
     elif kind == 3:
-        share = float(rng.uniform(0.2, 0.6))
+        share = rng.uniform(0.2, 0.6)
         end = _corners(canvas, px_per_m, share * length, width, x=(1 - share) * length / 2)
         fill(canvas, end, colour_of(rng))
     return length, width
@@ -96,12 +96,12 @@ def draw_air_conditioner(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """Draw a grey box with dark fans."""
-    length = float(rng.uniform(1.5, 6.5))
-    width = length * float(rng.uniform(0.35, 0.8))
+    length = rng.uniform(1.5, 6.5)
+    width = length * rng.uniform(0.35, 0.8)
     points = _corners(canvas, px_per_m, length, width)
     colour = np.full(3, rng.uniform(110, 235))
-    height_px = px_per_m * float(rng.uniform(0.6, 2.0))
-    strength = float(rng.uniform(0.6, 1.0))
+    height_px = px_per_m * rng.uniform(0.6, 2.0)
+    strength = rng.uniform(0.6, 1.0)
     shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
     fill(canvas, points, colour)
     fans = int(rng.integers(1, 5))
@@ -120,12 +120,12 @@ def draw_row(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """Draw one of a row of equal objects: graves, bee hives, solar panels, benches, bays."""
-    length = float(rng.uniform(1.6, 5.5))
-    width = float(rng.uniform(0.7, 2.3))
-    pitch = width * float(rng.uniform(1.15, 1.8))
+    length = rng.uniform(1.6, 5.5)
+    width = rng.uniform(0.7, 2.3)
+    pitch = width * rng.uniform(1.15, 1.8)
     colour = colour_of(rng)
     inner = colour_of(rng)
-    height = px_per_m * float(rng.uniform(0.2, 1.0))
+    height = px_per_m * rng.uniform(0.2, 1.0)
     for k in range(-6, 7):
         if k and rng.random() < 0.15:
             continue
@@ -141,18 +141,18 @@ def draw_bench(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """Draw a slatted bench, two that face each other, or a table between two benches."""
-    length = float(rng.uniform(1.3, 2.6))
-    seat = float(rng.uniform(0.3, 0.55))
+    length = rng.uniform(1.3, 2.6)
+    seat = rng.uniform(0.3, 0.55)
     kind = rng.integers(3)
     colour = colour_of(rng)
-    height = px_per_m * float(rng.uniform(0.4, 0.9))
-    table = float(rng.uniform(0.6, 1.0))
+    height = px_per_m * rng.uniform(0.4, 0.9)
+    table = rng.uniform(0.6, 1.0)
     # Middle and depth of each piece, across the canvas.
     if kind == 0:
         pieces = [(0.0, seat)]
         depth = seat
     else:
-        between = float(rng.uniform(0.1, 0.9)) if kind == 1 else table + 0.1
+        between = rng.uniform(0.1, 0.9) if kind == 1 else table + 0.1
         distance = seat + between
         pieces = [(-distance / 2, seat), (distance / 2, seat)]
         depth = distance + seat
@@ -161,7 +161,7 @@ def draw_bench(
     slats = int(rng.integers(2, 5))
     for y, width in pieces:
         outline = _corners(canvas, px_per_m, length, width, y=y)
-        strength = float(rng.uniform(0.6, 1.05))
+        strength = rng.uniform(0.6, 1.05)
         shade(canvas, outline, height_px=height, sun=sun, strength=strength)
         fill(canvas, outline, colour * rng.uniform(0.3, 0.7))
         for k in range(slats):
@@ -178,26 +178,26 @@ def draw_playground(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """Draw a swing, seesaw or exercise machine of coloured bars, often on a round mat."""
-    length = float(rng.uniform(1.2, 3.5))
-    width = length * float(rng.uniform(0.3, 0.7))
+    length = rng.uniform(1.2, 3.5)
+    width = length * rng.uniform(0.3, 0.7)
     middle = np.array(canvas.shape[1::-1]) / 2
     if rng.random() < 0.7:
         ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
-        radius = px_per_m * length * float(rng.uniform(0.5, 0.9))
+        radius = px_per_m * length * rng.uniform(0.5, 0.9)
         mat = middle + radius * np.column_stack([np.cos(ring), np.sin(ring)])
         fill(canvas, mat, colour_of(rng))
-    for _ in range(int(rng.integers(3, 8))):
+    for _ in range(rng.integers(3, 8)):
         # Bars lie along or across, and move only at a right angle to themselves.
         if rng.random() < 0.4:
-            size = (float(rng.uniform(0.15, 0.5)), width)
+            size = (rng.uniform(0.15, 0.5), width)
             direction = (1, 0)
         else:
-            size = (length, float(rng.uniform(0.1, 0.4)))
+            size = (length, rng.uniform(0.1, 0.4))
             direction = (0, 1)
         x, y = rng.uniform(-0.4, 0.4, 2) * (length, width) * direction
         points = _corners(canvas, px_per_m, *size, x=float(x), y=float(y))
-        height_px = px_per_m * float(rng.uniform(0.3, 1.5))
-        strength = float(rng.uniform(0.5, 1.0))
+        height_px = px_per_m * rng.uniform(0.3, 1.5)
+        strength = rng.uniform(0.5, 1.0)
         shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
         fill(canvas, points, rng.uniform(20, 250, 3))
     return length, width
@@ -209,10 +209,10 @@ def draw_skylight(
     """Draw glass in a light frame on a roof of one colour."""
     roof = colour_of(rng)
     canvas[:] = 0.25 * canvas + 0.75 * roof.astype(np.float32)
-    length = float(rng.uniform(1.2, 5.0))
-    width = length * float(rng.uniform(0.35, 0.8))
+    length = rng.uniform(1.2, 5.0)
+    width = length * rng.uniform(0.35, 0.8)
     points = _corners(canvas, px_per_m, length, width)
-    shade(canvas, points, height_px=px_per_m * float(rng.uniform(0.1, 0.9)), sun=sun, strength=0.9)
+    shade(canvas, points, height_px=px_per_m * rng.uniform(0.1, 0.9), sun=sun, strength=0.9)
     fill(canvas, points, np.full(3, rng.uniform(150, 245)))
     panes = int(rng.integers(1, 4))
     for k in range(panes):
@@ -226,8 +226,8 @@ def draw_shadow(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """Draw a shadow without a car: of a tree, a wall or a pole's head."""
-    length = float(rng.uniform(2.0, 6.5))
-    width = length * float(rng.uniform(0.3, 0.7))
+    length = rng.uniform(2.0, 6.5)
+    width = length * rng.uniform(0.3, 0.7)
     ring = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     radius = 1 + rng.normal(0, 0.12, 20)
     x = np.cos(ring) * length / 2 * radius
@@ -236,7 +236,7 @@ def draw_shadow(
     outline = np.column_stack([x, y]) * px_per_m
     if rng.random() < 0.4:
         outline = _corners(canvas, px_per_m, length, width) - middle
-    strength = float(rng.uniform(0.7, 1.15))
+    strength = rng.uniform(0.7, 1.15)
     shade(canvas, outline + middle, height_px=0.0, sun=sun, strength=strength)
     return length, width
 
@@ -245,8 +245,8 @@ def draw_bush(
     rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
 ) -> tuple[float, float]:
     """Draw a longish crown and its shadow."""
-    length = float(rng.uniform(2.0, 6.0))
-    width = length * float(rng.uniform(0.4, 0.8))
+    length = rng.uniform(2.0, 6.0)
+    width = length * rng.uniform(0.4, 0.8)
     sprite = crown_sprite(rng, 64, sun)
     size = (max(6, round(1.25 * length * px_per_m)), max(6, round(1.25 * width * px_per_m)))
     leaf = np.asarray(cv2.resize(sprite, size, interpolation=cv2.INTER_AREA), np.float32)
@@ -255,7 +255,7 @@ def draw_bush(
     shade(
         canvas,
         _corners(canvas, px_per_m, 0.8 * length, 0.8 * width),
-        height_px=px_per_m * float(rng.uniform(0.5, 3)),
+        height_px=px_per_m * rng.uniform(0.5, 3),
         sun=sun,
         strength=0.9,
     )
@@ -272,8 +272,8 @@ def draw_boat(
     if rng.random() < 0.6:
         brightness = np.float32(rng.uniform(0.6, 1.6))
         canvas[:] = 0.2 * canvas + 0.8 * np.array([40, 62, 70], np.float32) * brightness
-    length = float(rng.uniform(3.5, 9.0))
-    width = length * float(rng.uniform(0.28, 0.42))
+    length = rng.uniform(3.5, 9.0)
+    width = length * rng.uniform(0.28, 0.42)
     t = np.linspace(0, 1, 16)
     # The hull reaches its full width at a quarter of its length, and is elliptic towards the bow.
     bow = np.sqrt(np.clip(1 - np.clip((t - 0.45) / 0.55, 0, 1) ** 2, 0, 1))
@@ -297,8 +297,8 @@ def draw_marking(
 ) -> tuple[float, float]:
     """Draw an empty bay, a zebra crossing or a worn patch of the road."""
     del sun
-    length = float(rng.uniform(3.5, 6.0))
-    width = float(rng.uniform(1.8, 2.8))
+    length = rng.uniform(3.5, 6.0)
+    width = rng.uniform(1.8, 2.8)
     kind = rng.integers(3)
     white = np.full(3, rng.uniform(170, 245))
     if kind == 0:

@@ -186,7 +186,7 @@ def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDA
         method = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
         chip = cv2.resize(small, stored_size, interpolation=method)
     else:
-        soft = cv2.GaussianBlur(pixels, (0, 0), float(rng.uniform(0.5, 1.4)))
+        soft = cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.5, 1.4))
         chip = cv2.resize(soft, stored_size, interpolation=cv2.INTER_AREA)
     return np.asarray(np.clip(np.asarray(chip, np.float32) + 0.5, 0, 255), np.uint8)
 
@@ -210,8 +210,8 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
     position = free_position(rng, ground, 5.0)
     if position is None:
         return None
-    sun = Sun(float(rng.uniform(0, 2 * np.pi)), math.radians(rng.uniform(25, 75)))
-    strength = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.5, 1.05))
+    sun = Sun(rng.uniform(0, 2 * np.pi), math.radians(rng.uniform(25, 75)))
+    strength = 0.0 if rng.random() < 0.2 else rng.uniform(0.5, 1.05)
     if is_vehicle:
         model = fleet.small() if is_car else fleet.large()
         return _pasted_vehicle(
@@ -235,7 +235,7 @@ def _pasted_vehicle(
     wrong = rng.random() < (_WRONG_CAR_SHARE if is_car else _WRONG_LORRY_SHARE)
     candidate, truth = _candidate(rng, model, wrong=wrong)
     px_per_m = 2 * STORED_LENGTH_PX / candidate[2]
-    turn = float(rng.uniform(0, 2 * np.pi))
+    turn = rng.uniform(0, 2 * np.pi)
     canvas = ground_canvas(ground, position, turn=turn, px_per_m=px_per_m)
     if rng.random() < _COMPANY_SHARE:
         _draw_company(
@@ -261,9 +261,9 @@ def _pasted_lookalike(
 ) -> Pasted:
     """Draw a look-alike, with a candidate about as long."""
     px_per_m = 2 * STORED_LENGTH_PX / _LOOKALIKE_M
-    turn = float(rng.uniform(0, 2 * np.pi))
+    turn = rng.uniform(0, 2 * np.pi)
     canvas = ground_canvas(ground, position, turn=turn, px_per_m=px_per_m)
-    draw_lookalike = LOOKALIKES[int(rng.integers(len(LOOKALIKES)))]
+    draw_lookalike = LOOKALIKES[rng.integers(len(LOOKALIKES))]
     length, _ = draw_lookalike(rng, canvas, px_per_m, sun)
     # The picture is scaled so that the candidate is about as long as the look-alike.
     factor = _LOOKALIKE_M / length * float(np.exp(rng.normal(0, 0.12)))

@@ -157,7 +157,7 @@ def _crop(picture: Picture, gsd: float, rng: np.random.Generator) -> tuple[Pixel
     turn = rng.uniform(0, 2 * math.pi) if rng.random() < 0.5 else math.pi / 2 * int(rng.integers(4))
     centre = rng.uniform((0, 0), (reduced.shape[1], reduced.shape[0]))
     if picture.courts:
-        court = picture.courts[int(rng.integers(len(picture.courts)))]
+        court = picture.courts[rng.integers(len(picture.courts))]
         centre = np.array([court.x, court.y]) * factor + rng.uniform(-32, 32, 2)
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     cos = math.cos(turn)

@@ -223,7 +223,9 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     # Continuous coordinates have pixel centres at +0.5; warpAffine works on pixel indices.
     matrix = _compose(forward, _invert(to_source))
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
-    fill = source[::16, ::16].reshape(-1, 3).mean(axis=0) if rng.random() < 0.5 else np.zeros(3)
+    fill = np.zeros(3)
+    if rng.random() < 0.5:
+        fill = source[::16, ::16].reshape(-1, 3).mean(axis=0)
     interpolation = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
     size = (CROP_PX, CROP_PX)
     warped = cv2.warpAffine(source, matrix, size, flags=interpolation, borderValue=fill.tolist())
@@ -234,7 +236,8 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     def moved(points: Points) -> Points:
         return np.asarray(points @ forward[:, :2].T + forward[:, 2])
 
-    boxes, undecided = _judged(boxes_from_corners(moved(box_corners(sample.boxes))))
+    corners = moved(box_corners(sample.boxes))
+    boxes, undecided = _judged(boxes_from_corners(corners))
     ignore = np.concatenate([moved(sample.ignore), undecided])
     return Crop(image, boxes, ignore=ignore, covered=covered)
 
@@ -244,13 +247,13 @@ def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
     if len(sample.boxes):
         car_px = float(np.median(sample.boxes[:, 2]))
     else:
-        car_px = sample.car_px or float(rng.uniform(14, 40))
+        car_px = sample.car_px or rng.uniform(14, 40)
     log_target = rng.uniform(*np.log(LENGTH_RANGE_PX))
     if car_px > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
         longest = min(_FINEST_PX, 1.3 * car_px)
         log_target = rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(longest))
     target = float(np.exp(log_target))
-    return min(target / car_px, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
+    return min(target / car_px, _MAX_ENLARGEMENT * rng.uniform(0.6, 1.0))
 
 
 def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> Point:
@@ -281,12 +284,14 @@ def _reduced(image: Picture, focus: Point, scale: float) -> tuple[Picture, Affin
     x1 = int(min(width, focus[0] + half))
     y1 = int(min(height, focus[1] + half))
     part = image[y0 : max(y1, y0 + 8), x0 : max(x1, x0 + 8)]
-    size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
-    small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+    part_h, part_w = part.shape[:2]
+    small_w = max(4, round(part_w * reduce))
+    small_h = max(4, round(part_h * reduce))
+    small = cv2.resize(part, (small_w, small_h), interpolation=cv2.INTER_AREA)
     to_source = np.array(
         [
-            [small.shape[1] / part.shape[1], 0, -x0 * small.shape[1] / part.shape[1]],
-            [0, small.shape[0] / part.shape[0], -y0 * small.shape[0] / part.shape[0]],
+            [small_w / part_w, 0, -x0 * small_w / part_w],
+            [0, small_h / part_h, -y0 * small_h / part_h],
         ]
     )
     return np.asarray(small, dtype=np.uint8), to_source
@@ -295,15 +300,19 @@ def _reduced(image: Picture, focus: Point, scale: float) -> tuple[Picture, Affin
 def _judged(boxes: Boxes) -> tuple[Boxes, Polygons]:
     """Select the boxes that a crop shows whole and at a length to learn, and corners to ignore."""
     corners = box_corners(boxes)
-    near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
+    is_near = (corners > -4) & (corners < CROP_PX + 4)
+    near = np.any(np.all(is_near, axis=2), axis=1)
     boxes = boxes[near]
     corners = corners[near]
-    inside = ((boxes[:, :2] > 1) & (boxes[:, :2] < CROP_PX - 1)).all(axis=1)
+    centres = boxes[:, :2]
+    lengths = boxes[:, 2]
+    inside = ((centres > 1) & (centres < CROP_PX - 1)).all(axis=1)
     border = 0.15 * boxes[:, 2, None, None]
     whole = ((corners > -border) & (corners < CROP_PX + border)).all(axis=(1, 2))
-    sized = (boxes[:, 2] > 0.8 * LENGTH_RANGE_PX[0]) & (boxes[:, 2] < 1.3 * LENGTH_RANGE_PX[1])
+    shortest, longest = LENGTH_RANGE_PX
+    sized = (lengths > 0.8 * shortest) & (lengths < 1.3 * longest)
     good = inside & whole & sized
-    undecided = ~good & (boxes[:, 2] < _UNSEEN_PX)
+    undecided = ~good & (lengths < _UNSEEN_PX)
     return boxes[good], corners[undecided]
 
 
@@ -338,7 +347,9 @@ def _hidden_by(cover: Mask, crop: Crop) -> Crop:
 
 
 def _compose(a: Affine, b: Affine) -> Affine:
-    return np.column_stack([a[:, :2] @ b[:, :2], a[:, :2] @ b[:, 2] + a[:, 2]])
+    matrix = a[:, :2] @ b[:, :2]
+    shift = a[:, :2] @ b[:, 2] + a[:, 2]
+    return np.column_stack([matrix, shift])
 
 
 def _invert(a: Affine) -> Affine:
@@ -371,14 +382,17 @@ def photometric(rng: np.random.Generator, image: Picture) -> Picture:
         x = x * (1 + 0.3 * field[:, :, None])
     draw = rng.random()
     if draw < 0.35:
-        x = cv2.GaussianBlur(x, (0, 0), float(rng.uniform(0.3, 1.1)))
+        x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.3, 1.1))
     elif draw < 0.5:
-        x = x + np.float32(rng.uniform(0.3, 1.0)) * (x - cv2.GaussianBlur(x, (0, 0), 1.2))
+        amount = np.float32(rng.uniform(0.3, 1.0))
+        x = x + amount * (x - cv2.GaussianBlur(x, (0, 0), 1.2))
     if rng.random() < 0.4:
-        x = x + rng.normal(0, rng.uniform(0.005, 0.04), x.shape).astype(np.float32)
+        noise = rng.normal(0, rng.uniform(0.005, 0.04), x.shape)
+        x = x + noise.astype(np.float32)
     out: Picture = np.clip(x * 255.0 + 0.5, 0, 255).astype(np.uint8)
     if rng.random() < 0.5:
-        ok, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 96))])
+        quality = int(rng.integers(35, 96))
+        ok, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, quality])
         if ok:
             out = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
     return out
@@ -399,7 +413,8 @@ def dense_target(boxes: Boxes, ignore: Polygons) -> Target:
     heat = np.zeros((side, side), np.float32)
     care = np.ones((side, side), np.uint8)
     for polygon in ignore:
-        cv2.fillPoly(care, [np.round(polygon / STRIDE_PX - 0.5).astype(np.int32)], 0)
+        cells = np.round(polygon / STRIDE_PX - 0.5).astype(np.int32)
+        cv2.fillPoly(care, [cells], 0)
     shape = np.zeros((6, side, side), np.float32)
     weight = np.zeros((side, side), np.float32)
     rows, cols = np.mgrid[0:side, 0:side].astype(np.float32) + 0.5

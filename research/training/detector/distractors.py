@@ -47,12 +47,12 @@ def draw_distractors(
     height, width = image.shape[:2]
     kind = kind or list(KINDS)[rng.integers(len(KINDS))]
     colour, opacity = KINDS[kind](rng, image)
-    turn = float(rng.uniform(0, 180))
+    turn = rng.uniform(0, 180)
     matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, 1.0)
-    colour = np.asarray(
-        cv2.warpAffine(colour, matrix, (width, height), borderMode=cv2.BORDER_REFLECT), np.float32
-    )
-    opacity = np.asarray(cv2.warpAffine(opacity, matrix, (width, height)), np.float32)
+    size = (width, height)
+    turned = cv2.warpAffine(colour, matrix, size, borderMode=cv2.BORDER_REFLECT)
+    colour = np.asarray(turned, np.float32)
+    opacity = np.asarray(cv2.warpAffine(opacity, matrix, size), np.float32)
     sides = np.exp(rng.uniform(np.log(0.25), np.log(0.9), 2)) * (width, height)
     middle = rng.uniform(0.15, 0.85, 2) * (width, height)
     corners = cv2.boxPoints((middle.tolist(), sides.tolist(), turn))
@@ -60,23 +60,23 @@ def draw_distractors(
     cv2.fillPoly(patch, [np.round(corners).astype(np.int32)], 1)
     opacity = opacity * patch
     mixed = image * (1 - opacity[:, :, None]) + colour * opacity[:, :, None]
-    whole = np.asarray(
-        cv2.dilate((opacity > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)), bool
-    )
-    return np.clip(mixed + 0.5, 0, 255).astype(np.uint8), whole
+    is_opaque = (opacity > 0.3).astype(np.uint8)
+    grown = cv2.dilate(is_opaque, np.ones((5, 5), np.uint8))
+    picture = np.clip(mixed + 0.5, 0, 255).astype(np.uint8)
+    return picture, np.asarray(grown, bool)
 
 
 def _paint(rng: np.random.Generator, low: int, high: int, chroma: float = 12.0) -> Colour:
-    return np.clip(rng.uniform(low, high) + rng.normal(0, chroma, 3), 0, 255).astype(np.float32)
+    rgb = rng.uniform(low, high) + rng.normal(0, chroma, 3)
+    return np.clip(rgb, 0, 255).astype(np.float32)
 
 
 def _ground(rng: np.random.Generator, image: Picture) -> _Layer:
     """Even ground of the image's own tone, or none."""
     height, width = image.shape[:2]
     tone = image.reshape(-1, 3).mean(axis=0) * rng.uniform(0.6, 1.3)
-    colour = np.clip(tone + rng.normal(0, rng.uniform(2, 9), (height, width, 1)), 0, 255).astype(
-        np.float32
-    )
+    grain = rng.normal(0, rng.uniform(2, 9), (height, width, 1))
+    colour = np.clip(tone + grain, 0, 255).astype(np.float32)
     opacity = np.full((height, width), 1.0 if rng.random() < 0.5 else 0.0, np.float32)
     return colour, opacity
 
@@ -98,14 +98,15 @@ def _rectangles(
     sun = rng.uniform(0, 2 * np.pi)
     offset = shadow * min(size) * np.array([np.cos(sun), np.sin(sun)])
     jitter = 0.03 * min(pitch)
-    centres = np.stack(
-        np.meshgrid(np.arange(0, width, pitch[0]), np.arange(0, height, pitch[1])), axis=-1
-    ).reshape(-1, 2)
+    columns = np.arange(0, width, pitch[0])
+    rows = np.arange(0, height, pitch[1])
+    centres = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     centres = centres + rng.normal(0, jitter, centres.shape)
     corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
 
     def fill(moved: NDArray[np.float64], paint: Colour, strength: float) -> None:
-        polygon = np.round((corner + moved) * 2**_SHIFT).astype(np.int32)
+        scaled = np.round((corner + moved) * 2**_SHIFT)
+        polygon = scaled.astype(np.int32)
         cv2.fillConvexPoly(colour, polygon, paint.tolist(), cv2.LINE_AA, _SHIFT)
         cv2.fillConvexPoly(opacity, polygon, strength, cv2.LINE_8, _SHIFT)
 
@@ -146,7 +147,7 @@ def _posts(rng: np.random.Generator, image: Picture) -> _Layer:
         size=size,
         pitch=pitch,
         paints=[_paint(rng, 130, 255)],
-        shadow=float(rng.uniform(0, 1.5)),
+        shadow=rng.uniform(0, 1.5),
     )
 
 
@@ -162,7 +163,7 @@ def _slabs(rng: np.random.Generator, image: Picture) -> _Layer:
         size=size,
         pitch=pitch,
         paints=paints,
-        shadow=float(rng.uniform(0, 0.5)),
+        shadow=rng.uniform(0, 0.5),
     )
 
 

@@ -58,7 +58,7 @@ def shaded(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Picture:
     if dark:
         image = darken_cars(rng, image, boxes)
     if branches:
-        for _ in range(int(rng.integers(1, 6))):
+        for _ in range(rng.integers(1, 6)):
             foot = _position(rng, image, boxes)
             image = draw_crown(rng, image, foot=foot, car_px=car_px)
     if shadow:
@@ -82,39 +82,46 @@ def darken_cars(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Pictu
         # Paint ends a little inside the box.
         painted = box * (1, 1, 0.97, 0.94, 1)
         outline = _fixed(box_corners(painted[None])[0])
-        darkness = float(rng.uniform(0.2, 0.6))
+        darkness = rng.uniform(0.2, 0.6)
         cv2.fillPoly(brightness, [outline], darkness, cv2.LINE_AA, _SHIFT)
     return _lit(image, brightness[:, :, None])
 
 
 def cast_shadow(rng: np.random.Generator, image: Picture, middle: Point, car_px: float) -> Picture:
     """Darken a straight-sided area of one to eight cars' lengths with a hard or soft edge."""
-    sides = car_px * np.exp(rng.uniform(np.log(1.0), np.log(8.0), 2))
-    corners = cv2.boxPoints((middle.tolist(), sides.tolist(), float(rng.uniform(0, 180))))
+    log_sides = rng.uniform(np.log(1.0), np.log(8.0), 2)
+    sides = car_px * np.exp(log_sides)
+    rectangle = (middle.tolist(), sides.tolist(), rng.uniform(0, 180))
+    corners = cv2.boxPoints(rectangle)
     corners = corners + rng.normal(0, 0.15, corners.shape) * sides.min()
     inside = np.zeros(image.shape[:2], np.float32)
     cv2.fillPoly(inside, [_fixed(corners)], 1.0, cv2.LINE_AA, _SHIFT)
-    softness = float(rng.uniform(0.3, 1.5))
+    softness = rng.uniform(0.3, 1.5)
     inside = np.asarray(cv2.GaussianBlur(inside, (0, 0), softness), np.float32)
     # Only the blue sky lights a shadow.
-    tint = np.array([0.94, 1.0, 1.08], np.float32) * np.float32(rng.uniform(0.22, 0.6))
+    sky = np.array([0.94, 1.0, 1.08], np.float32)
+    tint = sky * np.float32(rng.uniform(0.22, 0.6))
     return _lit(image, 1 + inside[:, :, None] * (tint - 1))
 
 
 def draw_crown(rng: np.random.Generator, image: Picture, foot: Point, car_px: float) -> Picture:
     """Draw the branches of a bare tree, and their shadow beside them."""
     cover = np.zeros(image.shape[:2], np.float32)
-    radius = car_px * float(rng.uniform(0.4, 1.3))
-    for heading in rng.uniform(0, 2 * np.pi, int(rng.integers(6, 25))):
-        length_px = radius * float(rng.uniform(0.5, 1.0))
+    radius = car_px * rng.uniform(0.4, 1.3)
+    n_branches = int(rng.integers(6, 25))
+    for heading in rng.uniform(0, 2 * np.pi, n_branches):
+        length_px = radius * rng.uniform(0.5, 1.0)
         _draw_branch(rng, cover, foot=foot, heading=heading, length_px=length_px, car_px=car_px)
     dx, dy = rng.normal(0, 0.5 * car_px, 2)
     move = np.array([[1, 0, dx], [0, 1, dy]])
     shadow = np.asarray(cv2.warpAffine(cover, move, image.shape[1::-1]), np.float32)
-    image = _lit(image, 1 - np.float32(rng.uniform(0.1, 0.5)) * shadow[:, :, None])
-    bark = np.clip(rng.uniform(50, 150) + rng.normal(0, 8, 3), 0, 255).astype(np.float32)
+    darkness = np.float32(rng.uniform(0.1, 0.5))
+    image = _lit(image, 1 - darkness * shadow[:, :, None])
+    bark_rgb = rng.uniform(50, 150) + rng.normal(0, 8, 3)
+    bark = np.clip(bark_rgb, 0, 255).astype(np.float32)
     opacity = np.float32(rng.uniform(0.3, 0.8)) * cover[:, :, None]
-    return np.clip(image * (1 - opacity) + bark * opacity + 0.5, 0, 255).astype(np.uint8)
+    blend = image * (1 - opacity) + bark * opacity
+    return np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
 
 def _draw_branch(
@@ -127,9 +134,11 @@ def _draw_branch(
 ) -> None:
     """Draw one crooked branch, thinner than a pixel where the cars are short."""
     bends = heading + np.cumsum(rng.normal(0, 0.35, 4))
-    steps = np.stack([np.cos(bends), np.sin(bends)], axis=1) * length_px / 4
-    path = foot + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    width_px = car_px * float(rng.uniform(0.015, 0.06))
+    directions = np.stack([np.cos(bends), np.sin(bends)], axis=1)
+    steps = directions * length_px / 4
+    bend_points = np.cumsum(steps, axis=0)
+    path = foot + np.concatenate([np.zeros((1, 2)), bend_points])
+    width_px = car_px * rng.uniform(0.015, 0.06)
     strength = float(min(1.0, width_px))
     line = np.zeros_like(cover)
     cv2.polylines(

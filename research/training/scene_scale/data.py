@@ -268,7 +268,7 @@ def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float)
     """
     height, width = image.pixels.shape[:2]
     side = TILE_PX * gsd_m_per_px / image.gsd_m_per_px  # of the square in the source, px
-    angle = float(rng.uniform(0, 45)) if rng.random() < _TURNED_SHARE else 0.0
+    angle = rng.uniform(0, 45) if rng.random() < _TURNED_SHARE else 0.0
     around = math.cos(math.radians(angle)) + math.sin(math.radians(angle))
     if side * around > min(height, width):
         angle = 0.0
@@ -360,7 +360,7 @@ class CropStream:
             crop = draw_crop(rng, image, gsd)
             lost = 0.0
             if rng.random() < _BLURRED_SHARE:
-                blur = float(rng.uniform(*_BLUR_PX))
+                blur = rng.uniform(*_BLUR_PX)
                 crop = np.asarray(cv2.GaussianBlur(crop, (0, 0), blur), np.uint8)
                 lost = (blur - _BLUR_PX[0]) / (_BLUR_PX[1] - _BLUR_PX[0])
             target = soft_target(gsd, image.label_spread, lost)

@@ -171,8 +171,8 @@ class Example(NamedTuple):
 def _turn(rng: np.random.Generator) -> float:
     """Draw any angle, or nearly a multiple of a right angle, at which users' boxes fit."""
     if rng.random() < 0.5:
-        return float(rng.uniform(0, 2 * np.pi))
-    return float(rng.integers(4)) * np.pi / 2 + float(rng.normal(0, 0.08))
+        return rng.uniform(0, 2 * np.pi)
+    return float(rng.integers(4)) * np.pi / 2 + rng.normal(0, 0.08)
 
 
 def cut(
@@ -283,7 +283,7 @@ def draw_prompt(
 def draw_prior(rng: np.random.Generator, coverage: Coverage) -> NDArray[np.float32]:
     """Draw logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
     moved = np.roll(coverage, rng.integers(-2, 3, 2), axis=(0, 1))
-    soft = cv2.GaussianBlur(moved, (0, 0), float(rng.uniform(0.8, 3.0)))
+    soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.8, 3.0))
     return ((soft - rng.uniform(0.3, 0.7)) * rng.uniform(6, 16)).astype(np.float32)
 
 
@@ -413,7 +413,7 @@ class BatchStream:
             scale = max(
                 float(np.exp(rng.uniform(-0.5, 0.9))), 1.1 * size.side_px / min(height, width)
             )
-            focus = (float(rng.uniform(0.3, 0.7)) * width, float(rng.uniform(0.3, 0.7)) * height)
+            focus = (rng.uniform(0.3, 0.7) * width, rng.uniform(0.3, 0.7) * height)
             return cut(rng, sample, size.side_px, scale, focus, None).image
 
         room = max(0.02, 0.5 - 0.6 * length / size.side_px) * size.side_px
