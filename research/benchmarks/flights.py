@@ -38,6 +38,7 @@ from vehanchor_flight.records import FlightEstimate
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
@@ -71,7 +72,7 @@ def read(path: Path) -> Picture:
     return np.asarray(cv2.imread(str(path)), dtype=np.uint8)
 
 
-def spoiled(image: Picture, rng: np.random.Generator) -> Picture:
+def spoiled(image: Picture, rng: Generator) -> Picture:
     """Change exposure, add noise and JPEG artefacts."""
     pixels = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
     pixels += rng.normal(0, rng.uniform(0, 4), image.shape)
@@ -80,7 +81,7 @@ def spoiled(image: Picture, rng: np.random.Generator) -> Picture:
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
-def turned(image: Picture, rng: np.random.Generator) -> Picture:
+def turned(image: Picture, rng: Generator) -> Picture:
     """Cut the largest square inside the image at any angle; turn a small one by right angles."""
     side = min(image.shape[:2])
     if side < 400:
@@ -196,9 +197,7 @@ def worlds(data: Path) -> dict[str, Picture]:
     return mosaics
 
 
-def cut_flight(
-    world: Picture, rng: np.random.Generator, n: int
-) -> tuple[list[Picture], NDArray[np.float64]]:
+def cut_flight(world: Picture, rng: Generator, n: int) -> tuple[list[Picture], NDArray[np.float64]]:
     """Make photographs of 480 x 360 px at random positions, turns and scales of 0.6 to 1.7.
 
     Returns the photographs and their scales.
@@ -257,7 +256,7 @@ class _Links(NamedTuple):
 
 
 def _matched_flight(
-    world: Picture, detector: Detector, rng: np.random.Generator
+    world: Picture, detector: Detector, rng: Generator
 ) -> tuple[list[float], int, _Links]:
     """Estimate a flight over a mosaic; two thirds of its photographs lose their vehicles.
 

@@ -29,6 +29,7 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     Picture: TypeAlias = NDArray[np.uint8]
@@ -61,7 +62,7 @@ def _resized(image: Picture, ratio: float, how: int) -> Picture:
     return np.asarray(cv2.resize(image, None, fx=ratio, fy=ratio, interpolation=how), np.uint8)
 
 
-def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
+def layout(cells: int, share: float, rng: Generator) -> NDArray[Any]:
     """Draw where towns are: ``[cells, cells]`` bool."""
     noise = cv2.GaussianBlur(
         rng.normal(size=(cells, cells)).astype(np.float32), (0, 0), _TOWN_CELLS
@@ -69,7 +70,7 @@ def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
     return np.asarray(noise > np.quantile(noise, 1 - share))
 
 
-def _cell(pictures: list[Picture], rng: np.random.Generator) -> Picture:
+def _cell(pictures: list[Picture], rng: Generator) -> Picture:
     image = pictures[rng.integers(len(pictures))]
     image = np.pad(
         image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric"

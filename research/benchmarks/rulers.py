@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from research.results.record import add_record_option, recording
 from research.scenes import render_scene
@@ -105,9 +106,7 @@ def _measured(witnesses: Sequence[Witness], true_gsd: float, usable: bool) -> Me
     return MeasuredImage(cars, tuple(ground), true_gsd, usable and cars.n >= _MIN_CARS)
 
 
-def drawn(
-    rng: np.random.Generator, image: MeasuredImage, case: Case
-) -> tuple[list[Witness], float]:
+def drawn(rng: Generator, image: MeasuredImage, case: Case) -> tuple[list[Witness], float]:
     """Draw the witnesses of a case's rulers, and the true scale (another if vehicles are wrong)."""
     truth = image.true_gsd
     priors = image.ground
@@ -129,7 +128,7 @@ def drawn(
     return witnesses, truth
 
 
-def _wrong_gsd(rng: np.random.Generator, gsd: float) -> float:
+def _wrong_gsd(rng: Generator, gsd: float) -> float:
     return float(np.clip(gsd * math.exp(rng.choice([-1, 1]) * rng.uniform(*_LIE)), 0.004, 2.5))
 
 

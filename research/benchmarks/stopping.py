@@ -46,6 +46,7 @@ from vehanchor.scale.posterior import answer
 from vehanchor.scale.reliability import APPEARANCE_LOG_SD
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
@@ -108,7 +109,7 @@ class Mosaic:
         fields: list[Cell],
         share: float,
         factor: float,
-        rng: np.random.Generator,
+        rng: Generator,
     ) -> None:
         is_town = layout(side // CELL_PX, share, rng)
         cells = []

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.random import Generator
 
 from research.scenes.blocks import FILLERS
 from research.scenes.fleet import Fleet
@@ -60,9 +61,7 @@ _MARGIN_M = 45.0
 _MIN_EXTENT_M = 150.0
 
 
-def lay_out(
-    rng: np.random.Generator, layout: Layout, width_m: float, height_m: float, fleet: Fleet
-) -> World:
+def lay_out(rng: Generator, layout: Layout, width_m: float, height_m: float, fleet: Fleet) -> World:
     """Build a world that covers a view of this size and a margin around it.
 
     Small views are centred on a vehicle, if there is one.

@@ -9,6 +9,7 @@ from typing import cast
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.fleet import VehicleModel
@@ -64,7 +65,7 @@ class Painter:
 
     world: World
     sun: Sun
-    rng: np.random.Generator
+    rng: Generator
     px_per_m: float
     """Resolution of the canvas before downsampling."""
     _sprites: dict[tuple[str, int], tuple[_Layer, float, float]] = field(default_factory=dict)

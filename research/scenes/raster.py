@@ -7,6 +7,7 @@ from typing import TypeAlias, cast
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 Points: TypeAlias = NDArray[np.float64]
@@ -76,7 +77,7 @@ def clip_polygon(points: Points, x0: float, y0: float, x1: float, y1: float) -> 
     return current
 
 
-def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> Texture:
+def noise_texture(rng: Generator, size: int, exponent: float) -> Texture:
     """Create periodic noise [size, size]: spectrum f ** -exponent, zero mean, unit variance."""
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])

@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeAlias, cast, get_args
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.fleet import Fleet
@@ -225,9 +226,7 @@ def _paint(
     return image, crowns
 
 
-def _view_corner(
-    world: World, width: float, height: float, rng: np.random.Generator
-) -> tuple[float, float]:
+def _view_corner(world: World, width: float, height: float, rng: Generator) -> tuple[float, float]:
     """Choose the view's top left corner; small views move to the vehicle nearest the centre."""
     jitter = rng.uniform(-0.2, 0.2, 2)
     if max(width, height) >= _SMALL_VIEW_M or not world.vehicles:
@@ -245,7 +244,7 @@ def _thin(
     world: World,
     view: tuple[float, float, float, float],
     limit: int | None,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> None:
     """Remove vehicles: keep at most ``limit`` small ones in view, and that share of all others."""
     if limit is None:
@@ -269,7 +268,7 @@ def _thin(
     world.vehicles[:] = [vehicle for vehicle in world.vehicles if id(vehicle) in kept]
 
 
-def _photograph(image: Picture, rng: np.random.Generator) -> Picture:
+def _photograph(image: Picture, rng: Generator) -> Picture:
     """Apply lens, haze, sensor and compression."""
     sigma = rng.uniform(0.45, 0.85)
     blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.sprites import Sun
@@ -226,7 +227,7 @@ class _Canvas:
         return min(1.0, w / self.step, h / self.step)
 
 
-def _pitched_fittings(canvas: _Canvas, part: Rect, rng: np.random.Generator) -> None:
+def _pitched_fittings(canvas: _Canvas, part: Rect, rng: Generator) -> None:
     """Add chimneys, roof windows and solar panels to a pitched roof."""
     x0, y0, x1, y1 = part
     w = x1 - x0
@@ -278,7 +279,7 @@ def _pitched_fittings(canvas: _Canvas, part: Rect, rng: np.random.Generator) -> 
                     canvas.rectangle(cells, (34, 42, 66))
 
 
-def _random_box(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Rect:
+def _random_box(part: Rect, rng: Generator, size: tuple[float, float]) -> Rect:
     """Draw a position on a flat roof, away from its edge: centre and size."""
     x0, y0, x1, y1 = part
     margin = 1.6
@@ -289,7 +290,7 @@ def _random_box(part: Rect, rng: np.random.Generator, size: tuple[float, float])
     return float(x), float(y), sx, sy
 
 
-def _flat_fittings(canvas: _Canvas, roof_rgb: Rgb, part: Rect, rng: np.random.Generator) -> None:
+def _flat_fittings(canvas: _Canvas, roof_rgb: Rgb, part: Rect, rng: Generator) -> None:
     """Add sheets, seams, roof lights, machinery and solar panels to one part of a flat roof."""
     x0, y0, x1, y1 = part
     w = x1 - x0

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from research.scenes.fleet import Fleet, VehicleModel
@@ -34,12 +35,12 @@ WHITE: Rgb = (222, 222, 216)
 Option = TypeVar("Option")
 
 
-def pick(rng: np.random.Generator, options: Sequence[Option]) -> Option:
+def pick(rng: Generator, options: Sequence[Option]) -> Option:
     """Draw one of several options, all equally likely."""
     return options[int(rng.integers(len(options)))]
 
 
-def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float = 0.05) -> Rgb:
+def jitter(rng: Generator, rgb: Rgb, spread: float = 6.0, gain: float = 0.05) -> Rgb:
     """Vary a colour at random."""
     brightness, red, green, blue = rng.standard_normal(4).tolist()
     scale = 1 + brightness * gain
@@ -52,7 +53,7 @@ def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float 
     return cast("Rgb", tuple(varied))
 
 
-def flat_roof_rgb(rng: np.random.Generator) -> Rgb:
+def flat_roof_rgb(rng: Generator) -> Rgb:
     """Draw the colour of a flat roof: gravel, membrane or bitumen."""
     tones: tuple[Rgb, ...] = (
         (204, 200, 192),
@@ -85,7 +86,7 @@ class Palette:
     """Share of gardens with a pool."""
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> Palette:
+    def draw(cls, rng: Generator) -> Palette:
         """Draw one of several kinds of region, with variation."""
         greens: tuple[Rgb, ...] = (
             (96, 110, 78),
@@ -129,7 +130,7 @@ class Palette:
         )
 
 
-def _soil(rng: np.random.Generator) -> Rgb:
+def _soil(rng: Generator) -> Rgb:
     """Draw the colour of soil, light or dark."""
     rgb: Rgb = (164, 142, 114) if rng.random() < 0.6 else (132, 112, 92)
     return jitter(rng, rgb, 8, 0.07)
@@ -141,7 +142,7 @@ class Site:
 
     world: World
     frame: Frame
-    rng: np.random.Generator
+    rng: Generator
     fleet: Fleet
     palette: Palette
     kept_free: list[tuple[Frame, Rect]] = field(default_factory=list)
@@ -416,7 +417,7 @@ def _corners(rect: Rect) -> list[tuple[float, float]]:
 
 
 def _blob(
-    rng: np.random.Generator, x: float, y: float, rx: float, ry: float, rough: float
+    rng: Generator, x: float, y: float, rx: float, ry: float, rough: float
 ) -> NDArray[np.float64]:
     angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     radial = np.ones_like(angles)

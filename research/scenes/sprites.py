@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 CROWN_SPAN = 1.25
@@ -420,7 +421,7 @@ def _heavy(
     )
 
 
-def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool = False) -> _Layer:
+def crown_sprite(rng: Generator, size: int, sun: Sun, *, conical: bool = False) -> _Layer:
     """Draw a crown of leaf clusters in sunlight.
 
     Args:

@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.fleet import Fleet, VehicleModel
@@ -71,7 +72,7 @@ class Ground(NamedTuple):
     gsd_m_per_px: float
 
 
-def free_position(rng: np.random.Generator, ground: Ground, reach_m: float) -> Point | None:
+def free_position(rng: Generator, ground: Ground, reach_m: float) -> Point | None:
     """Draw a position without a labelled car within ``reach_m``; None after six failures.
 
     Most positions are near a labelled car: on a road or a car park.
@@ -170,7 +171,7 @@ def draw_vehicle(
     )
 
 
-def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
+def photographed(rng: Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
     """Make the stored chip of a canvas, as coarse as its ground.
 
     Args:
@@ -202,7 +203,7 @@ class Pasted(NamedTuple):
     length_px: float
 
 
-def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | None:
+def pasted(rng: Generator, ground: Ground, fleet: Fleet) -> Pasted | None:
     """Draw a vehicle or a look-alike on real ground; None without a free position."""
     draw = rng.random()
     is_car = draw < _CAR_SHARE
@@ -221,7 +222,7 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
 
 
 def _pasted_vehicle(
-    rng: np.random.Generator,
+    rng: Generator,
     ground: Ground,
     position: Point,
     *,
@@ -256,9 +257,7 @@ def _pasted_vehicle(
     )
 
 
-def _pasted_lookalike(
-    rng: np.random.Generator, ground: Ground, position: Point, sun: Sun
-) -> Pasted:
+def _pasted_lookalike(rng: Generator, ground: Ground, position: Point, sun: Sun) -> Pasted:
     """Draw a look-alike, with a candidate about as long."""
     px_per_m = 2 * STORED_LENGTH_PX / _LOOKALIKE_M
     turn = rng.uniform(0, 2 * np.pi)
@@ -293,7 +292,7 @@ def _source_length_px(coarse: float) -> float:
 
 
 def _candidate(
-    rng: np.random.Generator, model: VehicleModel, *, wrong: bool
+    rng: Generator, model: VehicleModel, *, wrong: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Draw a candidate and the true box beside it, in metres.
 
@@ -324,7 +323,7 @@ def _candidate(
 
 
 def _draw_company(
-    rng: np.random.Generator,
+    rng: Generator,
     canvas: Canvas,
     truth: NDArray[np.float64],
     px_per_m: float,

@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeAlias
 import cv2
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -106,7 +107,7 @@ class Move(NamedTuple):
 STILL = Move(np.zeros(2), 1.0, turn=0.0, flip=np.ones(2))
 
 
-def draw_move(rng: np.random.Generator) -> Move:
+def draw_move(rng: Generator) -> Move:
     """Draw a small displacement of a candidate, mirrored at random."""
     shift = np.clip(rng.normal(0, 1, 2), -_MAX_SD, _MAX_SD)
     scale = np.clip(rng.normal(0, 1, 1), -_MAX_SD, _MAX_SD)
@@ -166,7 +167,7 @@ def edges_of_box(box: NDArray[np.floating]) -> NDArray[np.float64]:
     )
 
 
-def coarsened(rng: np.random.Generator, chip: Chip, length_px: float) -> Chip:
+def coarsened(rng: Generator, chip: Chip, length_px: float) -> Chip:
     """Simulate a coarser image, in some of the cases."""
     finest = min(length_px, CHIP_LENGTH_PX)
     if rng.random() >= _COARSE_SHARE or finest <= _COARSEST_PX:

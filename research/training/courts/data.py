@@ -18,6 +18,7 @@ from research.training.detector.places import is_held_out, places
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
     from torch import Tensor
 
@@ -149,7 +150,7 @@ class CropStream:
         )
 
 
-def _crop(picture: Picture, gsd: float, rng: np.random.Generator) -> tuple[Pixels, list[Court]]:
+def _crop(picture: Picture, gsd: float, rng: Generator) -> tuple[Pixels, list[Court]]:
     """Cut a crop at a scale, turned at random and mirrored, and its courts in pixels."""
     factor = picture.gsd_m_per_px / gsd
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
@@ -198,7 +199,7 @@ def _targets(
     return targets, weights
 
 
-def _recoloured(pixels: Pixels, rng: np.random.Generator) -> NDArray[np.float32]:
+def _recoloured(pixels: Pixels, rng: Generator) -> NDArray[np.float32]:
     """Change saturation, order of channels, gain, gamma, sharpness and noise at random."""
     values = pixels.astype(np.float32) / 255.0
     grey = values.mean(axis=2, keepdims=True)

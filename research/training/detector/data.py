@@ -21,6 +21,7 @@ from vehanchor_evaluation.dota import read_labels
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     Picture: TypeAlias = NDArray[np.uint8]
@@ -205,7 +206,7 @@ class Crop(NamedTuple):
     covered: Mask
 
 
-def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
+def draw_crop(rng: Generator, sample: TrainImage) -> Crop:
     """Cut a rotated, flipped, rescaled crop.
 
     Cars at the crop's edge or outside the range of lengths are ignored.
@@ -242,7 +243,7 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     return Crop(image, boxes, ignore=ignore, covered=covered)
 
 
-def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
+def _drawn_scale(rng: Generator, sample: TrainImage) -> float:
     """Draw crop pixels per image pixel: the cars' length is log-uniform in its range."""
     if len(sample.boxes):
         car_px = float(np.median(sample.boxes[:, 2]))
@@ -256,7 +257,7 @@ def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
     return min(target / car_px, _MAX_ENLARGEMENT * rng.uniform(0.6, 1.0))
 
 
-def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> Point:
+def _drawn_focus(rng: Generator, sample: TrainImage, scale: float) -> Point:
     """Draw the image point in the middle of the crop: near clutter, near a car, or anywhere."""
     height, width = sample.image.shape[:2]
     if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
@@ -328,7 +329,7 @@ def lay_over(top: Crop, bottom: Crop) -> Crop:
     )
 
 
-def distracted(rng: np.random.Generator, crop: Crop) -> Crop:
+def distracted(rng: Generator, crop: Crop) -> Crop:
     """Draw striped or gridded objects over a part of a crop."""
     image, hides = draw_distractors(rng, crop.image)
     return _hidden_by(hides, crop)._replace(image=image)
@@ -357,7 +358,7 @@ def _invert(a: Affine) -> Affine:
     return np.column_stack([inverse, -inverse @ a[:, 2]])
 
 
-def photometric(rng: np.random.Generator, image: Picture) -> Picture:
+def photometric(rng: Generator, image: Picture) -> Picture:
     """Change exposure, colour, sharpness, noise and compression strongly at random."""
     x = image.astype(np.float32) / 255.0
     if rng.random() < 0.12:

@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 Picture: TypeAlias = NDArray[np.uint8]
@@ -28,11 +29,11 @@ _SHIFT = 4
 # Colour [h, w, 3] in 0..255, and opacity [h, w] in 0..1.
 _Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
 # Draws one kind of distractor.
-_Draw = Callable[[np.random.Generator, Picture], _Layer]
+_Draw = Callable[[Generator, Picture], _Layer]
 
 
 def draw_distractors(
-    rng: np.random.Generator, image: Picture, kind: str | None = None
+    rng: Generator, image: Picture, kind: str | None = None
 ) -> tuple[Picture, Mask]:
     """Lay a patch of one kind over an image.
 
@@ -66,12 +67,12 @@ def draw_distractors(
     return picture, np.asarray(grown, bool)
 
 
-def _paint(rng: np.random.Generator, low: int, high: int, chroma: float = 12.0) -> Colour:
+def _paint(rng: Generator, low: int, high: int, chroma: float = 12.0) -> Colour:
     rgb = rng.uniform(low, high) + rng.normal(0, chroma, 3)
     return np.clip(rgb, 0, 255).astype(np.float32)
 
 
-def _ground(rng: np.random.Generator, image: Picture) -> _Layer:
+def _ground(rng: Generator, image: Picture) -> _Layer:
     """Even ground of the image's own tone, or none."""
     height, width = image.shape[:2]
     tone = image.reshape(-1, 3).mean(axis=0) * rng.uniform(0.6, 1.3)
@@ -82,7 +83,7 @@ def _ground(rng: np.random.Generator, image: Picture) -> _Layer:
 
 
 def _rectangles(
-    rng: np.random.Generator,
+    rng: Generator,
     layer: _Layer,
     size: tuple[float, float],
     pitch: tuple[float, float],
@@ -123,7 +124,7 @@ def _rectangles(
 _SHADOW = np.array([25.0, 25.0, 30.0], np.float32)
 
 
-def _zebra(rng: np.random.Generator, image: Picture) -> _Layer:
+def _zebra(rng: Generator, image: Picture) -> _Layer:
     thick = float(np.exp(rng.uniform(np.log(2.5), np.log(18))))
     long = thick * rng.uniform(3, 9)
     pitch = (long * rng.uniform(1.5, 5), thick * rng.uniform(1.7, 2.4))
@@ -137,7 +138,7 @@ def _zebra(rng: np.random.Generator, image: Picture) -> _Layer:
     )
 
 
-def _posts(rng: np.random.Generator, image: Picture) -> _Layer:
+def _posts(rng: Generator, image: Picture) -> _Layer:
     thick = float(np.exp(rng.uniform(np.log(1.5), np.log(9))))
     size = (thick * rng.uniform(1.0, 2.6), thick)
     pitch = (thick * rng.uniform(2.5, 8), thick * rng.uniform(3, 10))
@@ -151,7 +152,7 @@ def _posts(rng: np.random.Generator, image: Picture) -> _Layer:
     )
 
 
-def _slabs(rng: np.random.Generator, image: Picture) -> _Layer:
+def _slabs(rng: Generator, image: Picture) -> _Layer:
     """Draw tombs, crates, containers or pontoons: plain, of a few paints, with shadows."""
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.2, 4.5), thick)
@@ -167,7 +168,7 @@ def _slabs(rng: np.random.Generator, image: Picture) -> _Layer:
     )
 
 
-def _panels(rng: np.random.Generator, image: Picture) -> _Layer:
+def _panels(rng: Generator, image: Picture) -> _Layer:
     """Solar panels and roof windows: dark, glossy, close together."""
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.3, 2.2), thick)
@@ -183,7 +184,7 @@ def _panels(rng: np.random.Generator, image: Picture) -> _Layer:
     )
 
 
-def _crowns(rng: np.random.Generator, image: Picture) -> _Layer:
+def _crowns(rng: Generator, image: Picture) -> _Layer:
     """Plantations: round crowns in rows, each with its shadow."""
     colour, opacity = _ground(rng, image)
     height, width = opacity.shape

@@ -14,6 +14,7 @@ import numpy as np
 from vehanchor.detection.boxes import box_corners
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     Picture: TypeAlias = NDArray[np.uint8]
@@ -45,7 +46,7 @@ _AT_CAR = 0.6
 _SHIFT = 4
 
 
-def shaded(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Picture:
+def shaded(rng: Generator, image: Picture, boxes: Boxes) -> Picture:
     """Apply none, one or several of the three, each with its probability.
 
     Args:
@@ -67,7 +68,7 @@ def shaded(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Picture:
     return image
 
 
-def _position(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Point:
+def _position(rng: Generator, image: Picture, boxes: Boxes) -> Point:
     """Draw a position beside a car or anywhere."""
     if len(boxes) and rng.random() < _AT_CAR:
         x, y, length, _, _ = boxes[rng.integers(len(boxes))]
@@ -75,7 +76,7 @@ def _position(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Point:
     return rng.uniform(0, 1, 2) * image.shape[1::-1]
 
 
-def darken_cars(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Picture:
+def darken_cars(rng: Generator, image: Picture, boxes: Boxes) -> Picture:
     """Paint some of the cars dark: their form stays, its contrast shrinks."""
     brightness = np.ones(image.shape[:2], np.float32)
     for box in boxes[rng.random(len(boxes)) < _DARK_CARS]:
@@ -87,7 +88,7 @@ def darken_cars(rng: np.random.Generator, image: Picture, boxes: Boxes) -> Pictu
     return _lit(image, brightness[:, :, None])
 
 
-def cast_shadow(rng: np.random.Generator, image: Picture, middle: Point, car_px: float) -> Picture:
+def cast_shadow(rng: Generator, image: Picture, middle: Point, car_px: float) -> Picture:
     """Darken a straight-sided area of one to eight cars' lengths with a hard or soft edge."""
     log_sides = rng.uniform(np.log(1.0), np.log(8.0), 2)
     sides = car_px * np.exp(log_sides)
@@ -104,7 +105,7 @@ def cast_shadow(rng: np.random.Generator, image: Picture, middle: Point, car_px:
     return _lit(image, 1 + inside[:, :, None] * (tint - 1))
 
 
-def draw_crown(rng: np.random.Generator, image: Picture, foot: Point, car_px: float) -> Picture:
+def draw_crown(rng: Generator, image: Picture, foot: Point, car_px: float) -> Picture:
     """Draw the branches of a bare tree, and their shadow beside them."""
     cover = np.zeros(image.shape[:2], np.float32)
     radius = car_px * rng.uniform(0.4, 1.3)
@@ -125,7 +126,7 @@ def draw_crown(rng: np.random.Generator, image: Picture, foot: Point, car_px: fl
 
 
 def _draw_branch(
-    rng: np.random.Generator,
+    rng: Generator,
     cover: Layer,
     foot: Point,
     heading: float,

@@ -25,6 +25,7 @@ from vehanchor_evaluation.dota import read_labels
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     Picture: TypeAlias = NDArray[np.uint8]
@@ -260,7 +261,7 @@ def coarsest_m_per_px(image: ScaledImage) -> float:
     return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
 
 
-def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float) -> Picture:
+def draw_crop(rng: Generator, image: ScaledImage, gsd_m_per_px: float) -> Picture:
     """Cut a square of ``TILE_PX`` pixels, averaged over areas, turned and flipped at random.
 
     Returns:
@@ -292,7 +293,7 @@ def draw_crop(rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float)
     return np.ascontiguousarray(part[:, ::-1] if rng.random() < 0.5 else part)
 
 
-def retouched(rng: np.random.Generator, crop: Picture) -> Picture:
+def retouched(rng: Generator, crop: Picture) -> Picture:
     """Change colours, tones and compression, but not sharpness."""
     x = crop.astype(np.float32) / 255.0
     grey = x.mean(axis=2, keepdims=True)
@@ -311,7 +312,7 @@ def retouched(rng: np.random.Generator, crop: Picture) -> Picture:
     return out
 
 
-def featureless(rng: np.random.Generator) -> Picture:
+def featureless(rng: Generator) -> Picture:
     """Draw noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
     roughness = rng.uniform(0.2, 1.2)
@@ -368,7 +369,7 @@ class CropStream:
         pixels = changed(rng, crop).transpose(2, 0, 1)
         return torch.from_numpy(np.ascontiguousarray(pixels)), torch.from_numpy(target)
 
-    def _draw(self, rng: np.random.Generator) -> tuple[ScaledImage, float]:
+    def _draw(self, rng: Generator) -> tuple[ScaledImage, float]:
         gsd = float(np.exp(rng.uniform(*self._within)))
         able = (self._range[:, 0] <= gsd) & (gsd <= self._range[:, 1])
         names = np.unique(self._set[able])

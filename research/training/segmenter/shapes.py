@@ -15,6 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     Picture: TypeAlias = NDArray[np.uint8]
@@ -46,7 +47,7 @@ _SHIFT = 4
 _MIN_CONTRAST = 14.0
 
 
-def _turned(points: Polygon, rng: np.random.Generator) -> Polygon:
+def _turned(points: Polygon, rng: Generator) -> Polygon:
     angle = rng.uniform(0, 2 * np.pi)
     cos = np.cos(angle)
     sin = np.sin(angle)
@@ -68,7 +69,7 @@ def _ellipse(wide: float, high: float, power: float = 2.0) -> Polygon:
     return np.column_stack([x, y])
 
 
-def _outline(rng: np.random.Generator) -> list[Polygon]:
+def _outline(rng: Generator) -> list[Polygon]:
     """Draw polygons, whose union is the shape, of about unit half size, not yet turned."""
     kind = rng.choice(7, p=(0.22, 0.14, 0.16, 0.12, 0.12, 0.12, 0.12))
     ratio = rng.uniform(0.3, 1.0)
@@ -120,13 +121,13 @@ def _filled(polygons: list[Polygon], side: int) -> Coverage:
     return out
 
 
-def _colour(rng: np.random.Generator) -> Colour:
+def _colour(rng: Generator) -> Colour:
     level = rng.uniform(15, 240)
     colour: NDArray[np.float64] = level + rng.normal(0, 1, 3) * rng.choice([8.0, 45.0])
     return np.clip(colour, 0, 255).astype(np.float32)
 
 
-def _surface(rng: np.random.Generator, texture: Picture, polygons: list[Polygon]) -> Surface:
+def _surface(rng: Generator, texture: Picture, polygons: list[Polygon]) -> Surface:
     """Draw a shape's surface: a colour or real texture, then ridges, a grid, rings or stripes."""
     side = texture.shape[0]
     surface: NDArray[np.floating] = _base(rng, texture)
@@ -162,7 +163,7 @@ def _surface(rng: np.random.Generator, texture: Picture, polygons: list[Polygon]
     return surface.astype(np.float32)
 
 
-def _base(rng: np.random.Generator, texture: Picture) -> Surface:
+def _base(rng: Generator, texture: Picture) -> Surface:
     """Draw a real texture of another brightness, or a colour with a little texture."""
     grain = texture.astype(np.float32)
     if rng.random() < 0.35:
@@ -173,7 +174,7 @@ def _base(rng: np.random.Generator, texture: Picture) -> Surface:
 
 
 def _own_axes(
-    rng: np.random.Generator, side: int, polygons: list[Polygon]
+    rng: Generator, side: int, polygons: list[Polygon]
 ) -> tuple[Point, float, Coordinates, Coordinates]:
     """Compute a shape's centre and size, and each pixel's coordinates along and across it.
 
@@ -193,7 +194,7 @@ def _own_axes(
     return centre, size, u, v
 
 
-def _placed(rng: np.random.Generator, length_px: float, focus: Point) -> list[Polygon]:
+def _placed(rng: Generator, length_px: float, focus: Point) -> list[Polygon]:
     """Draw an outline, turned, at its size and position."""
     outline = _outline(rng)
     turned = _turned(np.concatenate(outline), rng)
@@ -205,7 +206,7 @@ def _placed(rng: np.random.Generator, length_px: float, focus: Point) -> list[Po
 
 
 def composite(
-    rng: np.random.Generator,
+    rng: Generator,
     background: Picture,
     texture: Callable[[], Picture],
     length_px: float,

@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeAlias
 import cv2
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.training.detector.data import TrainImage, photometric
@@ -192,7 +193,7 @@ class ChipStream:
         )
 
 
-def varied(rng: np.random.Generator, stored: Chips) -> Chips:
+def varied(rng: Generator, stored: Chips) -> Chips:
     """Cut a chip of a box a little off, mirrored at random, sometimes of a coarser image."""
     scale = np.exp(rng.normal(0, _JITTER))
     turn = rng.normal(0, _TURN)
