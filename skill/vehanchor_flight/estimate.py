@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence, Sized
+from collections.abc import Sized
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor_flight.features import Features
+    from vehanchor_flight.record import Results
     from vehanchor_flight.records import FlightEstimate
 
 _REDUCED_SIDE_PX = 32  # Side of the copy by which two sizes of a photograph are recognised.
@@ -49,9 +50,7 @@ _MAX_COPY_DIFFERENCE = 3.0
 _ASPECT_TOLERANCE = 0.01  # Relative difference between the aspect ratios of two copies.
 
 
-def conclude(
-    results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool
-) -> FlightEstimate:
+def conclude(results: Results, card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
     """Make the record of searched photographs; without ``same_scale`` they need features."""
     indices = [index for index, result in enumerate(results) if isinstance(result, Photograph)]
     members = [result for result in results if isinstance(result, Photograph)]
@@ -174,12 +173,13 @@ def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
     return np.asarray(reduced, np.uint8)
 
 
-def without_copies(results: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
+def without_copies(results: Results) -> list[Photograph | Failure]:
     """Keep the largest of several sizes of a photograph; the others become failures."""
     remaining = list(results)
     originals: list[Photograph] = []
     for index, photograph in _widest_first(results):
-        original = next((other for other in originals if _is_copy(photograph, other)), None)
+        copied = (other for other in originals if _is_copy(photograph, other))
+        original = next(copied, None)
         if original is None:
             originals.append(photograph)
         else:
@@ -188,12 +188,19 @@ def without_copies(results: Sequence[Photograph | Failure]) -> list[Photograph |
     return remaining
 
 
-def _widest_first(results: Sequence[Photograph | Failure]) -> list[tuple[int, Photograph]]:
+def _widest_first(results: Results) -> list[tuple[int, Photograph]]:
     """List the photographs with their indices; those of equal width keep their order."""
-    photographs = [
-        (index, result) for index, result in enumerate(results) if isinstance(result, Photograph)
-    ]
-    return sorted(photographs, key=lambda indexed: -indexed[1].view.image.width_px)
+    photographs = []
+    for index, result in enumerate(results):
+        if isinstance(result, Photograph):
+            photographs.append((index, result))
+
+    def width_px(indexed: tuple[int, Photograph]) -> int:
+        _, photograph = indexed
+        return photograph.view.image.width_px
+
+    # A reversed sort keeps the order of equals, too.
+    return sorted(photographs, key=width_px, reverse=True)
 
 
 def _is_copy(small: Photograph, large: Photograph) -> bool:

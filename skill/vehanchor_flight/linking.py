@@ -131,7 +131,8 @@ def _link_consistently(
             break
         misplaced |= newly_misplaced
     dropped = {}
-    for number, residual in zip(tried, solution.residuals.tolist(), strict=True):
+    residuals = solution.residuals.tolist()
+    for number, residual in zip(tried, residuals, strict=True):
         if number not in used:
             dropped[number] = _contradicting_text(residual)
     for number, distance in misplaced.items():
@@ -192,13 +193,15 @@ def _foot(photograph: Photograph) -> Point:
 def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
     """Make the link of an overlap for the graph of scales."""
     matched = overlap.match
+    first = photographs[overlap.first]
+    second = photographs[overlap.second]
     return Link(
         overlap.first,
         overlap.second,
         log_ratio=matched.log_ratio,
         log_sd=matched.log_sd,
-        first_at=_from_centre(photographs[overlap.first], matched.first_at),
-        second_at=_from_centre(photographs[overlap.second], matched.second_at),
+        first_at=_from_centre(first, matched.first_at),
+        second_at=_from_centre(second, matched.second_at),
     )
 
 
@@ -243,7 +246,8 @@ def _component(
     members = [photographs[index] for index in subgraph.members]
     reference = chief_member(members)
     # The layout counts the members, and overlaps count all photographs.
-    index_in_component = {index: k for k, index in enumerate(subgraph.members.tolist())}
+    indices = subgraph.members.tolist()
+    index_in_component = {index: k for k, index in enumerate(indices)}
     own_overlaps = {
         number: overlap
         for number, overlap in overlaps.items()
@@ -264,7 +268,8 @@ def _component(
     )
     extra: tuple[Witness, ...] = ()
     if positions is not None:
-        extra = _positions_witness(layout, positions[subgraph.members], members[reference])
+        own_positions = positions[subgraph.members]
+        extra = _positions_witness(layout, own_positions, members[reference])
     links = [_link(overlap, photographs) for overlap in own_overlaps.values()]
     tilt_sds = _sds_by_tilt(members, offsets, links)
     link_sds = subgraph.sds_from(reference)

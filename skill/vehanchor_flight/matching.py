@@ -104,7 +104,8 @@ def match(first: Features, second: Features) -> Match | None:
         return None
     first_points = first_points[is_inlier]
     second_points = second_points[is_inlier]
-    log_sd = round(_log_ratio_sd(first_points, second_points, transform), _DIGITS)
+    exact_log_sd = _log_ratio_sd(first_points, second_points, transform)
+    log_sd = round(exact_log_sd, _DIGITS)
     return Match(
         math.log(ratio),
         log_sd,
@@ -128,7 +129,9 @@ def _nearest(first: Descriptors, second: Descriptors) -> NDArray[np.intp]:
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), np.intp)
     # All descriptors have one length L, so that their squared distance is 2 (L^2 - product).
-    products = first.astype(np.float32) @ second.astype(np.float32).T
+    first_numbers = first.astype(np.float32)
+    second_numbers = second.astype(np.float32)
+    products = first_numbers @ second_numbers.T
     rows = np.arange(len(first))
     best = products.argmax(axis=1)
     is_mutual = products.argmax(axis=0)[best] == rows
@@ -157,13 +160,16 @@ def _log_ratio_sd(first: Points, second: Points, transform: Transform) -> float:
     mapped = first @ rotation.T + shift
     error = _rms(mapped - second)
     radius = _rms(second - second.mean(axis=0))
-    scatter_sd = error / (radius * math.sqrt(2 * len(first)))
+    root_of_n = math.sqrt(2 * len(first))
+    scatter_sd = error / (radius * root_of_n)
     # Shape: an affine fit has two singular values, and a tilt of the camera makes them differ.
     centred = first - first.mean(axis=0)
     design = np.column_stack([centred, np.ones(len(first))])
     affine, *_ = np.linalg.lstsq(design, second, rcond=None)
     largest, smallest = np.linalg.svd(affine[:2], compute_uv=False)
-    stretch = math.log(max(largest, 1e-9) / max(smallest, 1e-9))
+    along = max(largest, 1e-9)
+    across = max(smallest, 1e-9)
+    stretch = math.log(along / across)
     shape_sd = min(_SHAPE_SHARE * stretch, _MAX_SHAPE_SD)
     return math.sqrt(scatter_sd**2 + shape_sd**2 + _LOG_SD**2)
 

@@ -7,7 +7,7 @@ photograph, so that their number grows linearly with the number of photographs.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -85,8 +85,13 @@ def _by_appearance(features: Sequence[Features]) -> set[Pair]:
     pairs = set()
     for index, others in named.items():
         for _, other in sorted(others)[:_N_BY_APPEARANCE]:
-            pairs.add((min(index, other), max(index, other)))
+            pairs.add(_pair(index, other))
     return pairs
+
+
+def _pair(index: int, other: int) -> Pair:
+    """Put the lower of two indices first."""
+    return min(index, other), max(index, other)
 
 
 def _principal_components(features: Sequence[Features]) -> Descriptors:
@@ -114,7 +119,7 @@ def _votes(descriptors: Descriptors, owners: Owners, n: int) -> dict[int, int]:
     """
     rng = np.random.default_rng(_SEED)
     bit_values = 1 << np.arange(_N_BITS)
-    votes: dict[int, int] = {}
+    votes: Counter[int] = Counter()
     for _ in range(_N_TABLES):
         random_matrix = rng.normal(size=(_N_DIMENSIONS, _N_DIMENSIONS))
         rotation, _ = np.linalg.qr(random_matrix)
@@ -122,8 +127,7 @@ def _votes(descriptors: Descriptors, owners: Owners, n: int) -> dict[int, int]:
         is_positive = descriptors @ directions > 0
         pairs = _pairs_in_cells(is_positive @ bit_values, owners, n)
         keys, counts = np.unique(pairs, return_counts=True)
-        for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
-            votes[key] = votes.get(key, 0) + count
+        votes.update(dict(zip(keys.tolist(), counts.tolist(), strict=True)))
     return votes
 
 
@@ -160,9 +164,10 @@ def _pairs_in_cells(cells: Keys, owners: Owners, n: int) -> Keys:
         is_same = cells[step:] == cells[:-step]
         if not is_same.any():
             break
-        first = owners[:-step][is_same].astype(np.int64)
-        second = owners[step:][is_same]
-        keys.append(first * n + second)
+        earlier = owners[:-step]
+        later = owners[step:]
+        first = earlier[is_same].astype(np.int64)
+        keys.append(first * n + later[is_same])
     return np.concatenate(keys)
 
 
@@ -183,6 +188,5 @@ def _by_position(positions: Positions) -> set[Pair]:
     for own, others in enumerate(neighbours):
         for other in others:
             if other != own:
-                first, second = sorted((int(known[own]), int(known[other])))
-                pairs.add((first, second))
+                pairs.add(_pair(int(known[own]), int(known[other])))
     return pairs

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from vehanchor_flight.components import Component
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
+
+    Results: TypeAlias = Sequence["Photograph | Failure"]
+    """Searched photographs of a flight, or why they cannot be used."""
 
 _MAX_RULERS = 4  # Listed for each photograph.
 # A longer pause between two photographs of one camera begins a sortie; a change of battery is
@@ -111,7 +114,7 @@ class _Exposure(NamedTuple):
 
 
 def conclude_flight(
-    results: Sequence[Photograph | Failure],
+    results: Results,
     components: Sequence[Component],
     card: DetectorCard,
     *,
@@ -188,13 +191,13 @@ def conclude_flight(
     )
 
 
-def _members(results: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
+def _members(results: Results, component: Component) -> list[Photograph]:
     """Return the photographs of a component, which are all usable."""
     members = [results[index] for index in component.members]
     return [member for member in members if not isinstance(member, Failure)]
 
 
-def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
+def _sorties(results: Results) -> dict[int, int]:
     """Number the sorties of the usable photographs, by index of the photograph."""
     indices = []
     images = []
@@ -228,7 +231,9 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
         sortie_of[exposure.photograph] = sortie
     # Number the sorties again, in the order in which the photographs show them first.
     numbers: dict[int, int] = {}
-    return [numbers.setdefault(sortie_of[index], len(numbers)) for index in range(len(images))]
+    for index in range(len(images)):
+        numbers.setdefault(sortie_of[index], len(numbers))
+    return [numbers[sortie_of[index]] for index in range(len(images))]
 
 
 def _exposure(image: ImageFacts, index: int) -> _Exposure:
@@ -236,7 +241,8 @@ def _exposure(image: ImageFacts, index: int) -> _Exposure:
     camera = image.camera
     if camera is None:
         return _Exposure(("", ""), datetime.min, index)
-    return _Exposure((camera.make, camera.model), _taken_at(camera), index)
+    make_and_model = (camera.make, camera.model)
+    return _Exposure(make_and_model, _taken_at(camera), index)
 
 
 def _taken_at(camera: CameraMetadata) -> datetime:
@@ -252,7 +258,8 @@ def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
     sizes = Counter(numbers)
     if len(sizes) < 2:
         return ()
-    counts = " and ".join(str(sizes[number]) for number in sorted(sizes))
+    counts_in_order = [str(sizes[number]) for number in sorted(sizes)]
+    counts = " and ".join(counts_in_order)
     message = (
         f"By camera and time, these are {len(sizes)} sorties of {counts} photographs. Pool them "
         "only if all have the same scale; otherwise give each sortie alone, or leave out "
@@ -389,17 +396,21 @@ def _supporting_rulers(
     strongest = max(candidates, key=lambda support: support.strength).member
     # Rulers that are probably right come first, and of one ruler the strongest photograph.
     p_right = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
-    supports.sort(key=lambda support: (-p_right.get(support.ruler, 0.0), -support.strength))
+
+    def rank(support: _Support) -> tuple[float, float]:
+        return -p_right.get(support.ruler, 0.0), -support.strength
+
+    supports.sort(key=rank)
     rulers_of_members = []
     for member in range(len(members)):
         own = [support for support in supports if support.member == member]
         others = []
         if member != strongest:
             others = [support for support in supports if support.member == strongest]
-        rulers = [
-            FlightRuler(ruler=support.ruler, photograph=members[support.member].name)
-            for support in (own + others)[:_MAX_RULERS]
-        ]
+        rulers = []
+        for support in (own + others)[:_MAX_RULERS]:
+            photograph = members[support.member].name
+            rulers.append(FlightRuler(ruler=support.ruler, photograph=photograph))
         rulers_of_members.append(tuple(rulers))
     return rulers_of_members
 
@@ -410,9 +421,8 @@ def _supports_of_flight(component: Component) -> list[_Support]:
     for witness in component.extra:
         if witness.found:
             strength = 1.0 - witness.chance_wrong
-            supports += [
-                _Support(witness.kind, member, strength) for member in range(len(component))
-            ]
+            for member in range(len(component)):
+                supports.append(_Support(witness.kind, member, strength))
     return supports
 
 

@@ -141,7 +141,8 @@ class LiveEstimator:
         rotation = matched.turn[:, :2]
         shift = matched.turn[:, 2]
         cars = self._cars @ rotation.T + shift
-        self._cars = cars[_is_in_frame(cars, raster.width_px, raster.height_px)]
+        is_shown = _is_in_frame(cars, raster.width_px, raster.height_px)
+        self._cars = cars[is_shown]
         return True
 
     def _predict_state(self, seconds: float, motion: Motion | None) -> None:
@@ -158,7 +159,8 @@ class LiveEstimator:
         if self._prior_moved >= _PRIOR_FRAMES:
             self._prior = self._network.predict(raster)
             self._prior_moved = 0.0
-        factor = reduction_factor(self._expected_gsd(), raster.width_px, raster.height_px)
+        expected_gsd = self._expected_gsd()
+        factor = reduction_factor(expected_gsd, raster.width_px, raster.height_px)
         window = next_window(
             raster.width_px,
             raster.height_px,
@@ -221,7 +223,8 @@ class LiveEstimator:
         new_cars = np.zeros((0, 2))
         if analysis.vehicles is not None:
             new_cars = analysis.vehicles.fleet.centres * factor + low * factor
-        self._cars = np.concatenate([self._cars[~is_inside], new_cars])
+        other_cars = self._cars[~is_inside]
+        self._cars = np.concatenate([other_cars, new_cars])
 
     def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
         """Make the record of a frame from the filter and the estimate of the searched window."""
@@ -389,7 +392,9 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     vehicles = analysis.vehicles
     low = estimate.gsd_ci95_low_m_per_px
     high = estimate.gsd_ci95_high_m_per_px
-    if estimate.gsd_m_per_px is None or vehicles is None or not low or not high:
+    if estimate.gsd_m_per_px is None or vehicles is None:
+        return None
+    if not low or not high:
         return None
     # The interval holds the error of the reference length, too, which all cars of the flight share.
     log_sd = math.log(high / low) / (2 * Z95)

@@ -194,7 +194,9 @@ def on_earth(points: Points, origin: Origin) -> Points:
     raised_z = z + _SQUARED_ECCENTRICITY * radius * sine
     altitude = axis_distance * cosine + raised_z * sine - radius
     longitude = np.arctan2(y, x)
-    return np.column_stack([np.degrees(latitude), np.degrees(longitude), altitude])
+    latitude_deg = np.degrees(latitude)
+    longitude_deg = np.degrees(longitude)
+    return np.column_stack([latitude_deg, longitude_deg, altitude])
 
 
 def _geocentric(points: Points, origin: Origin) -> Points:
@@ -213,9 +215,11 @@ def _geocentric(points: Points, origin: Origin) -> Points:
     east = np.array([-sine_east, cosine_east, 0.0])
     up = np.array([cosine * cosine_east, cosine * sine_east, sine])
     north = np.cross(up, east)
-    radius = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - _SQUARED_ECCENTRICITY * sine**2)
+    root = math.sqrt(1 - _SQUARED_ECCENTRICITY * sine**2)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / root
     # The normal of the ellipsoid meets the axis below the equatorial plane.
-    below_equator = np.array([0, 0, _SQUARED_ECCENTRICITY * radius * sine])
+    depth = _SQUARED_ECCENTRICITY * radius * sine
+    below_equator = np.array([0, 0, depth])
     geocentric_origin = (radius + altitude_m) * up - below_equator
     axes = np.array([east, north, up])
     return np.asarray(geocentric_origin + points @ axes)

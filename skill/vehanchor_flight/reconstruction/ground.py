@@ -60,7 +60,8 @@ class Plane:
 
     def heights(self, points: Points) -> Heights:
         """Compute the heights ``[n]`` of points ``[n, 3]`` above the plane."""
-        return np.asarray(points @ self.normal - self.offset)
+        distances = points @ self.normal
+        return np.asarray(distances - self.offset)
 
     def below(self, point: Vector, whole_plane: Plane) -> float:
         """Compute how far the plane lies below a point.
@@ -175,7 +176,8 @@ def _lowest(plane: Plane, points: Points, thickness: float, whole_plane: Plane) 
     # turns for ever, because each has points below the other.
     middle = np.median(points, axis=0)
     for _ in range(_MAX_DESCENTS):
-        points = points[plane.heights(points) < -2 * thickness]
+        is_below = plane.heights(points) < -2 * thickness
+        points = points[is_below]
         if len(points) < n_needed:
             break
         lower = _most_common(points, thickness, whole_plane)
@@ -217,8 +219,8 @@ def _most_common(points: Points, thickness: float, whole_plane: Plane | None = N
     sample = _best_sample(points, thickness, whole_plane)
     if sample is None and whole_plane is not None:
         # No slope fits: as steep as the model, at the middle height.
-        height = float(np.median(whole_plane.heights(points)))
-        return Plane(whole_plane.normal, whole_plane.offset + height)
+        middle = float(np.median(whole_plane.heights(points)))
+        return Plane(whole_plane.normal, whole_plane.offset + middle)
     inside = np.ones(len(points), dtype=bool)
     if sample is not None:
         inside = sample.is_inside

@@ -110,7 +110,8 @@ class Lens:
         centre = np.array([self.centre_x_px, self.centre_y_px], np.float64)
         # The pinhole of an ideal lens: x / z and y / z of the ray.
         slopes: Pixels = (pixels - centre) / focals
-        if len(pixels) and (self.fisheye or any(self.distortion)):
+        is_distorted = self.fisheye or any(self.distortion)
+        if is_distorted and len(pixels):
             slopes = self._undistorted(pixels)
         return np.column_stack([slopes, np.ones(len(slopes))])
 
@@ -132,7 +133,8 @@ class Lens:
             np.float64,
         )
         n_missing = _MIN_COEFFICIENTS - len(self.distortion)
-        coefficients = np.array(self.distortion + (0.0,) * n_missing)
+        padding = (0.0,) * n_missing
+        coefficients = np.array(self.distortion + padding)
         undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
         slopes = undistort(pixels[:, None], matrix, coefficients)
         return np.asarray(slopes, np.float64).reshape(-1, 2)
@@ -181,7 +183,8 @@ class Shot:
         Returns:
             ``[n, 3]`` in the model's frame, one unit along the camera's axis.
         """
-        return np.asarray(self.lens.directions(points) @ self.rotation)
+        directions = self.lens.directions(points)
+        return np.asarray(directions @ self.rotation)
 
     def sees(self, points: Points) -> NDArray[np.bool_]:
         """Find the points that lie in the picture; the distortion of the lens is ignored.
@@ -192,13 +195,15 @@ class Shot:
         Returns:
             ``[n]`` bool.
         """
-        x, y, z = (points @ self.rotation.T + self.translation).T
+        lens = self.lens
+        camera_points = points @ self.rotation.T + self.translation
+        x, y, z = camera_points.T
         is_ahead = z > 0
         depth = np.where(is_ahead, z, 1.0)
-        across = self.lens.focal_x_px * x / depth + self.lens.centre_x_px
-        down = self.lens.focal_y_px * y / depth + self.lens.centre_y_px
-        is_in_width = (across >= 0) & (across <= self.lens.width_px)
-        is_in_height = (down >= 0) & (down <= self.lens.height_px)
+        across = lens.focal_x_px * x / depth + lens.centre_x_px
+        down = lens.focal_y_px * y / depth + lens.centre_y_px
+        is_in_width = (across >= 0) & (across <= lens.width_px)
+        is_in_height = (down >= 0) & (down <= lens.height_px)
         return np.asarray(is_ahead & is_in_width & is_in_height)
 
 

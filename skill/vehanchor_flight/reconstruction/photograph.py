@@ -95,18 +95,21 @@ class ShotAboveGround(NamedTuple):
                 the ground.
         """
         width_px, height_px = size
-        shot = replace(shot, lens=shot.lens.of_size(width_px, height_px))
+        lens = shot.lens.of_size(width_px, height_px)
+        shot = replace(shot, lens=lens)
         plane = plane_below(shot, points, whole_plane)
         # Straight down, in the camera's frame: z along its axis, y to the lower side of the image.
-        right, down, ahead = (-shot.rotation @ plane.normal).tolist()
+        straight_down = -shot.rotation @ plane.normal
+        right, down, ahead = straight_down.tolist()
         cosine = min(1.0, max(-1.0, ahead))
         tilt = CameraTilt(
             math.degrees(math.acos(cosine)),
             math.degrees(math.atan2(-right, down)) % 360,
-            focal_length_px=shot.lens.focal_px,
+            focal_length_px=lens.focal_px,
             source="the reconstruction",
         )
-        return cls(shot, plane, height=plane.height(shot.centre), tilt=tilt)
+        height = plane.height(shot.centre)
+        return cls(shot, plane, height=height, tilt=tilt)
 
     @property
     def tilted(self) -> bool:
@@ -116,7 +119,8 @@ class ShotAboveGround(NamedTuple):
     @property
     def gsd(self) -> float:
         """Model units per pixel at the centre of the ideal photograph."""
-        cosine = max(math.cos(math.radians(self.tilt.tilt_deg)), LEAST_DESCENT)
+        tilt = math.radians(self.tilt.tilt_deg)
+        cosine = max(math.cos(tilt), LEAST_DESCENT)
         return float(self.height / self.shot.lens.focal_px / cosine**1.5)
 
     def on_ground(self, points: Pixels) -> tuple[Points, Flags]:
@@ -190,9 +194,8 @@ class SearchedPhotograph:
             measure_detail_share=constant_detail_share(stored.detail_share),
             prior=stored.prior,
         )
-        return cls(
-            shot.name, view, others=stored.others or (), above_ground=above_ground, places=places
-        )
+        others = stored.others or ()
+        return cls(shot.name, view, others=others, above_ground=above_ground, places=places)
 
     def alone(self) -> Photograph:
         """Analyse the photograph by itself."""
@@ -250,9 +253,13 @@ def search_photograph(
             # The scene-scale prior holds for nadir images.
             view = replace(view, tilt=above_ground.tilt, prior=None)
         others = _measure_on_ground(view, above_ground)
-        detail_share = Vehicles().measure(view.at_nadir()).detail_share
+        vehicles = Vehicles().measure(view.at_nadir())
     return StoredPhotograph(
-        view.image, view.detections, detail_share=detail_share, others=others, prior=view.prior
+        view.image,
+        view.detections,
+        detail_share=vehicles.detail_share,
+        others=others,
+        prior=view.prior,
     )
 
 
@@ -266,7 +273,8 @@ def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:
         return []
     detections = [photograph.view.detections for photograph in photographs]
     n_boxes = [len(photograph.places) for photograph in photographs]
-    gsds = np.repeat([photograph.gsd for photograph in photographs], n_boxes)
+    photograph_gsds = [photograph.gsd for photograph in photographs]
+    gsds = np.repeat(photograph_gsds, n_boxes)
     lengths = np.concatenate([part.boxes[:, 2] for part in detections])
     scores = np.concatenate([part.scores for part in detections])
     places = np.concatenate([photograph.places for photograph in photographs])
@@ -303,9 +311,10 @@ def _distinct_cars(places: Points, log_lengths: Lengths, scores: Shares) -> tupl
             continue
         reach = _SAME_CAR_DISTANCE * math.exp(log_lengths[best])
         # Boxes in a cube first, which is faster than distances to all.
-        offsets = np.abs(places - places[best])
+        place = places[best]
+        offsets = np.abs(places - place)
         is_same = is_left & (offsets.max(axis=1) <= reach)
-        distances = np.linalg.norm(places[is_same] - places[best], axis=1)
+        distances = np.linalg.norm(places[is_same] - place, axis=1)
         is_same[is_same] = distances <= reach
         is_left[is_same] = False
         kept[best] = True
@@ -360,7 +369,8 @@ def _project_boxes(
     lengths = lengths[kept]
     widths = widths[kept]
     if above_ground.tilted:
-        lengths = length_off_nadir(lengths, widths, bodies=detections.appearance is not None)
+        has_bodies = detections.appearance is not None
+        lengths = length_off_nadir(lengths, widths, bodies=has_bodies)
     rays = places[kept] - above_ground.shot.centre
     nearness = _nearness(rays, above_ground, points)
     sizes = np.column_stack([lengths, widths])
@@ -420,7 +430,8 @@ def _select_boxes(detections: Detections, kept: Flags, lengths: Lengths) -> Dete
 
 def _undistorted_line(line: KnownLength, above_ground: ShotAboveGround) -> KnownLength:
     """Convert a line to pixels of a pinhole camera, which the ground plane assumes."""
-    ends = [(line.x1, line.y1), (line.x2, line.y2)]
-    ideal_ends = above_ground.shot.lens.ideal(ends)
+    start = (line.x1, line.y1)
+    end = (line.x2, line.y2)
+    ideal_ends = above_ground.shot.lens.ideal([start, end])
     (x1, y1), (x2, y2) = ideal_ends.tolist()
     return replace(line, x1=x1, y1=y1, x2=x2, y2=y2)
