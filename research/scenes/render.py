@@ -98,7 +98,9 @@ def render_scene(
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     random_layout = int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))
     layout = layout or cast("Layout", get_args(Layout)[random_layout])
-    sun = Sun(place_rng.uniform(0, 2 * math.pi), math.radians(place_rng.uniform(33, 64)))
+    azimuth = place_rng.uniform(0, 2 * math.pi)
+    elevation_deg = place_rng.uniform(33, 64)
+    sun = Sun(azimuth, math.radians(elevation_deg))
     fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
     width_m = width_px * gsd_m_per_px
     height_m = height_px * gsd_m_per_px
@@ -235,9 +237,13 @@ def _view_corner(world: World, width: float, height: float, rng: Generator) -> t
     centres = np.array([(vehicle.x, vehicle.y) for vehicle in small])
     if len(centres) == 0:
         return 0.0, 0.0
-    distances = np.hypot(centres[:, 0] - width / 2, centres[:, 1] - height / 2)
+    from_centre = centres - (width / 2, height / 2)
+    distances = np.hypot(from_centre[:, 0], from_centre[:, 1])
     x, y = centres[int(np.argmin(distances))]
-    return float(x - width * (0.5 + jitter[0])), float(y - height * (0.5 + jitter[1]))
+    jitter_x, jitter_y = jitter
+    corner_x = x - width * (0.5 + jitter_x)
+    corner_y = y - height * (0.5 + jitter_y)
+    return float(corner_x), float(corner_y)
 
 
 def _thin(

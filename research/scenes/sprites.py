@@ -177,10 +177,10 @@ def vehicle_sprite(
     pad = VEHICLE_PAD * length
     columns = max(8, round((length + 2 * pad) * px_per_m))
     rows = max(6, round((width + 2 * pad) * px_per_m))
-    u = ((np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5) * np.float32(
-        length + 2 * pad
-    )
-    v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
+    u_share = (np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5
+    v_share = (np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5
+    u = u_share * np.float32(length + 2 * pad)
+    v = v_share * np.float32(width + 2 * pad)
     grid_u, grid_v = cast("tuple[_Layer, _Layer]", np.meshgrid(u, v))
     if body in _CARS:
         return _car(
@@ -196,14 +196,12 @@ def _lit(height: _Layer, px: float, light: tuple[float, float, float]) -> _Layer
     slope_v, slope_u = np.gradient(height, px)
     slope_u = np.clip(slope_u, -2, 2)
     slope_v = np.clip(slope_v, -2, 2)
-    lambert = (light[2] - light[0] * slope_u - light[1] * slope_v) / np.sqrt(
-        1 + slope_u**2 + slope_v**2
-    )
+    light_x, light_y, light_z = light
+    normal_length = np.sqrt(1 + slope_u**2 + slope_v**2)
+    lambert = (light_z - light_x * slope_u - light_y * slope_v) / normal_length
     ambient = 0.45
-    return cast(
-        "_Layer",
-        np.clip(ambient + (1 - ambient) * lambert / light[2], 0.38, 1.35).astype(np.float32),
-    )
+    shade = ambient + (1 - ambient) * lambert / light_z
+    return cast("_Layer", np.clip(shade, 0.38, 1.35).astype(np.float32))
 
 
 def _car(
@@ -232,11 +230,9 @@ def _car(
     roof_height = {"van": 2.1, "suv": 1.65}.get(body, car.cabin_height)
     crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
     edge = np.clip(inset / 0.22, 0, 1)
-    height = (
-        belt * (0.55 + 0.45 * np.sqrt(edge))
-        + crown
-        + (roof_height - belt) * np.minimum(cabin, lean)
-    )
+    body_height = belt * (0.55 + 0.45 * np.sqrt(edge))
+    cabin_height = (roof_height - belt) * np.minimum(cabin, lean)
+    height = body_height + crown + cabin_height
     shade = _lit(height.astype(np.float32), px, light)
 
     glass = _car_glass(
@@ -246,26 +242,22 @@ def _car(
         glass *= 1 - _soft(((t - 0.30) * length).astype(np.float32), px)
     paint = shade * (1 - glass)
     # Windscreens reflect the sky: brighter towards the roof.
-    grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
+    sky = 26 * np.clip(rise, 0, 1) * (t < 0.5)
+    grey = glass * (38 + sky + 14 * (shade - 0.8))
     if car.bed:
-        bed = _band(t * length, car.bed_front * length, high=0.965 * length, width=px) * _soft(
-            ((0.80 - across) * half_width).astype(np.float32), px
-        )
+        along_bed = _band(t * length, car.bed_front * length, high=0.965 * length, width=px)
+        from_side = (0.80 - across) * half_width
+        bed = along_bed * _soft(from_side.astype(np.float32), px)
         paint *= 1 - 0.85 * bed
         grey += 26 * bed * (1 - glass)
-    gloss = (
-        np.exp(-(((v / half_width) - 0.35 * np.sign(-light[1] or 1.0)) ** 2) / 0.05)
-        * np.clip(edge, 0, 1)
-        * (1 - glass)
-    )
+    from_gloss = (v / half_width) - 0.35 * np.sign(-light[1] or 1.0)
+    gloss = np.exp(-(from_gloss**2) / 0.05) * np.clip(edge, 0, 1) * (1 - glass)
     grey += 11 * gloss  # along bonnet and roof
     red = _car_trim(
         car, paint, grey=grey, t=t, across=across, length=length, half_width=half_width, px=px
     )
-    return cast(
-        "_Layer",
-        np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32),
-    )
+    channels = [cover, paint * cover, grey * cover, red * cover]
+    return cast("_Layer", np.stack(channels, axis=2).astype(np.float32))
 
 
 def _car_inset(
@@ -277,14 +269,12 @@ def _car_inset(
     rounding = 0.10 * width if body == "van" else 0.17 * width
     front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
     rear = half_length - 0.5 * rounding * np.clip(across, 0, 1.2) ** 4
-    side = half_width * (
-        1
-        - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2
-        - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
-    )
-    return cast(
-        "_Layer", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32)
-    )
+    front_taper = 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2
+    rear_taper = 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
+    side = half_width * (1 - front_taper - rear_taper)
+    from_ends = np.minimum(front - u, u + rear)
+    from_sides = side - np.abs(v)
+    return cast("_Layer", np.minimum(from_ends, from_sides).astype(np.float32))
 
 
 def _car_glass(

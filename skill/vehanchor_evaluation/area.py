@@ -94,7 +94,9 @@ def open_mask_log(path: Path | None, segmenter_sha256: str) -> MaskLog:
 
 def _key(entry: AreaEntry) -> Key:
     """Identify an entry and the current state of its image and mask."""
-    return (entry.name, *Source.of(entry.image), *Source.of(entry.mask_file))
+    image_source = Source.of(entry.image)
+    mask_source = Source.of(entry.mask_file)
+    return (entry.name, *image_source, *mask_source)
 
 
 def segment_entries(
@@ -183,16 +185,18 @@ def _iou(entry: AreaEntry, segmentation: Segmentation) -> float:
     left = entry.left_px
     top = entry.top_px
     height, width = entry.mask.shape
-    x1 = max(left, window.x_px)
-    x2 = min(left + width, window.x_px + window.width_px)
-    y1 = max(top, window.y_px)
-    y2 = min(top + height, window.y_px + window.height_px)
+    window_left = window.x_px
+    window_top = window.y_px
+    x1 = max(left, window_left)
+    x2 = min(left + width, window_left + window.width_px)
+    y1 = max(top, window_top)
+    y2 = min(top + height, window_top + window.height_px)
     if x2 <= x1 or y2 <= y1:
         return 0.0
     true_rows = slice(y1 - top, y2 - top)
     true_columns = slice(x1 - left, x2 - left)
-    model_rows = slice(y1 - window.y_px, y2 - window.y_px)
-    model_columns = slice(x1 - window.x_px, x2 - window.x_px)
+    model_rows = slice(y1 - window_top, y2 - window_top)
+    model_columns = slice(x1 - window_left, x2 - window_left)
     true_part = entry.mask[true_rows, true_columns]
     model_part = segmentation.mask[model_rows, model_columns]
     n_both = int((model_part & true_part).sum())
@@ -214,11 +218,13 @@ def area_trials(
     Returns:
         Trials of the entries that have both, in the order of ``entries``.
     """
-    return [
-        _area_trial(entry, masks[entry.name], scales[entry.image])
-        for entry in entries
-        if entry.name in masks and entry.image in scales
-    ]
+    trials = []
+    for entry in entries:
+        mask = masks.get(entry.name)
+        scale = scales.get(entry.image)
+        if mask is not None and scale is not None:
+            trials.append(_area_trial(entry, mask, scale))
+    return trials
 
 
 def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:

@@ -95,8 +95,9 @@ def measure_areas(
     )
     # Objects of one image share its search.
     images = {entry.image: KnownScaleImage(entry.image, entry.gsd_m_per_px) for entry in entries}
+    known_scales = KnownScaleSet(str(data.source), tuple(images.values()))
     searched = search_known_scale(
-        KnownScaleSet(str(data.source), tuple(images.values())),
+        known_scales,
         detector,
         options,
         classes=classes,
@@ -111,7 +112,8 @@ def measure_areas(
     trials = area_trials(entries, masks, scales)
     run = _run_facts(detector, segmenter, options=options, limit=limit)
     facts = _facts(trials, entries, detector.card.name, segmenter.card.name)
-    report = area_report(data, run, rows=summarise_area(trials), facts=facts, issues=issues)
+    rows = summarise_area(trials)
+    report = area_report(data, run, rows=rows, facts=facts, issues=issues)
     return AreaRun(report, tuple(trials), tuple(issues))
 
 

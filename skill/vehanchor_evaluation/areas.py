@@ -84,7 +84,9 @@ class AreaEntry:
     def corners(self) -> tuple[float, float, float, float]:
         """Box as a prompt: x1, y1, x2, y2; the image's first pixel spans 0 to 1."""
         height, width = self.mask.shape
-        return self.left_px, self.top_px, self.left_px + width, self.top_px + height
+        right_px = self.left_px + width
+        bottom_px = self.top_px + height
+        return self.left_px, self.top_px, right_px, bottom_px
 
 
 class AreaSet(NamedTuple):
@@ -145,17 +147,19 @@ def read_areas(
         if issues:
             message += f"; the first problem: {issues[0].file}: {issues[0].message}"
         raise InvalidParameterError(message)
-    sha256 = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
-    return AreaSet(folder, sha256, entries=tuple(_alternating(entries)), issues=tuple(issues))
+    index_bytes = (folder / INDEX).read_bytes()
+    sha256 = hashlib.sha256(index_bytes).hexdigest()
+    alternating = tuple(_alternating(entries))
+    return AreaSet(folder, sha256, entries=alternating, issues=tuple(issues))
 
 
 def _usable_rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]:
     """Read the rows of a split, and list the rows that are malformed or repeated."""
     index = folder / INDEX
     lines = _index_lines(index)
-    lines_of_split = [
-        (line, cells) for line, cells in lines if split is None or cells.get("split") == split
-    ]
+    lines_of_split = lines
+    if split is not None:
+        lines_of_split = [(line, cells) for line, cells in lines if cells.get("split") == split]
     if not lines_of_split:
         splits = sorted({cells.get("split") or "" for _, cells in lines})
         raise InvalidParameterError(

@@ -83,7 +83,8 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     above = ends * (1 + _BAND)
     axes.fill_between(ends, below, above, color=_GREEN, alpha=0.18, lw=0, label="\u00b110 %")
     axes.plot(ends, ends, color=_GREEN, lw=1.2)
-    axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=f"resolution guard {guard:.2g} m/px")
+    guard_label = f"resolution guard {guard:.2g} m/px"
+    axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=guard_label)
 
     is_usable = np.array([trial.usable for trial in estimated], dtype=bool)
     groups = ((is_usable, _BLUE, "usable"), (~is_usable, _ORANGE, "not usable"))
@@ -143,7 +144,8 @@ def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
     axes = _without_frame(figure.add_subplot())
     colours = (_BLUE, _ORANGE, _GREEN, _RED)
     for (name, trials), colour in zip(curves.items(), colours, strict=False):
-        errors = np.sort([abs(trial.signed_error) for trial in trials if trial.estimated])
+        estimated = [trial for trial in trials if trial.estimated]
+        errors = np.sort([abs(trial.signed_error) for trial in estimated])
         ranks = np.arange(1, len(errors) + 1)
         shares = ranks / max(1, len(trials))
         # The curve stays level from the last error to 100 %.
@@ -211,7 +213,8 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="ideal")
     if estimated:
         observed = interval_coverage(estimated, nominal)
-        left.plot(nominal, observed, color=_BLUE, lw=2, label=count(len(estimated), "image"))
+        label = count(len(estimated), "image")
+        left.plot(nominal, observed, color=_BLUE, lw=2, label=label)
     left.axvline(0.95, color=_GREY, lw=0.8, ls=":")
     left.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
     left.set_xlabel("nominal coverage of the interval")

@@ -245,10 +245,7 @@ def benchmark_scale(
             issue = FileIssue(image.labels, "unreadable_labels", str(error), skipped=False)
             issues.append(issue)
             continue
-        # Labels are analysed like detections with a score of 1.
-        facts = ImageFacts(result.image.width_px, result.image.height_px)
-        detections = Detections(boxes, np.ones(len(boxes)))
-        labelled = SearchedImage(detections, facts)
+        labelled = _labelled_image(boxes, result.image)
         with naming(image.labels):
             analysis = labelled.analysis(detector, label_options_of(image))
         baseline.append(ScaleTrial(image, analysis, searched=labelled))
@@ -261,6 +258,13 @@ def benchmark_scale(
         options_of=options_of,
         label_options_of=label_options_of,
     )
+
+
+def _labelled_image(boxes: np.ndarray, searched: ImageFacts) -> SearchedImage:
+    """Make a search result from labels, which are analysed like detections with a score of 1."""
+    facts = ImageFacts(searched.width_px, searched.height_px)
+    scores = np.ones(len(boxes))
+    return SearchedImage(Detections(boxes, scores), facts)
 
 
 class _Row(BaseModel):

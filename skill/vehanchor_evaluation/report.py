@@ -57,8 +57,8 @@ def markdown_table(
     lines = []
     for cells in table:
         padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
-        lines.append("| " + " | ".join(padded) + " |")
-    lines.insert(1, "|" + "|".join(rules) + "|")
+        lines.append(f"| {' | '.join(padded)} |")
+    lines.insert(1, f"|{'|'.join(rules)}|")
     return "\n".join(lines) + "\n"
 
 
@@ -143,12 +143,15 @@ def write_trials(path: Path, benchmark: ScaleBenchmark) -> Path:
         OutputError: the file cannot be written.
     """
     labelled = {trial.image.path: trial for trial in benchmark.baseline}
-    rows = [_trial_row(trial, labelled.get(trial.image.path)) for trial in benchmark.trials]
+    rows = []
+    for trial in benchmark.trials:
+        rows.append(_trial_row(trial, labelled.get(trial.image.path)))
     return write_table(path, rows)
 
 
 def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, object]:
     estimate = trial.analysis.estimate
+    details = estimate.details
     signed_error = trial.signed_error if trial.estimated else None
     return {
         "file": str(trial.image.path),
@@ -160,10 +163,10 @@ def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, obje
         "gsd_ci95_low_m_per_px": estimate.gsd_ci95_low_m_per_px,
         "gsd_ci95_high_m_per_px": estimate.gsd_ci95_high_m_per_px,
         "n_vehicles": estimate.n_vehicles,
-        "n_detections": estimate.details.n_detections,
+        "n_detections": details.n_detections,
         "mode_length_px": estimate.mode_length_px,
-        "resolution_guard": str(bool(estimate.details.resolution_guard)).lower(),
-        "reference_length_m": estimate.details.reference_length_m,
+        "resolution_guard": str(bool(details.resolution_guard)).lower(),
+        "reference_length_m": details.reference_length_m,
         **_label_cells(labelled),
     }
 
@@ -293,7 +296,8 @@ def reliability_markdown(report: ReliabilityReport) -> str:
         )
         for row in report.chances
     ]
-    chances = markdown_table(("stated chance", "images", "mean", "outcome"), rows, aligned=True)
+    headings = ("stated chance", "images", "mean", "outcome")
+    chances = markdown_table(headings, rows, aligned=True)
     by_vehicles = group_table("vehicles", (*report.by_vehicles, report.whole))
     by_resolution = group_table("true m/px", report.by_resolution)
     return (
@@ -348,4 +352,5 @@ def _correlation(value: float | None) -> str:
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{number} {reason}" for reason, number in counts.items()) or "none"
+    parts = [f"{number} {reason}" for reason, number in counts.items()]
+    return ", ".join(parts) or "none"

@@ -88,7 +88,8 @@ def free_position(rng: Generator, ground: Ground, reach_m: float) -> Point | Non
         else:
             position = rng.uniform(0, 1, 2) * (width, height)
         margin = 3 / gsd
-        if not ((position > margin) & (position < np.array([width, height]) - margin)).all():
+        far_margin = np.array([width, height]) - margin
+        if not ((position > margin) & (position < far_margin)).all():
             continue
         distances = np.linalg.norm(sample.boxes[:, :2] - position, axis=1)
         if (distances > reach_m / gsd).all():
@@ -107,7 +108,8 @@ def ground_canvas(ground: Ground, position: Point, turn: float, px_per_m: float)
         x0 = max(0, int(position[0] - reach))
         y0 = max(0, int(position[1] - reach))
         part = source[y0 : int(position[1] + reach), x0 : int(position[0] + reach)]
-        size = (max(2, round(part.shape[1] / step)), max(2, round(part.shape[0] / step)))
+        part_h, part_w = part.shape[:2]
+        size = (max(2, round(part_w / step)), max(2, round(part_h / step)))
         source = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
         position = (position - (x0, y0)) / step
         step = 1.0
@@ -149,8 +151,9 @@ def draw_vehicle(
     points = (_OUTLINE * (length, width)) @ turn.T + (x, y)
     height = VEHICLE_SHADOW_HEIGHT_M.get(model.body.partition(":")[0], 1.15)
     shade(canvas, points, height_px=height * px_per_m, sun=sun, strength=strength)
+    light = sun.light(angle)
     sprite = vehicle_sprite(
-        model.body, model.length_m, width=model.width_m, px_per_m=px_per_m, light=sun.light(angle)
+        model.body, model.length_m, width=model.width_m, px_per_m=px_per_m, light=light
     )
     rows, columns = sprite.shape[:2]
     pad = 2 * VEHICLE_PAD * length
@@ -159,16 +162,16 @@ def draw_vehicle(
     offset = np.array([columns, rows]) / 2 - matrix @ (x, y)
     full = np.column_stack([matrix, offset + matrix @ (0.5, 0.5) - 0.5])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    patch = cv2.warpAffine(sprite, full, canvas.shape[1::-1], flags=flags, borderValue=(0, 0, 0, 0))
+    size = canvas.shape[1::-1]
+    patch = cv2.warpAffine(sprite, full, size, flags=flags, borderValue=(0, 0, 0, 0))
     cover = patch[:, :, 0, None]
     paint = patch[:, :, 1, None]
     grey = patch[:, :, 2, None]
     red = patch[:, :, 3, None]
     glass = np.array((0.95, 1.0, 1.09), np.float32)
     lamp = np.array((1.0, 0.22, 0.2), np.float32)
-    canvas[:] = (
-        canvas * (1 - cover) + paint * np.array(model.paint, np.float32) + grey * glass + red * lamp
-    )
+    colour = np.array(model.paint, np.float32)
+    canvas[:] = canvas * (1 - cover) + paint * colour + grey * glass + red * lamp
 
 
 def photographed(rng: Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
@@ -189,7 +192,8 @@ def photographed(rng: Generator, canvas: Canvas, coarse: float) -> NDArray[np.ui
     else:
         soft = cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.5, 1.4))
         chip = cv2.resize(soft, stored_size, interpolation=cv2.INTER_AREA)
-    return np.asarray(np.clip(np.asarray(chip, np.float32) + 0.5, 0, 255), np.uint8)
+    levels = np.asarray(chip, np.float32)
+    return np.asarray(np.clip(levels + 0.5, 0, 255), np.uint8)
 
 
 class Pasted(NamedTuple):
@@ -211,7 +215,9 @@ def pasted(rng: Generator, ground: Ground, fleet: Fleet) -> Pasted | None:
     position = free_position(rng, ground, 5.0)
     if position is None:
         return None
-    sun = Sun(rng.uniform(0, 2 * np.pi), math.radians(rng.uniform(25, 75)))
+    azimuth = rng.uniform(0, 2 * np.pi)
+    elevation_deg = rng.uniform(25, 75)
+    sun = Sun(azimuth, math.radians(elevation_deg))
     strength = 0.0 if rng.random() < 0.2 else rng.uniform(0.5, 1.05)
     if is_vehicle:
         model = fleet.small() if is_car else fleet.large()

@@ -62,17 +62,21 @@ class Drawn(NamedTuple):
 
 def upright(corners: Corners) -> Upright:
     """Upright boxes ``[n, 4]`` around corners ``[n, 4, 2]``."""
-    return np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).reshape(-1, 4)
+    upper_left = corners.min(axis=1)
+    lower_right = corners.max(axis=1)
+    return np.concatenate([upper_left, lower_right], axis=1).reshape(-1, 4)
 
 
 def overlap(first: Upright, second: Upright) -> NDArray[np.float64]:
     """IoU ``[n, m]`` of upright boxes."""
-    size = np.minimum(first[:, None, 2:], second[None, :, 2:]) - np.maximum(
-        first[:, None, :2], second[None, :, :2]
-    )
+    lower_right = np.minimum(first[:, None, 2:], second[None, :, 2:])
+    upper_left = np.maximum(first[:, None, :2], second[None, :, :2])
+    size = lower_right - upper_left
     both = np.prod(np.clip(size, 0, None), axis=2)
-    areas = [np.prod(boxes[:, 2:] - boxes[:, :2], axis=1) for boxes in (first, second)]
-    return np.asarray(both / np.maximum(areas[0][:, None] + areas[1][None, :] - both, 1e-9))
+    first_areas = np.prod(first[:, 2:] - first[:, :2], axis=1)
+    second_areas = np.prod(second[:, 2:] - second[:, :2], axis=1)
+    either = first_areas[:, None] + second_areas[None, :] - both
+    return np.asarray(both / np.maximum(either, 1e-9))
 
 
 def _looked_at() -> ByEye:
@@ -82,9 +86,8 @@ def _looked_at() -> ByEye:
             x = float(row["x"])
             y = float(row["y"])
             half = 0.35 * float(row["length"])
-            out.setdefault(row["file"], []).append(
-                (row["kind"], np.array([x - half, y - half, x + half, y + half]))
-            )
+            square = np.array([x - half, y - half, x + half, y + half])
+            out.setdefault(row["file"], []).append((row["kind"], square))
     return out
 
 
@@ -93,17 +96,15 @@ def photographs(data: Path) -> Iterator[Drawn]:
     by_eye = _looked_at()
     for folder, sets in (("upright", ("estonia", "crossings")), ("vehicles", ("jekhor",))):
         with (data / folder / "index.csv").open(newline="") as handle:
-            rows = [
-                row
-                for row in csv.DictReader(handle)
-                if row["split"] == "val" and row["set"] in sets
-            ]
+            val = [row for row in csv.DictReader(handle) if row["split"] == "val"]
+        rows = [row for row in val if row["set"] in sets]
         for row in rows:
-            labels = read_labels(data / folder / "labels" / f"{Path(row['file']).stem}.txt")
+            file = Path(row["file"])
+            labels = read_labels(data / folder / "labels" / f"{file.stem}.txt")
             cars = upright(labels.of_class("small-vehicle").reshape(-1, 4, 2))
-            ignored = [labels.of_class(name).reshape(-1, 4, 2) for name in ("ignore",)]
-            more = [box for kind, box in by_eye.get(Path(row["file"]).name, []) if kind != "other"]
-            doubtful = np.concatenate([upright(np.concatenate(ignored)), np.reshape(more, (-1, 4))])
+            ignored = upright(labels.of_class("ignore").reshape(-1, 4, 2))
+            more = [box for kind, box in by_eye.get(file.name, []) if kind != "other"]
+            doubtful = np.concatenate([ignored, np.reshape(more, (-1, 4))])
             yield Drawn(data / folder / row["file"], row["set"], cars=cars, doubtful=doubtful)
     with (data / "chia" / "crops.csv").open(newline="") as handle:
         rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 0]

@@ -199,32 +199,32 @@ def _cars_as_rulers(data: Path) -> list[Source]:
         stem = Path(row["file"]).stem
         if row["set"] != "jekhor" or row["split"] != "train" or _CHECK_ONLY.search(stem):
             continue
-        corners = read_labels(data / "vehicles" / "labels" / f"{stem}.txt", []).of_class(
-            "small-vehicle"
-        )
-        lengths = np.linalg.norm(np.diff(corners[:, :3], axis=1), axis=2).max(axis=1)
+        labels = read_labels(data / "vehicles" / "labels" / f"{stem}.txt", [])
+        corners = labels.of_class("small-vehicle")
+        # Two adjacent sides of each box.
+        sides = np.diff(corners[:, :3], axis=1)
+        lengths = np.linalg.norm(sides, axis=2).max(axis=1)
         if len(lengths) >= _MIN_CARS:
             kind = "minsk" if "DJI" in stem else "munich"
             path = (data / "vehicles" / row["file"]).resolve()
-            out.append(
-                Source(path, kind, _CAR_M / float(np.median(lengths)), _CAR_SPREAD, held_out=False)
-            )
+            gsd = _CAR_M / float(np.median(lengths))
+            out.append(Source(path, kind, gsd, _CAR_SPREAD, held_out=False))
     return out
 
 
 def _photographs(data: Path) -> list[Source]:
     out = []
     for flight, gsd in _FLIGHT_GSD.items():
-        files = sorted(
-            row["file"] for row in _rows(data / "flights" / "table.csv") if row["flight"] == flight
-        )
+        rows = _rows(data / "flights" / "table.csv")
+        files = sorted(row["file"] for row in rows if row["flight"] == flight)
         first_held_out = len(files) - _HELD_OUT_PHOTOGRAPHS
         for number in (
             *range(0, first_held_out - 1, _EVERY_PHOTOGRAPH),
             *range(first_held_out + 1, len(files)),
         ):
             path = (data / "flights" / files[number]).resolve()
-            out.append(Source(path, flight, gsd, _FLIGHT_SPREAD, held_out=number >= first_held_out))
+            held_out = number >= first_held_out
+            out.append(Source(path, flight, gsd, _FLIGHT_SPREAD, held_out=held_out))
     return out
 
 
@@ -233,11 +233,13 @@ def chia_photographs(data: Path, *, odd: bool = True) -> list[Source]:
     out = []
     for table in ("chia/table.csv", "chia/crops.csv"):
         for row in _rows(data / table):
-            if row["gsd_m_per_px"] and (int(Path(row["file"]).stem.split("_")[1]) % 2 == 1) == odd:
+            if not row["gsd_m_per_px"]:
+                continue
+            number = int(Path(row["file"]).stem.split("_")[1])
+            if (number % 2 == 1) == odd:
                 path = (data / "chia" / row["file"]).resolve()
-                out.append(
-                    Source(path, "chia", float(row["gsd_m_per_px"]), _HEIGHT_SPREAD, held_out=False)
-                )
+                gsd = float(row["gsd_m_per_px"])
+                out.append(Source(path, "chia", gsd, _HEIGHT_SPREAD, held_out=False))
     return out
 
 
@@ -258,7 +260,8 @@ def _load(source: Source) -> ScaledImage:
 
 def coarsest_m_per_px(image: ScaledImage) -> float:
     """Compute the scale at which a whole tile is the largest square of an image."""
-    return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
+    shorter_px = float(min(image.pixels.shape[:2]))
+    return min(COARSEST_M_PER_PX, image.gsd_m_per_px * shorter_px / TILE_PX)
 
 
 def draw_crop(rng: Generator, image: ScaledImage, gsd_m_per_px: float) -> Picture:
@@ -270,7 +273,8 @@ def draw_crop(rng: Generator, image: ScaledImage, gsd_m_per_px: float) -> Pictur
     height, width = image.pixels.shape[:2]
     side = TILE_PX * gsd_m_per_px / image.gsd_m_per_px  # of the square in the source, px
     angle = rng.uniform(0, 45) if rng.random() < _TURNED_SHARE else 0.0
-    around = math.cos(math.radians(angle)) + math.sin(math.radians(angle))
+    turn = math.radians(angle)
+    around = math.cos(turn) + math.sin(turn)
     if side * around > min(height, width):
         angle = 0.0
         around = 1.0
