@@ -74,10 +74,12 @@ def read(path: Path) -> Picture:
 
 def spoiled(image: Picture, rng: Generator) -> Picture:
     """Change exposure, add noise and JPEG artefacts."""
-    pixels = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
+    gain = rng.uniform(0.75, 1.25)
+    pixels = image.astype(np.float64) * gain + rng.uniform(-12, 12)
     pixels += rng.normal(0, rng.uniform(0, 4), image.shape)
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(70, 96))]
-    _, coded = cv2.imencode(".jpg", np.clip(pixels, 0, 255).astype(np.uint8), quality)
+    levels = np.clip(pixels, 0, 255).astype(np.uint8)
+    _, coded = cv2.imencode(".jpg", levels, quality)
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
@@ -209,8 +211,10 @@ def cut_flight(world: Picture, rng: Generator, n: int) -> tuple[list[Picture], N
     while len(photographs) < n:
         scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.7))))
         turn = rng.uniform(0, 2 * np.pi)
-        reach_x = scale * (abs(width * np.cos(turn)) + abs(height * np.sin(turn))) / 2
-        reach_y = scale * (abs(width * np.sin(turn)) + abs(height * np.cos(turn))) / 2
+        cos = np.cos(turn)
+        sin = np.sin(turn)
+        reach_x = scale * (abs(width * cos) + abs(height * sin)) / 2
+        reach_y = scale * (abs(width * sin) + abs(height * cos)) / 2
         if 2 * reach_x >= world.shape[1] or 2 * reach_y >= world.shape[0]:
             continue
         x = rng.uniform(reach_x, world.shape[1] - reach_x)
@@ -220,7 +224,8 @@ def cut_flight(world: Picture, rng: Generator, n: int) -> tuple[list[Picture], N
         # A reduced photograph is blurred first, so that it does not alias.
         sharp = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
         cut = cv2.warpAffine(sharp, move, (width, height), flags=cv2.INTER_LINEAR)
-        photographs.append(spoiled(np.asarray(cut, dtype=np.uint8), rng)[:, :, ::-1])
+        photograph = spoiled(np.asarray(cut, dtype=np.uint8), rng)
+        photographs.append(photograph[:, :, ::-1])
         scales.append(scale)
     return photographs, np.array(scales)
 

@@ -140,7 +140,8 @@ def false_boxes(image: Sighted) -> int:
     """Count the boxes that are neither on a label nor near a known car."""
     wrong = hit_labels(image.boxes, image.labels) < 0
     if len(image.spared):
-        gap = np.linalg.norm(image.boxes[:, None, :2] - image.spared[None], axis=2)
+        offsets = image.boxes[:, None, :2] - image.spared[None]
+        gap = np.linalg.norm(offsets, axis=2)
         wrong &= ~(gap < image.spared_px).any(axis=1)
     return int(wrong.sum())
 
@@ -214,7 +215,8 @@ def corrected(image: Sighted, file: str) -> Sighted:
     doubtful = objects[[row["kind"] == "doubtful" for row in rows]]
     corner = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     squares = cars[:, None, :2] + corner * cars[:, None, 2:]
-    gap = np.linalg.norm(image.boxes[:, None, :2] - doubtful[None, :, :2], axis=2)
+    offsets = image.boxes[:, None, :2] - doubtful[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     is_doubtful = (gap < _SAME_PLACE * doubtful[:, 2]).any(axis=1)
     counts = (hit_labels(image.boxes, image.labels) >= 0) | ~is_doubtful
     return image._replace(

@@ -129,7 +129,8 @@ def drawn(rng: Generator, image: MeasuredImage, case: Case) -> tuple[list[Witnes
 
 
 def _wrong_gsd(rng: Generator, gsd: float) -> float:
-    return float(np.clip(gsd * math.exp(rng.choice([-1, 1]) * rng.uniform(*_LIE)), 0.004, 2.5))
+    log_error = rng.choice([-1, 1]) * rng.uniform(*_LIE)
+    return float(np.clip(gsd * math.exp(log_error), 0.004, 2.5))
 
 
 _THREE = ("vehicles", "camera", "known_length")
@@ -176,7 +177,9 @@ def row(case: Case, images: Sequence[MeasuredImage]) -> str:
             }
             is_named.append(case.wrong_kind in doubted)
     error = np.array(errors)
-    shares = [np.mean(error < 0.1), np.mean(error < 0.2), np.mean(chances), np.mean(is_held)]
+    within_10 = np.mean(error < 0.1)
+    within_20 = np.mean(error < 0.2)
+    shares = [within_10, within_20, np.mean(chances), np.mean(is_held)]
     quantiles = [np.median(error), np.quantile(error, 0.9)]
     cells = [f"{100 * share:.1f} %" for share in (*quantiles, *shares)]
     named = f"{100 * np.mean(is_named):.1f} %" if case.wrong_kind else ""

@@ -98,7 +98,8 @@ def _in_reach(frame: Frame, block: Block, width: float, height: float) -> bool:
     """Test whether a block is in the view or can cast a shadow into it."""
     x0, y0, x1, y1 = block.rect
     (centre,) = frame.points([((x0 + x1) / 2, (y0 + y1) / 2)])
-    outside = np.maximum(np.abs(centre - (width / 2, height / 2)) - (width / 2, height / 2), 0)
+    half_size = (width / 2, height / 2)
+    outside = np.maximum(np.abs(centre - half_size) - half_size, 0)
     return bool(np.hypot(*outside) < math.hypot(x1 - x0, y1 - y0) / 2 + _MARGIN_M)
 
 

@@ -348,10 +348,14 @@ class _View(NamedTuple):
     def hidden_share(self, corners: Points) -> float:
         """Compute the share of a polygon's pixels that crowns hide; 0 without pixels."""
         width, height = self.size
-        low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
-        high = np.clip(np.ceil(corners.max(axis=0)), low + 1, (width, height)).astype(int)
-        inside = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
-        hidden = self.hidden[low[1] : high[1], low[0] : high[0]][inside]
+        first = np.floor(corners.min(axis=0))
+        last = np.ceil(corners.max(axis=0))
+        low = np.clip(first, 0, (width - 1, height - 1)).astype(int)
+        high = np.clip(last, low + 1, (width, height)).astype(int)
+        columns, rows = (high - low).tolist()
+        inside = polygon_mask(corners - low, columns, rows)
+        window = np.s_[low[1] : high[1], low[0] : high[0]]
+        hidden = self.hidden[window][inside]
         return float(hidden.mean()) if hidden.size else 0.0
 
 
@@ -384,11 +388,13 @@ def _draw_target(mask: Labels, target: Target, number: int, view: _View) -> bool
     for polygon in target.polygons:
         outline = view.pixels(polygon)
         low = np.maximum(np.floor(outline.min(axis=0)), 0).astype(int)
-        high = np.minimum(np.ceil(outline.max(axis=0)), (width, height)).astype(int)
+        last = np.ceil(outline.max(axis=0))
+        high = np.minimum(last, (width, height)).astype(int)
         if (low >= high).any():
             continue
         window = np.s_[low[1] : high[1], low[0] : high[0]]
-        inside = polygon_mask(outline - low, int(high[0] - low[0]), int(high[1] - low[1]))
+        columns, rows = (high - low).tolist()
+        inside = polygon_mask(outline - low, columns, rows)
         if target.category in ("swimming-pool", "building"):
             inside &= ~view.hidden[window]
         mask[window][inside] = number

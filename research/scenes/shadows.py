@@ -33,9 +33,11 @@ def roof_shadows(roof: Roof, sun: Sun) -> list[Points]:
             half = min(x1 - x0, y1 - y0) / 2
             inset = half if roof.style == "hip" else 0.0
             if x1 - x0 >= y1 - y0:
-                ridge = [(x0 + inset, (y0 + y1) / 2), (x1 - inset, (y0 + y1) / 2)]
+                middle_y = (y0 + y1) / 2
+                ridge = [(x0 + inset, middle_y), (x1 - inset, middle_y)]
             else:
-                ridge = [((x0 + x1) / 2, y0 + inset), ((x0 + x1) / 2, y1 - inset)]
+                middle_x = (x0 + x1) / 2
+                ridge = [(middle_x, y0 + inset), (middle_x, y1 - inset)]
             outline.append(roof.frame.points(ridge) + sun.shadow(roof.eaves + roof.pitch * half))
         hull = (
             cv2.convexHull(np.vstack(outline).astype(np.float32)).reshape(-1, 2).astype(np.float64)

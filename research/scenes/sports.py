@@ -162,7 +162,8 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
             inner,
             Material.COURT,
         )
-        site.stain_rect((-2, -3, rng.uniform(0, 8), 3), int(rng.integers(112, 142)))
+        stain = (-2, -3, rng.uniform(0, 8), 3)
+        site.stain_rect(stain, int(rng.integers(112, 142)))
     if rng.random() < 0.2:
         _other_game(site)
     tone = rng.uniform(0.35, 1.0)  # remaining whiteness of the paint

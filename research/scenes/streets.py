@@ -267,7 +267,9 @@ def _wear(own: Site, street: Street) -> None:
         x = rng.uniform(0, length)
         y = rng.uniform(-half + 0.5, half - 0.5)
         angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
-        own.stain(np.stack([x + 0.33 * np.cos(angles), y + 0.33 * np.sin(angles)], axis=1), 84)
+        circle_x = x + 0.33 * np.cos(angles)
+        circle_y = y + 0.33 * np.sin(angles)
+        own.stain(np.stack([circle_x, circle_y], axis=1), 84)
 
 
 def _furniture(own: Site, street: Street) -> None:

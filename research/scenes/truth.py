@@ -53,8 +53,10 @@ class SceneVehicle:
 
     def corners(self) -> Corners:
         """Compute the corners [4,2] in pixels: front left, front right, rear right, rear left."""
-        along = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)]) * self.length_px / 2
-        across = np.array([-np.sin(self.angle_rad), np.cos(self.angle_rad)]) * self.width_px / 2
+        cos = np.cos(self.angle_rad)
+        sin = np.sin(self.angle_rad)
+        along = np.array([cos, sin]) * self.length_px / 2
+        across = np.array([-sin, cos]) * self.width_px / 2
         centre = np.array([self.x_px, self.y_px])
         offsets = np.array([along - across, along + across, -along + across, -along - across])
         return cast("Corners", centre + offsets)

@@ -39,7 +39,8 @@ def sizes(edges: NDArray[np.floating]) -> Values:
 
 def robust(values: Values) -> float:
     """Compute the standard deviation from the median absolute deviation."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    deviations = np.abs(values - np.median(values))
+    return float(1.4826 * np.median(deviations))
 
 
 def log_scale(read: Read, answers: ChipAnswers) -> Values:
@@ -63,7 +64,8 @@ def edge_report(read: Read, answers: ChipAnswers) -> Iterator[str]:
     yield header("size", *columns)
     for k, size in enumerate(("length", "width")):
         errors = network[:, k] - eye[:, k]
-        cells = [*_errors(box[:, k] - eye[:, k]), *_errors(errors), _percent(robust(errors))]
+        box_errors = box[:, k] - eye[:, k]
+        cells = [*_errors(box_errors), *_errors(errors), _percent(robust(errors))]
         yield f"| {size} | {len(eye)} | {' | '.join(cells)} |"
     is_read = np.isfinite(read.edges)
     ratio = ((answers.edges - read.edges) / answers.edge_sd)[is_read]
@@ -132,7 +134,9 @@ def place_report(read: Read, answers: ChipAnswers) -> Iterator[str]:
 
 def _errors(logs: Values) -> tuple[str, str]:
     """Format median and standard deviation of errors."""
-    return _percent(float(np.median(logs)), "+"), _percent(float(logs.std(ddof=1)))
+    median = float(np.median(logs))
+    sd = float(logs.std(ddof=1))
+    return _percent(median, "+"), _percent(sd)
 
 
 def _percent(share: float, sign: str = "") -> str:

@@ -164,7 +164,8 @@ def _ignored(boxes: Boxes, polygons: Polygons) -> Flags:
 
 def _fits_by_eye(boxes: Boxes, objects: Objects) -> Flags:
     """Mark boxes that lie on an object judged by eye, ``[k, 3]``, and are about as long."""
-    gap = np.linalg.norm(boxes[:, None, :2] - objects[None, :, :2], axis=2)
+    offsets = boxes[:, None, :2] - objects[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     is_near = gap < _MAX_GAP * objects[None, :, 2]
     log_ratio = np.abs(np.log(boxes[:, None, 2] / objects[None, :, 2]))
     fits = is_near & (log_ratio < _MAX_LOG_LENGTH)
@@ -225,7 +226,9 @@ def detect(sample: TrainImage, detector: Detector, rng: Generator) -> tuple[Boxe
     Returns:
         Boxes in image pixels, the detector's scores, and those of the verifier.
     """
-    car_px = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 18.0
+    car_px = sample.car_px or 18.0
+    if len(sample.boxes):
+        car_px = float(np.median(sample.boxes[:, 2]))
     boxes = [np.zeros((0, 5))]
     scores = [np.zeros(0)]
     combined = [np.zeros(0)]
@@ -296,7 +299,8 @@ def moved(rng: Generator, labels: Boxes) -> Boxes:
             reach = rng.uniform(0.4, 1.0) * box[2]
             box[:2] += reach * np.array([np.cos(angle), np.sin(angle)])
         elif how == 1:
-            box[2:4] *= np.exp(rng.choice((-1, 1)) * rng.uniform(0.4, 0.9))
+            log_factor = rng.choice((-1, 1)) * rng.uniform(0.4, 0.9)
+            box[2:4] *= np.exp(log_factor)
             box[:2] += rng.normal(0, 0.12 * box[2], 2)
         else:
             box[4] += rng.uniform(0.6, np.pi - 0.6)
@@ -309,7 +313,9 @@ def add_lorries(image: Named, store: ChipStore) -> None:
         return
     corners = read_labels(image.labels, []).of_class("large-vehicle")
     boxes = boxes_from_corners(corners) if len(corners) else np.zeros((0, 5))
-    boxes = boxes[(boxes[:, 2] > 1.7 * boxes[:, 3]) & (boxes[:, 2] > 1.5 * _MIN_LENGTH_PX)]
+    lengths = boxes[:, 2]
+    is_longish = lengths > 1.7 * boxes[:, 3]
+    boxes = boxes[is_longish & (lengths > 1.5 * _MIN_LENGTH_PX)]
     if not len(boxes):
         return
     rows = Rows.unlabelled(boxes[:, 2], f"lorry_{image.set}", image.file)

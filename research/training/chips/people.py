@@ -107,7 +107,7 @@ def photographs(data: Path) -> Iterator[Drawn]:
             doubtful = np.concatenate([ignored, np.reshape(more, (-1, 4))])
             yield Drawn(data / folder / row["file"], row["set"], cars=cars, doubtful=doubtful)
     with (data / "chia" / "crops.csv").open(newline="") as handle:
-        rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 0]
+        rows = [row for row in csv.DictReader(handle) if _number(row["file"]) % 2 == 0]
     for row in rows:
         there = by_eye.get(Path(row["file"]).name, [])
         parts = [
@@ -117,30 +117,44 @@ def photographs(data: Path) -> Iterator[Drawn]:
         yield Drawn(data / "chia" / row["file"], "chia", *parts)
 
 
+def _number(file: str) -> int:
+    """Read the number at the end of a file's name."""
+    return int(Path(file).stem[-4:])
+
+
 def judged(boxes: NDArray[np.float64], drawn: Drawn, size: tuple[int, int]) -> NDArray[np.int8]:
     """1 for a car, 0 for none, -1 where it does not count."""
     around = upright(box_corners(boxes))
-    iou = (
-        overlap(around, drawn.cars).max(axis=1, initial=0.0)
-        if len(drawn.cars)
-        else np.zeros(len(boxes))
-    )
-    truth = np.where(iou >= _FITS, 1, np.where(iou < _MISSES, 0, -1)).astype(np.int8)
-    if drawn.set == "chia" and len(drawn.cars):  # squares about the centres of cars
-        gap = np.abs(
-            boxes[:, None, :2] - (drawn.cars[None, :, :2] + drawn.cars[None, :, 2:]) / 2
-        ).max(axis=2)
-        length = (drawn.cars[:, 2] - drawn.cars[:, 0]) / 0.7
-        fits = (gap < 0.2 * length) & (np.abs(np.log(boxes[:, None, 2] / length)) < 0.25)
-        near = gap < _NEAR * length
-        truth = np.where(fits.any(axis=1), 1, np.where(near.any(axis=1), -1, 0)).astype(np.int8)
+    iou = np.zeros(len(boxes))
+    if len(drawn.cars):
+        iou = overlap(around, drawn.cars).max(axis=1, initial=0.0)
+    not_fitting = np.where(iou < _MISSES, 0, -1)
+    truth = np.where(iou >= _FITS, 1, not_fitting).astype(np.int8)
+    # In this set, the boxes are squares about the centres of cars.
+    if drawn.set == "chia" and len(drawn.cars):
+        truth = _judged_by_squares(boxes, drawn.cars)
+    x = boxes[:, 0]
+    y = boxes[:, 1]
     for left, top, right, bottom in drawn.doubtful:
-        x = boxes[:, 0]
-        y = boxes[:, 1]
-        truth[(x > left) & (x < right) & (y > top) & (y < bottom) & (truth == 0)] = -1
-    gap = np.minimum(boxes[:, :2], np.array(size) - boxes[:, :2]).min(axis=1)
-    truth[(gap < _EDGE * boxes[:, 2]) & (truth == 0)] = -1
+        is_inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+        truth[is_inside & (truth == 0)] = -1
+    centres = boxes[:, :2]
+    gap = np.minimum(centres, np.array(size) - centres).min(axis=1)
+    is_at_edge = gap < _EDGE * boxes[:, 2]
+    truth[is_at_edge & (truth == 0)] = -1
     return truth
+
+
+def _judged_by_squares(boxes: NDArray[np.float64], squares: Upright) -> NDArray[np.int8]:
+    """Judge boxes ``[n, 5]`` by squares about the centres of cars; see ``judged``."""
+    centres = (squares[None, :, :2] + squares[None, :, 2:]) / 2
+    gap = np.abs(boxes[:, None, :2] - centres).max(axis=2)
+    length = (squares[:, 2] - squares[:, 0]) / 0.7
+    log_ratio = np.abs(np.log(boxes[:, None, 2] / length))
+    fits = (gap < 0.2 * length) & (log_ratio < 0.25)
+    near = gap < _NEAR * length
+    not_fitting = np.where(near.any(axis=1), -1, 0)
+    return np.where(fits.any(axis=1), 1, not_fitting).astype(np.int8)
 
 
 def main() -> None:

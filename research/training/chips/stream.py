@@ -101,7 +101,8 @@ class Move(NamedTuple):
         """Matrix ``[2, 2]`` from the chip to the stored chip."""
         cos = np.cos(self.turn)
         sin = np.sin(self.turn)
-        return np.asarray(self.scale * np.array([[cos, -sin], [sin, cos]]) * self.flip[None])
+        rotation = np.array([[cos, -sin], [sin, cos]])
+        return np.asarray(self.scale * rotation * self.flip[None])
 
 
 STILL = Move(np.zeros(2), 1.0, turn=0.0, flip=np.ones(2))
@@ -141,7 +142,9 @@ def moved_edges(
 
     The first end is the left one, and the first side is the upper one.
     """
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    axes = np.array([[cos, sin], [-sin, cos]])
     moved = np.empty(4, np.float32)
     moved_axes = axes @ move.matrix / move.scale
     for k in range(2):
@@ -172,7 +175,8 @@ def coarsened(rng: Generator, chip: Chip, length_px: float) -> Chip:
     finest = min(length_px, CHIP_LENGTH_PX)
     if rng.random() >= _COARSE_SHARE or finest <= _COARSEST_PX:
         return chip
-    factor = float(np.exp(rng.uniform(np.log(_COARSEST_PX), np.log(finest)))) / CHIP_LENGTH_PX
+    log_length = rng.uniform(np.log(_COARSEST_PX), np.log(finest))
+    factor = float(np.exp(log_length)) / CHIP_LENGTH_PX
     small = (max(8, round(CHIP_COLUMNS * factor)), max(6, round(CHIP_ROWS * factor)))
     if small[0] >= CHIP_COLUMNS:
         return chip
@@ -269,7 +273,8 @@ def target_of_reading(read: Read, bodies: Bodies, k: int) -> Target:
     car = np.nan
     if kind != UNKNOWN or not np.isnan(edges).all():
         car = float(kind == UNKNOWN or KINDS[kind] in CARS)
-    sizes = np.array([edges[1] - edges[0], edges[3] - edges[2]]) * read.length_px[k] * gsd
+    relative = np.array([edges[1] - edges[0], edges[3] - edges[2]])
+    sizes = relative * read.length_px[k] * gsd
     weights = np.ones(2)
     if np.isnan(edges).all() and car == 1:
         sizes = np.exp(bodies.log_metres[k].astype(np.float64))

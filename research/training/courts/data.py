@@ -155,7 +155,10 @@ def _crop(picture: Picture, gsd: float, rng: Generator) -> tuple[Pixels, list[Co
     factor = picture.gsd_m_per_px / gsd
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     reduced = cv2.resize(picture.pixels, None, fx=factor, fy=factor, interpolation=method)
-    turn = rng.uniform(0, 2 * math.pi) if rng.random() < 0.5 else math.pi / 2 * int(rng.integers(4))
+    if rng.random() < 0.5:
+        turn = rng.uniform(0, 2 * math.pi)
+    else:
+        turn = math.pi / 2 * int(rng.integers(4))
     centre = rng.uniform((0, 0), (reduced.shape[1], reduced.shape[0]))
     if picture.courts:
         court = picture.courts[rng.integers(len(picture.courts))]
@@ -187,7 +190,8 @@ def _targets(
     for x, y, angle, which in courts:
         u = x / CELL_PX - 0.5
         v = y / CELL_PX - 0.5
-        heat = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * _SPREAD_CELLS**2))
+        squared_distance = (columns - u) ** 2 + (rows - v) ** 2
+        heat = np.exp(-squared_distance / (2 * _SPREAD_CELLS**2))
         targets[which] = np.maximum(targets[which], heat)
         length = (BASKETBALL_M if which else TENNIS_M) / gsd
         pose = math.cos(2 * angle), math.sin(2 * angle), math.log(length / LENGTH_PX)

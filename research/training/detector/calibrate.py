@@ -119,7 +119,8 @@ def matched_lengths(boxes: Boxes, labels: Boxes) -> tuple[Boxes, Boxes]:
     """Match the lengths of detections and of labels whose centres are a fifth of a length apart."""
     if not len(boxes) or not len(labels):
         return np.zeros(0), np.zeros(0)
-    gap = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2)
+    offsets = boxes[:, None, :2] - labels[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     nearest = gap.argmin(axis=1)
     close = gap[np.arange(len(boxes)), nearest] < 0.2 * labels[nearest, 2]
     return boxes[close, 2], labels[nearest[close], 2]
@@ -201,7 +202,9 @@ def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
     names, sets = np.unique(pairs.set[usable], return_inverse=True)
     n_bins = len(_CORRECTION_BINS_PX) - 1
     # The first set is the base, so it has no column.
-    design = np.column_stack([np.eye(n_bins)[bins], np.eye(len(names))[sets][:, 1:]])
+    bin_columns = np.eye(n_bins)[bins]
+    set_columns = np.eye(len(names))[sets]
+    design = np.column_stack([bin_columns, set_columns[:, 1:]])
     fitted = np.linalg.lstsq(design, error[usable])[0]
     common = np.median(np.append(0.0, fitted[n_bins:])[sets])
     return [

@@ -161,7 +161,8 @@ def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainIma
         )
 
     unseen = of("unseen")
-    gap = np.linalg.norm(sample.boxes[:, None, :2] - unseen[None, :, :2], axis=2)
+    offsets = sample.boxes[:, None, :2] - unseen[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     return sample._replace(
         boxes=np.concatenate([sample.boxes[~(gap < 1.0).any(axis=1)], of("car")]),
         ignore=np.concatenate([sample.ignore, box_corners(of("ignore", "unseen"))]),
@@ -433,7 +434,8 @@ def dense_target(boxes: Boxes, ignore: Polygons) -> Target:
         across = -dx * np.sin(angle) + dy * np.cos(angle)
         sigma_l = max(0.55, 0.11 * length / STRIDE_PX)
         sigma_w = max(0.5, 0.13 * width / STRIDE_PX)
-        blob = np.exp(-0.5 * ((along / sigma_l) ** 2 + (across / sigma_w) ** 2)).astype(np.float32)
+        squared_distance = (along / sigma_l) ** 2 + (across / sigma_w) ** 2
+        blob = np.exp(-0.5 * squared_distance).astype(np.float32)
         heat[r0:r1, c0:c1] = np.maximum(heat[r0:r1, c0:c1], blob)
         closer = blob > np.maximum(weight[r0:r1, c0:c1], 0.2)
         weight[r0:r1, c0:c1][closer] = blob[closer]

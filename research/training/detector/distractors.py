@@ -54,7 +54,8 @@ def draw_distractors(
     turned = cv2.warpAffine(colour, matrix, size, borderMode=cv2.BORDER_REFLECT)
     colour = np.asarray(turned, np.float32)
     opacity = np.asarray(cv2.warpAffine(opacity, matrix, size), np.float32)
-    sides = np.exp(rng.uniform(np.log(0.25), np.log(0.9), 2)) * (width, height)
+    log_shares = rng.uniform(np.log(0.25), np.log(0.9), 2)
+    sides = np.exp(log_shares) * (width, height)
     middle = rng.uniform(0.15, 0.85, 2) * (width, height)
     corners = cv2.boxPoints((middle.tolist(), sides.tolist(), turn))
     patch = np.zeros((height, width), np.uint8)
@@ -103,7 +104,8 @@ def _rectangles(
     rows = np.arange(0, height, pitch[1])
     centres = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     centres = centres + rng.normal(0, jitter, centres.shape)
-    corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    corner = square * size
 
     def fill(moved: NDArray[np.float64], paint: Colour, strength: float) -> None:
         scaled = np.round((corner + moved) * 2**_SHIFT)
@@ -173,7 +175,10 @@ def _panels(rng: Generator, image: Picture) -> _Layer:
     thick = float(np.exp(rng.uniform(np.log(3), np.log(26))))
     size = (thick * rng.uniform(1.3, 2.2), thick)
     pitch = (size[0] * rng.uniform(1.04, 1.4), thick * rng.uniform(1.05, 2.2))
-    paint = np.array([rng.uniform(15, 60), rng.uniform(20, 70), rng.uniform(40, 110)], np.float32)
+    red = rng.uniform(15, 60)
+    green = rng.uniform(20, 70)
+    blue = rng.uniform(40, 110)
+    paint = np.array([red, green, blue], np.float32)
     return _rectangles(
         rng,
         _ground(rng, image),
@@ -190,7 +195,10 @@ def _crowns(rng: Generator, image: Picture) -> _Layer:
     height, width = opacity.shape
     radius = float(np.exp(rng.uniform(np.log(2.5), np.log(14))))
     pitch = radius * rng.uniform(2.1, 4.5, 2)
-    paint = np.array([rng.uniform(30, 90), rng.uniform(60, 130), rng.uniform(25, 80)])
+    red = rng.uniform(30, 90)
+    green = rng.uniform(60, 130)
+    blue = rng.uniform(25, 80)
+    paint = np.array([red, green, blue])
     sun = rng.uniform(0, 2 * np.pi)
     for y in np.arange(0, height, pitch[1]):
         for x in np.arange(0, width, pitch[0]):
