@@ -14,7 +14,7 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -38,9 +38,13 @@ from vehanchor_flight.records import FlightEstimate
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
 
 _REGIONS = {
     "cannes": "europe",
@@ -63,27 +67,29 @@ def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
     return [((data / "gsd" / row["file"]).resolve(), float(row["gsd_m_per_px"])) for row in rows]
 
 
-def read(path: Path) -> NDArray[np.uint8]:
+def read(path: Path) -> Picture:
     """Read an image, ``[h, w, 3]`` BGR."""
     return np.asarray(cv2.imread(str(path)), dtype=np.uint8)
 
 
-def spoiled(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def spoiled(image: Picture, rng: Generator) -> Picture:
     """Change exposure, add noise and JPEG artefacts."""
-    pixels = image.astype(np.float64) * rng.uniform(0.75, 1.25) + rng.uniform(-12, 12)
+    gain = rng.uniform(0.75, 1.25)
+    pixels = image.astype(np.float64) * gain + rng.uniform(-12, 12)
     pixels += rng.normal(0, rng.uniform(0, 4), image.shape)
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(70, 96))]
-    _, coded = cv2.imencode(".jpg", np.clip(pixels, 0, 255).astype(np.uint8), quality)
+    levels = np.clip(pixels, 0, 255).astype(np.uint8)
+    _, coded = cv2.imencode(".jpg", levels, quality)
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
-def turned(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def turned(image: Picture, rng: Generator) -> Picture:
     """Cut the largest square inside the image at any angle; turn a small one by right angles."""
     side = min(image.shape[:2])
     if side < 400:
         return np.ascontiguousarray(np.rot90(image, int(rng.integers(4))))
     inner = int(side / math.sqrt(2))
-    move = cv2.getRotationMatrix2D((side / 2, side / 2), float(rng.uniform(0, 360)), 1.0)
+    move = cv2.getRotationMatrix2D((side / 2, side / 2), rng.uniform(0, 360), 1.0)
     move[:, 2] += (inner - side) / 2
     return np.asarray(
         cv2.warpAffine(image, move, (inner, inner), flags=cv2.INTER_CUBIC), dtype=np.uint8
@@ -179,7 +185,7 @@ def _pooled_row(name: str, estimates: Sequence[FlightEstimate], truth: float) ->
     return f"| {name} | {percents} | {median} | {inside} of {len(estimates)} | {ratio:.2f} |"
 
 
-def worlds(data: Path) -> dict[str, NDArray[np.uint8]]:
+def worlds(data: Path) -> dict[str, Picture]:
     """Load mosaics of neighbouring val tiles, and single large ones, all of 0.20 m/px."""
     folder = data / "vehicles" / "images"
     strips = {"cannes 846 to 850": range(846, 851), "cannes 911 to 914": range(911, 915)}
@@ -193,22 +199,22 @@ def worlds(data: Path) -> dict[str, NDArray[np.uint8]]:
     return mosaics
 
 
-def cut_flight(
-    world: NDArray[np.uint8], rng: np.random.Generator, n: int
-) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64]]:
+def cut_flight(world: Picture, rng: Generator, n: int) -> tuple[list[Picture], NDArray[np.float64]]:
     """Make photographs of 480 x 360 px at random positions, turns and scales of 0.6 to 1.7.
 
     Returns the photographs and their scales.
     """
     width = 480
     height = 360
-    photographs: list[NDArray[np.uint8]] = []
+    photographs: list[Picture] = []
     scales: list[float] = []
     while len(photographs) < n:
         scale = float(np.exp(rng.uniform(np.log(0.6), np.log(1.7))))
-        turn = float(rng.uniform(0, 2 * np.pi))
-        reach_x = scale * (abs(width * np.cos(turn)) + abs(height * np.sin(turn))) / 2
-        reach_y = scale * (abs(width * np.sin(turn)) + abs(height * np.cos(turn))) / 2
+        turn = rng.uniform(0, 2 * np.pi)
+        cos = np.cos(turn)
+        sin = np.sin(turn)
+        reach_x = scale * (abs(width * cos) + abs(height * sin)) / 2
+        reach_y = scale * (abs(width * sin) + abs(height * cos)) / 2
         if 2 * reach_x >= world.shape[1] or 2 * reach_y >= world.shape[0]:
             continue
         x = rng.uniform(reach_x, world.shape[1] - reach_x)
@@ -218,7 +224,8 @@ def cut_flight(
         # A reduced photograph is blurred first, so that it does not alias.
         sharp = cv2.GaussianBlur(world, (0, 0), 0.4 * scale) if scale > 1 else world
         cut = cv2.warpAffine(sharp, move, (width, height), flags=cv2.INTER_LINEAR)
-        photographs.append(spoiled(np.asarray(cut, dtype=np.uint8), rng)[:, :, ::-1])
+        photograph = spoiled(np.asarray(cut, dtype=np.uint8), rng)
+        photographs.append(photograph[:, :, ::-1])
         scales.append(scale)
     return photographs, np.array(scales)
 
@@ -254,7 +261,7 @@ class _Links(NamedTuple):
 
 
 def _matched_flight(
-    world: NDArray[np.uint8], detector: Detector, rng: np.random.Generator
+    world: Picture, detector: Detector, rng: Generator
 ) -> tuple[list[float], int, _Links]:
     """Estimate a flight over a mosaic; two thirds of its photographs lose their vehicles.
 

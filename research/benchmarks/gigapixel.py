@@ -14,7 +14,7 @@ import csv
 import resource
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -29,7 +29,11 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """Picture ``[h, w, 3]``."""
 
 GSD_M = 0.2
 CELL_PX = 512
@@ -38,7 +42,7 @@ _TOWN_CELLS = 4.0
 SETS = {"cannes": "table.csv", "saopaulo": "table.csv", "estonia": "upright.csv"}
 
 
-def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
+def pictures(data: Path, name: str, table: str) -> list[Picture]:
     """Load images of the val split, BGR, at 0.2 m/px; empty ones stay as they are."""
     images = []
     with (data / "gsd" / table).open() as lines:
@@ -54,11 +58,11 @@ def pictures(data: Path, name: str, table: str) -> list[NDArray[Any]]:
     return images
 
 
-def _resized(image: NDArray[np.uint8], ratio: float, how: int) -> NDArray[np.uint8]:
+def _resized(image: Picture, ratio: float, how: int) -> Picture:
     return np.asarray(cv2.resize(image, None, fx=ratio, fy=ratio, interpolation=how), np.uint8)
 
 
-def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
+def layout(cells: int, share: float, rng: Generator) -> NDArray[Any]:
     """Draw where towns are: ``[cells, cells]`` bool."""
     noise = cv2.GaussianBlur(
         rng.normal(size=(cells, cells)).astype(np.float32), (0, 0), _TOWN_CELLS
@@ -66,7 +70,7 @@ def layout(cells: int, share: float, rng: np.random.Generator) -> NDArray[Any]:
     return np.asarray(noise > np.quantile(noise, 1 - share))
 
 
-def _cell(pictures: list[NDArray[Any]], rng: np.random.Generator) -> NDArray[Any]:
+def _cell(pictures: list[Picture], rng: Generator) -> Picture:
     image = pictures[rng.integers(len(pictures))]
     image = np.pad(
         image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric"

@@ -24,7 +24,7 @@ import argparse
 import csv
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -45,6 +45,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+    Polygons: TypeAlias = NDArray[np.float64]
+    """Corners ``[n, 4, 2]`` of areas."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]``."""
+
+    Scores: TypeAlias = NDArray[np.float64]
+    """Scores ``[n]``."""
 
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _MIN_SCORE = 0.15
@@ -70,11 +82,11 @@ class Sighted(NamedTuple):
         spared_px: largest distance to them.
     """
 
-    boxes: NDArray[np.float64]
-    scores: NDArray[np.float64]
+    boxes: Boxes
+    scores: Scores
     megapixels: float
-    labels: NDArray[np.float64] = np.zeros((0, 4, 2))
-    spared: NDArray[np.float64] = np.zeros((0, 2))
+    labels: Polygons = np.zeros((0, 4, 2))
+    spared: Points = np.zeros((0, 2))
     spared_px: float = 0.0
 
     def above(self, min_score: float) -> Sighted:
@@ -83,7 +95,7 @@ class Sighted(NamedTuple):
         return self._replace(boxes=self.boxes[is_kept], scores=self.scores[is_kept])
 
 
-def hit_labels(boxes: NDArray[np.float64], labels: NDArray[np.float64]) -> NDArray[np.intp]:
+def hit_labels(boxes: Boxes, labels: Polygons) -> NDArray[np.intp]:
     """Find the upright label that each box hits, -1 for none.
 
     Args:
@@ -128,7 +140,8 @@ def false_boxes(image: Sighted) -> int:
     """Count the boxes that are neither on a label nor near a known car."""
     wrong = hit_labels(image.boxes, image.labels) < 0
     if len(image.spared):
-        gap = np.linalg.norm(image.boxes[:, None, :2] - image.spared[None], axis=2)
+        offsets = image.boxes[:, None, :2] - image.spared[None]
+        gap = np.linalg.norm(offsets, axis=2)
         wrong &= ~(gap < image.spared_px).any(axis=1)
     return int(wrong.sum())
 
@@ -202,7 +215,8 @@ def corrected(image: Sighted, file: str) -> Sighted:
     doubtful = objects[[row["kind"] == "doubtful" for row in rows]]
     corner = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     squares = cars[:, None, :2] + corner * cars[:, None, 2:]
-    gap = np.linalg.norm(image.boxes[:, None, :2] - doubtful[None, :, :2], axis=2)
+    offsets = image.boxes[:, None, :2] - doubtful[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     is_doubtful = (gap < _SAME_PLACE * doubtful[:, 2]).any(axis=1)
     counts = (hit_labels(image.boxes, image.labels) >= 0) | ~is_doubtful
     return image._replace(

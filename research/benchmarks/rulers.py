@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from research.results.record import add_record_option, recording
 from research.scenes import render_scene
@@ -105,9 +106,7 @@ def _measured(witnesses: Sequence[Witness], true_gsd: float, usable: bool) -> Me
     return MeasuredImage(cars, tuple(ground), true_gsd, usable and cars.n >= _MIN_CARS)
 
 
-def drawn(
-    rng: np.random.Generator, image: MeasuredImage, case: Case
-) -> tuple[list[Witness], float]:
+def drawn(rng: Generator, image: MeasuredImage, case: Case) -> tuple[list[Witness], float]:
     """Draw the witnesses of a case's rulers, and the true scale (another if vehicles are wrong)."""
     truth = image.true_gsd
     priors = image.ground
@@ -129,8 +128,9 @@ def drawn(
     return witnesses, truth
 
 
-def _wrong_gsd(rng: np.random.Generator, gsd: float) -> float:
-    return float(np.clip(gsd * math.exp(rng.choice([-1, 1]) * rng.uniform(*_LIE)), 0.004, 2.5))
+def _wrong_gsd(rng: Generator, gsd: float) -> float:
+    log_error = rng.choice([-1, 1]) * rng.uniform(*_LIE)
+    return float(np.clip(gsd * math.exp(log_error), 0.004, 2.5))
 
 
 _THREE = ("vehicles", "camera", "known_length")
@@ -177,7 +177,9 @@ def row(case: Case, images: Sequence[MeasuredImage]) -> str:
             }
             is_named.append(case.wrong_kind in doubted)
     error = np.array(errors)
-    shares = [np.mean(error < 0.1), np.mean(error < 0.2), np.mean(chances), np.mean(is_held)]
+    within_10 = np.mean(error < 0.1)
+    within_20 = np.mean(error < 0.2)
+    shares = [within_10, within_20, np.mean(chances), np.mean(is_held)]
     quantiles = [np.median(error), np.quantile(error, 0.9)]
     cells = [f"{100 * share:.1f} %" for share in (*quantiles, *shares)]
     named = f"{100 * np.mean(is_named):.1f} %" if case.wrong_kind else ""

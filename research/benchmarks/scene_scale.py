@@ -91,8 +91,11 @@ def level_lengths(corners: NDArray[np.float64], ends: NDArray[np.int_]) -> NDArr
     low = corners.min(axis=1)
     high = corners.max(axis=1)
     sides = np.sort(high - low, axis=1)
-    whole = (low > _BORDER_PX).all(axis=1) & (high < ends - _BORDER_PX).all(axis=1)
-    return np.asarray(sides[whole & (sides[:, 1] > _LEVEL_RATIO * sides[:, 0]), 1])
+    is_low_inside = (low > _BORDER_PX).all(axis=1)
+    is_high_inside = (high < ends - _BORDER_PX).all(axis=1)
+    whole = is_low_inside & is_high_inside
+    is_level = sides[:, 1] > _LEVEL_RATIO * sides[:, 0]
+    return np.asarray(sides[whole & is_level, 1])
 
 
 def row(name: str, priors: list[Prior]) -> str:

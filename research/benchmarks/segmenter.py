@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -29,14 +29,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    ScoredMask: TypeAlias = tuple[NDArray[np.bool_], float]
+    """Mask of an object, and its score."""
+
 DATA = Path(os.environ.get("VEHANCHOR_DATA", "../shared/data"))
 _GRABCUT_ROUNDS = 5
 
 
-def segmenter_method(segmenter: Segmenter) -> Callable[[Target], tuple[NDArray[np.bool_], float]]:
+def segmenter_method(segmenter: Segmenter) -> Callable[[Target], ScoredMask]:
     """Run the library's own path: crop, encode, decode, place."""
 
-    def method(target: Target) -> tuple[NDArray[np.bool_], float]:
+    def method(target: Target) -> ScoredMask:
         with open_raster(target.image) as raster:
             segmentation = segmenter.segment(raster, Prompt(box=target.box))
         whole = np.zeros(target.mask.shape, bool)
@@ -53,7 +56,7 @@ def _pixels(box: Box) -> tuple[int, int, int, int]:
     return x1, y1, max(x2, x1 + 1), max(y2, y1 + 1)
 
 
-def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
+def filled_box(target: Target) -> ScoredMask:
     """Return the box itself."""
     x1, y1, x2, y2 = _pixels(target.box)
     whole = np.zeros(target.mask.shape, bool)
@@ -61,7 +64,7 @@ def filled_box(target: Target) -> tuple[NDArray[np.bool_], float]:
     return whole, 1.0
 
 
-def grabcut(target: Target) -> tuple[NDArray[np.bool_], float]:
+def grabcut(target: Target) -> ScoredMask:
     """Run OpenCV's GrabCut from the box, in a crop of twice the box."""
     height, width = target.mask.shape
     x1, y1, x2, y2 = _pixels(target.box)

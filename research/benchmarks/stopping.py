@@ -45,6 +45,7 @@ from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import answer
 
 if TYPE_CHECKING:
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector import Detector
@@ -107,7 +108,7 @@ class Mosaic:
         fields: list[Cell],
         share: float,
         factor: float,
-        rng: np.random.Generator,
+        rng: Generator,
     ) -> None:
         is_town = layout(side // CELL_PX, share, rng)
         cells = []
@@ -232,7 +233,7 @@ def main() -> None:
             arguments.side,
             towns[name],
             fields=fields,
-            share=float(rng.uniform(0.05, 0.4)),
+            share=rng.uniform(0.05, 0.4),
             factor=factor,
             rng=rng,
         )

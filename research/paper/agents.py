@@ -204,5 +204,6 @@ def _encoded_picture(image: Path) -> str:
         reduced = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
         picture = np.asarray(reduced, dtype=np.uint8)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[:, :, ::-1]), quality)
+    bgr = np.ascontiguousarray(picture[:, :, ::-1])
+    _, encoded = cv2.imencode(".jpg", bgr, quality)
     return base64.b64encode(encoded.tobytes()).decode()

@@ -136,7 +136,8 @@ def draw_question(
     picture = (
         cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor < 1 else np.array(image)
     )
-    corners = np.asarray(box, np.float64) * scale * np.tile(np.array(size) / (width, height), 2)
+    ratios = np.array(size) / (width, height)
+    corners = np.asarray(box, np.float64) * scale * np.tile(ratios, 2)
     line = max(2, round(max(size) / 500))
     outset = (line + 1) // 2  # the line stays clear of the object
     first = np.floor(corners[:2]).astype(int) - outset
@@ -145,7 +146,8 @@ def draw_question(
     last = np.minimum(last, np.array(size) - 1)
     cv2.rectangle(picture, first.tolist(), last.tolist(), _RED_RGB, line)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[:, :, ::-1]), quality)
+    bgr = np.ascontiguousarray(picture[:, :, ::-1])
+    _, encoded = cv2.imencode(".jpg", bgr, quality)
     x1, y1, x2, y2 = corners.tolist()
     return Question(encoded.tobytes(), *size, (x1, y1, x2, y2))
 

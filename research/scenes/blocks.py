@@ -9,7 +9,7 @@ import numpy as np
 from research.scenes.car_parks import car_park, halls
 from research.scenes.country import farm, field, meadow, orchard, vineyard, wood
 from research.scenes.homes import flats, houses, town
-from research.scenes.site import Site, jitter
+from research.scenes.site import Site, jitter, pick
 from research.scenes.sports import sports_ground
 from research.scenes.world import Material
 
@@ -29,28 +29,31 @@ def park(site: Site, width: float, depth: float) -> None:
         a, b = rng.uniform(0.1, 0.9, 2)
         xs = np.linspace(0, 1, 14)
         ys = a + (b - a) * xs + 0.06 * np.sin(xs * 6 + rng.uniform(0, 6))
-        upper = np.stack([xs * width, np.clip(ys * depth + 1.1, 0, depth)], axis=1)
-        lower = np.stack([xs * width, np.clip(ys * depth - 1.1, 0, depth)], axis=1)[::-1]
-        site.polygon(np.vstack([upper, lower]), path, Material.GRAVEL)
+        upper_y = np.clip(ys * depth + 1.1, 0, depth)
+        lower_y = np.clip(ys * depth - 1.1, 0, depth)
+        upper = np.stack([xs * width, upper_y], axis=1)
+        lower = np.stack([xs * width, lower_y], axis=1)
+        site.polygon(np.vstack([upper, lower[::-1]]), path, Material.GRAVEL)
     taken = 0.0
     if width > 46 and depth > 26 and rng.random() < 0.75:
         taken = courts(site.at(4, 4), width - 8, depth - 8) + 4
     site.grove((taken + 3 if taken else 1, 1, width - 1, depth - 1), 0.012 * palette.greenery)
-    for _ in range(int(rng.poisson(width * depth / 200))):
+    for _ in range(rng.poisson(width * depth / 200)):
         site.bush(rng.uniform(taken, width), rng.uniform(0, depth))
+
+
+# Colours of the slab of a court, and of its playing area.
+_SURFACE_RGB = ((72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128))
+_INNER_RGB = ((158, 92, 70), (74, 120, 96), (76, 108, 156))
 
 
 def courts(site: Site, width: float, depth: float) -> float:
     """Build tennis and basketball courts side by side; return the used width."""
     rng = site.rng
     x = 0.0
-    surface = jitter(
-        rng, [(72, 116, 92), (158, 88, 66), (84, 110, 150), (70, 104, 128)][int(rng.integers(4))], 8
-    )
-    inner = jitter(
-        rng, [(158, 92, 70), (74, 120, 96), (76, 108, 156), surface][int(rng.integers(4))], 6
-    )
-    for _ in range(int(rng.integers(1, 4))):
+    surface = jitter(rng, pick(rng, _SURFACE_RGB), 8)
+    inner = jitter(rng, pick(rng, (*_INNER_RGB, surface)), 6)
+    for _ in range(rng.integers(1, 4)):
         tennis = rng.random() < 0.65
         long, broad = (34.0, 17.0) if tennis else (32.0, 19.0)
         if x + broad > width or long > depth + 4:

@@ -22,7 +22,7 @@ def car_park(site: Site, width: float, depth: float) -> None:
     site.target(
         "parking-lot", [(lot[0], lot[1]), (lot[2], lot[1]), (lot[2], lot[3]), (lot[0], lot[3])]
     )
-    for _ in range(int(rng.poisson(width * depth / 500))):
+    for _ in range(rng.poisson(width * depth / 500)):
         site.crack(
             rng.uniform(0, width),
             rng.uniform(0, depth),
@@ -30,7 +30,7 @@ def car_park(site: Site, width: float, depth: float) -> None:
             angle=rng.choice([0, math.pi / 2]),
             level=112,
         )
-    for _ in range(int(rng.poisson(width * depth / 900))):
+    for _ in range(rng.poisson(width * depth / 900)):
         x = rng.uniform(0, width)
         y = rng.uniform(0, depth)
         w = rng.uniform(3, 18)
@@ -209,7 +209,7 @@ def halls(site: Site, width: float, depth: float) -> None:
                 ],
                 12,
             )
-            for row in range(int(rng.integers(1, 3))):
+            for row in range(rng.integers(1, 3)):
                 y = yard + 1 + row * 6.4
                 if y + 6.06 < depth - 2:
                     site.box((x - 1.22, y, x + 1.22, y + 6.06), 2.6, jitter(rng, rgb, 10))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from research.scenes.homes import garden, house
-from research.scenes.site import Site, jitter
+from research.scenes.site import Site, jitter, pick
 from research.scenes.world import Material, Rect, Rgb
 
 
@@ -21,26 +21,28 @@ def field(site: Site, width: float, depth: float) -> None:
         ((112, 126, 84), Material.CROP),
         ((136, 138, 96), Material.CROP),
     )
-    rgb, material = kinds[int(rng.integers(len(kinds)))]
+    rgb, material = pick(rng, kinds)
     edge = rng.uniform(1.0, 3.0)
     site.rect((0, 0, width, depth), palette.meadow, Material.MEADOW)
-    _field_plot(
-        site, (edge, edge, width - edge, depth - edge), jitter(rng, rgb, 10, 0.07), material
-    )
+    plot = (edge, edge, width - edge, depth - edge)
+    _field_plot(site, plot, jitter(rng, rgb, 10, 0.07), material)
     own, long, broad = _along_rows(site, width, depth, turned=width < depth)
     # Furrows.
     spacing = float(rng.choice([0.75, 1.5, 3.0]))
     for y in np.arange(edge + spacing, broad - edge - 0.5, spacing):
         level = int(128 + rng.choice([-1, 1]) * rng.uniform(4, 12))
-        own.stain_rect((edge, y, long - edge, y + spacing * rng.uniform(0.3, 0.6)), level)
+        furrow_end = y + spacing * rng.uniform(0.3, 0.6)
+        own.stain_rect((edge, y, long - edge, furrow_end), level)
     # Tramlines: two wheel tracks each.
     for y in np.arange(edge + 9, broad - 9, rng.uniform(18, 28)):
         for offset in (0.0, 1.9):
-            own.stain_rect((edge, y + offset, long - edge, y + offset + 0.45), 112)
-    for _ in range(int(rng.poisson(width * depth / 4000))):
+            track_y = y + offset
+            own.stain_rect((edge, track_y, long - edge, track_y + 0.45), 112)
+    for _ in range(rng.poisson(width * depth / 4000)):
         x = rng.uniform(edge + 8, width - edge - 8)
         y = rng.uniform(edge + 8, depth - edge - 8)
-        r = min(rng.uniform(3, 15), x - edge, y - edge, width - edge - x, depth - edge - y)
+        to_border = min(x - edge, y - edge, width - edge - x, depth - edge - y)
+        r = min(rng.uniform(3, 15), to_border)
         spot = jitter(rng, rgb, 14, 0.05)
         site.blob(x, y, r * 0.8, r * 0.6, rgb=spot, material=material)
     if rng.random() < 0.5:
@@ -73,7 +75,7 @@ def vineyard(site: Site, width: float, depth: float) -> None:
     _field_plot(site, plot, jitter(rng, palette.soil, 8), Material.SOIL)
     own, long, broad = _along_rows(site, width, depth, turned=rng.random() >= 0.5)
     spacing = rng.uniform(1.9, 2.8)
-    green = palette.leaves[int(rng.integers(len(palette.leaves)))]
+    green = pick(rng, palette.leaves)
     for y in np.arange(edge + 1.2, broad - edge - 1.0, spacing):
         start = edge + 0.5
         # Dead plants leave gaps.
@@ -82,9 +84,12 @@ def vineyard(site: Site, width: float, depth: float) -> None:
             count = max(int((stop - start) / 1.2), 3)
             xs = np.linspace(start, stop, count)
             half = 0.38
-            upper = np.stack([xs, y + half + rng.normal(0, 0.10, count)], axis=1)
-            lower = np.stack([xs, y - half + rng.normal(0, 0.10, count)], axis=1)[::-1]
-            own.polygon(np.vstack([upper, lower]), jitter(rng, green, 4, 0.05), Material.CROP)
+            upper_y = y + half + rng.normal(0, 0.10, count)
+            lower_y = y - half + rng.normal(0, 0.10, count)
+            upper = np.stack([xs, upper_y], axis=1)
+            lower = np.stack([xs, lower_y], axis=1)
+            row = np.vstack([upper, lower[::-1]])
+            own.polygon(row, jitter(rng, green, 4, 0.05), Material.CROP)
             own.stain_rect((start, y + 0.1, stop, y + 0.75), 94)
             start = stop + rng.uniform(0.8, 2.5)
 
@@ -117,17 +122,18 @@ def meadow(site: Site, width: float, depth: float) -> None:
     rng = site.rng
     palette = site.palette
     site.rect((0, 0, width, depth), jitter(rng, palette.meadow, 8), Material.MEADOW)
-    for _ in range(int(rng.poisson(width * depth / 500))):
-        blot = [palette.soil, palette.lawn, palette.meadow][int(rng.integers(3))]
+    for _ in range(rng.poisson(width * depth / 500)):
+        blot = pick(rng, (palette.soil, palette.lawn, palette.meadow))
         x = rng.uniform(3, width - 3)
         y = rng.uniform(3, depth - 3)
-        size = min(rng.uniform(1.5, 9), x, y, width - x, depth - y) * 0.8
+        to_border = min(x, y, width - x, depth - y)
+        size = min(rng.uniform(1.5, 9), to_border) * 0.8
         size_y = size * rng.uniform(0.5, 1)
         rgb = jitter(rng, blot, 8, 0.06)
         site.blob(x, y, size, size_y, rgb=rgb, material=Material.MEADOW, rough=0.3)
     _track(site, width, depth)
     site.grove((1, 1, width - 1, depth - 1), 0.0025 * palette.greenery)
-    for _ in range(int(rng.poisson(width * depth / 220))):
+    for _ in range(rng.poisson(width * depth / 220)):
         site.bush(rng.uniform(1, width - 1), rng.uniform(1, depth - 1))
 
 
@@ -148,8 +154,9 @@ def _track(site: Site, width: float, depth: float) -> None:
     for offset in (-0.85, 0.85):
         centre = np.clip(ys * depth + offset, 1, depth - 1)
         upper = np.stack([xs * width, centre + 0.4], axis=1)
-        lower = np.stack([xs * width, centre - 0.4], axis=1)[::-1]
-        site.polygon(np.vstack([upper, lower]), jitter(rng, site.palette.gravel, 5), Material.SOIL)
+        lower = np.stack([xs * width, centre - 0.4], axis=1)
+        rut = np.vstack([upper, lower[::-1]])
+        site.polygon(rut, jitter(rng, site.palette.gravel, 5), Material.SOIL)
 
 
 def _tree_line(site: Site, width: float) -> None:
@@ -183,9 +190,10 @@ def farm(site: Site, width: float, depth: float) -> None:
     )
     roof: Rgb = (168, 168, 164)
     if rng.random() < 0.6:
-        roof = palette.roofs[int(rng.integers(len(palette.roofs)))]
+        roof = pick(rng, palette.roofs)
     barn = jitter(rng, roof, 8)
-    own.roof(((0, yard_d - 2, rng.uniform(20, 30), yard_d + 10),), "gable", 5.0, barn)
+    barn_end = rng.uniform(20, 30)
+    own.roof(((0, yard_d - 2, barn_end, yard_d + 10),), "gable", 5.0, barn)
     house(own.at(-6, 3), rng.uniform(9, 11), rng.uniform(10, 14))
     x = 9.0
     while x < yard_w - 3:
@@ -196,10 +204,14 @@ def farm(site: Site, width: float, depth: float) -> None:
             turn = float(np.clip(rng.normal(0, 0.1), -0.2, 0.2))
             own.vehicle(model, x, y=y, angle=math.pi / 2 + turn)
         elif rng.random() < 0.3:
-            own.box((x - 1.2, 8, x + 1.2, 14), 2.6, jitter(rng, (120, 84, 62), 14))
+            machine = jitter(rng, (120, 84, 62), 14)
+            own.box((x - 1.2, 8, x + 1.2, 14), 2.6, machine)
         x += 4.6
     if rng.random() < 0.6:
-        own.pool(-1 + yard_w / 2 + rng.uniform(-6, 6), yard_d + 20, rng.normal(0, 0.2))
-    for _ in range(int(rng.poisson(9 * palette.greenery))):
+        pool_x = -1 + yard_w / 2 + rng.uniform(-6, 6)
+        own.pool(pool_x, yard_d + 20, rng.normal(0, 0.2))
+    for _ in range(rng.poisson(9 * palette.greenery)):
         angle = rng.uniform(0, 2 * np.pi)
-        own.tree(yard_w / 2 + 27 * math.cos(angle), max(yard_d / 2 + 24 * math.sin(angle), -2.5))
+        tree_x = yard_w / 2 + 27 * math.cos(angle)
+        tree_y = yard_d / 2 + 24 * math.sin(angle)
+        own.tree(tree_x, max(tree_y, -2.5))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from research.scenes.truth import FleetKind, VehicleKind
 
@@ -77,9 +78,7 @@ class VehicleModel:
 class Fleet:
     """Random source of vehicles; small ones have the given mean length."""
 
-    def __init__(
-        self, mean_length_m: float, rng: np.random.Generator, kind: FleetKind = "passenger"
-    ) -> None:
+    def __init__(self, mean_length_m: float, rng: Generator, kind: FleetKind = "passenger") -> None:
         self.mean_length_m = mean_length_m
         self.kind = kind
         self._classes = _FLEETS[kind]
@@ -162,5 +161,5 @@ class Fleet:
         return red, green, blue
 
 
-def _bounded(rng: np.random.Generator) -> float:
+def _bounded(rng: Generator) -> float:
     return min(max(float(rng.standard_normal()), -_MAX_DEVIATION), _MAX_DEVIATION)

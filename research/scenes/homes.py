@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from research.scenes.car_parks import bays
-from research.scenes.site import Site, flat_roof_rgb, jitter
+from research.scenes.site import Site, flat_roof_rgb, jitter, pick
 from research.scenes.world import Material, Rect, Rgb
 
 _SHED_RGB = (
@@ -60,16 +60,12 @@ def garden(site: Site, width: float, depth: float) -> None:
     paved = jitter(rng, drive_rgb, 8, 0.06)
     drive_end = setback + rng.uniform(0.3, 0.9) * house_d
     site.rect((drive_x, -0.3, drive_x + drive, drive_end), paved, Material.PAVING)
-    site.rect(
-        (x0 - 0.7, setback - 0.7, x0 + house_w + 0.7, setback + house_d + rng.uniform(0.8, 4)),
-        jitter(rng, palette.paving, 10, 0.08),
-        Material.PAVING,
-    )
-    site.rect(
-        (x0 + house_w / 2 - 0.6, 0, x0 + house_w / 2 + 0.6, setback),
-        jitter(rng, palette.paving, 8),
-        Material.PAVING,
-    )
+    terrace_end = setback + house_d + rng.uniform(0.8, 4)
+    terrace = (x0 - 0.7, setback - 0.7, x0 + house_w + 0.7, terrace_end)
+    site.rect(terrace, jitter(rng, palette.paving, 10, 0.08), Material.PAVING)
+    door_x = x0 + house_w / 2
+    path = (door_x - 0.6, 0, door_x + 0.6, setback)
+    site.rect(path, jitter(rng, palette.paving, 8), Material.PAVING)
     house(site.at(x0, setback), house_w, house_d)
     _drive_cars(site, drive_x, width=drive, end=drive_end)
     _garden_things(site, width, depth=depth, behind=setback + house_d)
@@ -96,7 +92,7 @@ def _garden_ground(site: Site, width: float, depth: float) -> None:
         site.rect((0, 0, width, depth), jitter(rng, palette.soil, 8), Material.SOIL)
     else:
         site.rect((0, 0, width, depth), jitter(rng, palette.lawn, 8, 0.06), Material.LAWN)
-    for _ in range(int(rng.poisson(1.5))):
+    for _ in range(rng.poisson(1.5)):
         other = palette.soil if rng.random() < 0.5 else palette.meadow
         blot = jitter(rng, other, 8)
         x = rng.uniform(2, width - 2)
@@ -110,7 +106,7 @@ def _garden_plants(site: Site, width: float, depth: float, back: float, *, left:
     """Plant trees and bushes along the borders; ``back`` is the rear of the house."""
     rng = site.rng
     palette = site.palette
-    for _ in range(int(rng.poisson(width * depth / 75 * palette.greenery))):
+    for _ in range(rng.poisson(width * depth / 75 * palette.greenery)):
         if rng.random() < 0.75:
             site.tree(rng.uniform(1, width - 1), rng.uniform(back + 1.5, depth - 0.5))
         else:
@@ -118,7 +114,7 @@ def _garden_plants(site: Site, width: float, depth: float, back: float, *, left:
             x = width - from_wall if left else from_wall
             y = rng.uniform(0.5, depth)
             site.tree(x, y, rng.uniform(0.9, 2.2), conical=rng.random() < 0.2)
-    for _ in range(int(rng.poisson(10 * palette.greenery))):
+    for _ in range(rng.poisson(10 * palette.greenery)):
         side = rng.random()
         x = rng.uniform(0.6, width - 0.6) if side < 0.5 else float(rng.choice([0.9, width - 0.9]))
         y = rng.uniform(back + 1, depth - 0.5)
@@ -129,8 +125,9 @@ def house(site: Site, width: float, depth: float) -> None:
     """Build a small house, straight or L-shaped."""
     rng = site.rng
     palette = site.palette
-    turned = site.at(width / 2, depth / 2, rng.normal(0, 0.02)).at(-width / 2, -depth / 2)
-    rgb = jitter(rng, palette.roofs[int(rng.integers(len(palette.roofs)))], 10, 0.07)
+    middle = site.at(width / 2, depth / 2, rng.normal(0, 0.02))
+    turned = middle.at(-width / 2, -depth / 2)
+    rgb = jitter(rng, pick(rng, palette.roofs), 10, 0.07)
     if rng.random() > palette.pitched:
         style = "flat"
         rgb = flat_roof_rgb(site.rng)
@@ -140,9 +137,11 @@ def house(site: Site, width: float, depth: float) -> None:
     if rng.random() < 0.45 and min(width, depth) > 7:
         share = rng.uniform(0.45, 0.65)
         if rng.random() < 0.5:
-            parts = ((0, depth * (1 - share), width, depth), (0, 0, width * share, depth))
+            back = (0, depth * (1 - share), width, depth)
+            parts = (back, (0, 0, width * share, depth))
         else:
-            parts = ((0, 0, width, depth * share), (width * (1 - share), 0, width, depth))
+            right = (width * (1 - share), 0, width, depth)
+            parts = ((0, 0, width, depth * share), right)
     turned.roof(parts, style, rng.uniform(3, 6.5), rgb)
 
 
@@ -175,22 +174,24 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
         pool_x = width / 2 + rng.uniform(-1, 1) * max(width / 2 - 7.5, 0)
         site.pool(pool_x, behind + space / 2 + 0.8, rng.normal(0, 0.06))
         # Loungers.
-        for _ in range(int(rng.integers(0, 4))):
+        for _ in range(rng.integers(0, 4)):
             x = rng.uniform(2, width - 3)
             y = behind + rng.uniform(0.8, 1.6)
             site.box((x, y, x + 0.65, y + 1.9), 0.4, (226, 226, 220))
     elif space > 6 and rng.random() < 0.3:
-        for row in range(int(rng.integers(2, 6))):
+        for row in range(rng.integers(2, 6)):
             y = behind + 2 + row * 0.9
             if y < depth - 1:
-                bed = (2, y, min(2 + width * 0.35, width - 1), y + 0.55)
+                bed_end = min(2 + width * 0.35, width - 1)
+                bed = (2, y, bed_end, y + 0.55)
                 site.rect(bed, jitter(rng, (92, 84, 58), 12), Material.CROP)
     if space > 5 and rng.random() < 0.55:
         sx = rng.uniform(1.8, 4.6)
         sy = rng.uniform(1.6, 2.6)
         x = float(rng.choice([1.0, width - sx - 1.0]))
-        rgb = jitter(rng, _SHED_RGB[int(rng.integers(5))], 14)
-        site.box((x, depth - sy - 0.8, x + sx, depth - 0.8), rng.uniform(2.0, 2.8), rgb)
+        rgb = jitter(rng, pick(rng, _SHED_RGB), 14)
+        shed = (x, depth - sy - 0.8, x + sx, depth - 0.8)
+        site.box(shed, rng.uniform(2.0, 2.8), rgb)
     if rng.random() < 0.2 and space > 6:
         x = rng.uniform(3, width - 3)
         y = rng.uniform(behind + 3, depth - 2.5)
@@ -202,7 +203,7 @@ def _garden_things(site: Site, width: float, depth: float, behind: float) -> Non
         x = rng.uniform(2, width - 2)
         y = behind + rng.uniform(0.8, 2.2)
         radius = rng.uniform(0.9, 1.5)
-        parasol = jitter(rng, _PARASOL_RGB[int(rng.integers(3))], 8)
+        parasol = jitter(rng, pick(rng, _PARASOL_RGB), 8)
         site.disc(x, y, radius=radius, height=2.2, rgb=parasol)
     if rng.random() < 0.12 and space > 6 and width > 11:
         x = rng.uniform(2, width - 6)
@@ -223,7 +224,8 @@ def flats(site: Site, width: float, depth: float) -> None:
         return
     apron: Rect = (0, 0, width, parking + 2)
     site.rect(apron, jitter(rng, palette.asphalt, 4, 0.08), Material.ASPHALT)
-    site.target("parking-lot", [(0, 0), (width, 0), (width, parking + 2), (0, parking + 2)])
+    lot_end = parking + 2
+    site.target("parking-lot", [(0, 0), (width, 0), (width, lot_end), (0, lot_end)])
     filled = rng.uniform(0.4, 0.95)
     bays(
         site,
@@ -244,9 +246,8 @@ def flats(site: Site, width: float, depth: float) -> None:
             if y + deep < depth - 2:
                 pitched = rng.random() < 0.5
                 rgb = _roof_rgb(site, pitched=pitched)
-                site.rect(
-                    (x - 1, y - 1, x + long + 1, y + deep + 1), palette.paving, Material.PAVING
-                )
+                paved = (x - 1, y - 1, x + long + 1, y + deep + 1)
+                site.rect(paved, palette.paving, Material.PAVING)
                 parts: tuple[Rect, ...] = ((x, y, x + long, y + deep),)
                 if rng.random() < 0.3 and y + deep + 12 < depth:
                     parts = (*parts, (x, y, x + 12, y + deep + 10))
@@ -254,14 +255,16 @@ def flats(site: Site, width: float, depth: float) -> None:
                 if pitched:
                     style = "hip" if rng.random() < 0.6 else "gable"
                 site.roof(parts, style, rng.uniform(8, 16), rgb)
-                path = (x + long / 2 - 0.9, parking + 2, x + long / 2 + 0.9, y)
+                door_x = x + long / 2
+                path = (door_x - 0.9, parking + 2, door_x + 0.9, y)
                 site.rect(path, palette.paving, Material.PAVING)
             x += long + rng.uniform(7, 14)
         y += deep + rng.uniform(12, 20)
     y = parking + 4
-    for _ in range(int(rng.poisson(width * (depth - y) / 130 * palette.greenery))):
+    lawn_area = width * (depth - y)
+    for _ in range(rng.poisson(lawn_area / 130 * palette.greenery)):
         site.tree(rng.uniform(1, width - 1), rng.uniform(y, depth - 1))
-    for _ in range(int(rng.poisson(width * (depth - y) / 120))):
+    for _ in range(rng.poisson(lawn_area / 120)):
         site.bush(rng.uniform(1, width - 1), rng.uniform(y, depth - 1))
 
 
@@ -269,8 +272,7 @@ def _roof_rgb(site: Site, *, pitched: bool) -> Rgb:
     """Draw the colour of a roof."""
     if not pitched:
         return flat_roof_rgb(site.rng)
-    roofs = site.palette.roofs
-    return jitter(site.rng, roofs[int(site.rng.integers(len(roofs)))], 8)
+    return jitter(site.rng, pick(site.rng, site.palette.roofs), 8)
 
 
 def town(site: Site, width: float, depth: float) -> None:
@@ -294,18 +296,19 @@ def town(site: Site, width: float, depth: float) -> None:
             own.roof((part,), style, rng.uniform(8, 15), rgb)
             x += long
     yard = (1.0, deep + 3.0, width - 1.0, depth - deep - 3.0)
-    for _ in range(int(rng.poisson(max(width * (depth - 2 * deep) / 260, 0)))):
-        x = rng.uniform(yard[0], yard[2] - 5)
-        y = rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1))
-        if y + 3 < yard[3]:
-            site.blob(x, y, rng.uniform(2, 6), rng.uniform(1.5, 3), palette.lawn, Material.LAWN)
+    left, top, right, bottom = yard
+    lowest = max(bottom - 4, top + 0.1)
+    for _ in range(rng.poisson(max(width * (depth - 2 * deep) / 260, 0))):
+        x = rng.uniform(left, right - 5)
+        y = rng.uniform(top, lowest)
+        if y + 3 < bottom:
+            radius_x = rng.uniform(2, 6)
+            radius_y = rng.uniform(1.5, 3)
+            site.blob(x, y, radius_x, radius_y, rgb=palette.lawn, material=Material.LAWN)
             site.tree(x, y)
-    for _ in range(int(rng.poisson(2))):
-        x = rng.uniform(yard[0], yard[2] - 6)
-        y = rng.uniform(yard[1], max(yard[3] - 4, yard[1] + 0.1))
-        if y + 3.5 < yard[3]:
-            site.box(
-                (x, y, x + rng.uniform(3, 6), y + rng.uniform(2.5, 3.4)),
-                2.6,
-                jitter(rng, (140, 136, 130), 12),
-            )
+    for _ in range(rng.poisson(2)):
+        x = rng.uniform(left, right - 6)
+        y = rng.uniform(top, lowest)
+        if y + 3.5 < bottom:
+            shed = (x, y, x + rng.uniform(3, 6), y + rng.uniform(2.5, 3.4))
+            site.box(shed, 2.6, jitter(rng, (140, 136, 130), 12))

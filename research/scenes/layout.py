@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.random import Generator
 
 from research.scenes.blocks import FILLERS
 from research.scenes.fleet import Fleet
@@ -60,9 +61,7 @@ _MARGIN_M = 45.0
 _MIN_EXTENT_M = 150.0
 
 
-def lay_out(
-    rng: np.random.Generator, layout: Layout, width_m: float, height_m: float, fleet: Fleet
-) -> World:
+def lay_out(rng: Generator, layout: Layout, width_m: float, height_m: float, fleet: Fleet) -> World:
     """Build a world that covers a view of this size and a margin around it.
 
     Small views are centred on a vehicle, if there is one.
@@ -70,7 +69,7 @@ def lay_out(
     plan = _PLANS[layout]
     extent = max(math.hypot(width_m, height_m), _MIN_EXTENT_M) + 2 * _MARGIN_M
     palette = Palette.draw(rng)
-    turn = float(rng.uniform(0, 2 * math.pi))
+    turn = rng.uniform(0, 2 * math.pi)
     centre = Frame(width_m / 2, height_m / 2, turn)
     world = World()
     shift = rng.uniform(-0.2, 0.2, 2) * 60
@@ -99,7 +98,8 @@ def _in_reach(frame: Frame, block: Block, width: float, height: float) -> bool:
     """Test whether a block is in the view or can cast a shadow into it."""
     x0, y0, x1, y1 = block.rect
     (centre,) = frame.points([((x0 + x1) / 2, (y0 + y1) / 2)])
-    outside = np.maximum(np.abs(centre - (width / 2, height / 2)) - (width / 2, height / 2), 0)
+    half_size = (width / 2, height / 2)
+    outside = np.maximum(np.abs(centre - half_size) - half_size, 0)
     return bool(np.hypot(*outside) < math.hypot(x1 - x0, y1 - y0) / 2 + _MARGIN_M)
 
 

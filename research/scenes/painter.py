@@ -9,6 +9,7 @@ from typing import cast
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.fleet import VehicleModel
@@ -26,8 +27,10 @@ from research.scenes.sprites import CROWN_SPAN, VEHICLE_PAD, Sun, crown_sprite, 
 from research.scenes.tile import SUBPIXEL_BITS, Tile
 from research.scenes.world import Box, Material, PlacedVehicle, Roof, Stain, Surface, Tree, World
 
-_F = NDArray[np.float32]
-_U8 = NDArray[np.uint8]
+_Layer = NDArray[np.float32]
+_Pixels = NDArray[np.uint8]
+# Lowest or highest x or y [n] of outlines.
+_Ends = NDArray[np.float64]
 
 # Light of the bluish sky relative to sun and sky.
 _SHADE = (0.40, 0.44, 0.52)
@@ -62,10 +65,10 @@ class Painter:
 
     world: World
     sun: Sun
-    rng: np.random.Generator
+    rng: Generator
     px_per_m: float
     """Resolution of the canvas before downsampling."""
-    _sprites: dict[tuple[str, int], tuple[_F, float, float]] = field(default_factory=dict)
+    _sprites: dict[tuple[str, int], tuple[_Layer, float, float]] = field(default_factory=dict)
     _hulls: dict[int, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -155,21 +158,23 @@ class Painter:
                 cv2.fillPoly(stain, [points], mark.level, cv2.LINE_AA, SUBPIXEL_BITS)
         blur = 0.06 * self.px_per_m
         if blur > 0.4:
-            stain = cast("_U8", cv2.GaussianBlur(stain, (0, 0), min(blur, 6.0)))
+            stain = cast("_Pixels", cv2.GaussianBlur(stain, (0, 0), min(blur, 6.0)))
         table = np.zeros((256, 6), dtype=np.float32)
         for entry, amplitudes in _TEXTURES.items():
             table[entry] = amplitudes
         gain = cv2.LUT(stain, np.arange(256, dtype=np.float32) / 128)
-        texture: _F = np.ones_like(tile.noise[0])
+        texture: _Layer = np.ones_like(tile.noise[0])
         for index, field_ in enumerate(tile.noise):
             cv2.accumulateProduct(
-                cast("_F", cv2.LUT(material, table[:, index].copy())), field_, texture
+                cast("_Layer", cv2.LUT(material, table[:, index].copy())), field_, texture
             )
         gain = cv2.multiply(gain, texture)
         for channel in range(3):
             value = cv2.multiply(tile.rgb[:, :, channel], gain, dtype=cv2.CV_32F)
             cv2.accumulateProduct(
-                cast("_F", cv2.LUT(material, table[:, 3 + channel].copy())), tile.noise[2], value
+                cast("_Layer", cv2.LUT(material, table[:, 3 + channel].copy())),
+                tile.noise[2],
+                value,
             )
             np.clip(value, 0, 255, out=value)
             tile.rgb[:, :, channel] = value
@@ -214,7 +219,9 @@ class Painter:
                 mask = np.zeros((y1 - y0, x1 - x0), dtype=np.uint8)
                 points = np.rint((pixels - (x0 + 0.5, y0 + 0.5)) * 16).astype(np.int32)
                 cv2.fillPoly(mask, [points], 255, cv2.LINE_8, SUBPIXEL_BITS)
-                gain = 1 + 0.22 * tile.noise[1][y0:y1, x0:x1] + 0.16 * tile.noise[0][y0:y1, x0:x1]
+                first_noise = tile.noise[0][y0:y1, x0:x1]
+                second_noise = tile.noise[1][y0:y1, x0:x1]
+                gain = 1 + 0.22 * second_noise + 0.16 * first_noise
                 patch = tile.rgb[y0:y1, x0:x1]
                 lit = np.clip(patch * gain[:, :, None], 8, 235).astype(np.uint8)
                 patch[mask > 0] = lit[mask > 0]
@@ -247,18 +254,12 @@ class Painter:
         )
         cx = (vehicle.x - tile.x) / tile.step - x0 - 0.5
         cy = (vehicle.y - tile.y) / tile.step - y0 - 0.5
+        shift_x = columns / 2 - 0.5 - per_length * (cos * cx + sin * cy)
+        shift_y = rows / 2 - 0.5 - per_width * (-sin * cx + cos * cy)
         matrix = np.array(
             [
-                [
-                    per_length * cos,
-                    per_length * sin,
-                    columns / 2 - 0.5 - per_length * (cos * cx + sin * cy),
-                ],
-                [
-                    -per_width * sin,
-                    per_width * cos,
-                    rows / 2 - 0.5 - per_width * (-sin * cx + cos * cy),
-                ],
+                [per_length * cos, per_length * sin, shift_x],
+                [-per_width * sin, per_width * cos, shift_y],
             ]
         )
         patch = cv2.warpAffine(
@@ -276,7 +277,7 @@ class Painter:
         blend = target * (1 - cover) + paint * colour + grey * glass + red * lamp
         target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
-    def _vehicle_sprite(self, model: VehicleModel, angle: float) -> tuple[_F, float, float]:
+    def _vehicle_sprite(self, model: VehicleModel, angle: float) -> tuple[_Layer, float, float]:
         """Get the body's sprite for the sun's octant, with the length and width of its drawing."""
         octant = round((angle - self.sun.azimuth) / (math.pi / 4)) % 8
         key = (model.body, octant)
@@ -291,30 +292,25 @@ class Painter:
 
     def _crown_patch(
         self, tile: Tile, tree: Tree, x: float, y: float
-    ) -> tuple[tuple[int, int, int, int], _F] | None:
+    ) -> tuple[tuple[int, int, int, int], _Layer] | None:
         radius = tree.radius / tile.step * CROWN_SPAN
         cx = (x - tile.x) / tile.step
         cy = (y - tile.y) / tile.step
-        window = tile.window(
-            np.array([cx - radius, cy - radius]), np.array([cx + radius, cy + radius])
-        )
+        centre = np.array([cx, cy])
+        window = tile.window(centre - radius, centre + radius)
         if window is None:
             return None
         x0, y0, x1, y1 = window
         levels = self._crowns[tree.look % _N_CROWNS]
-        level = next(
-            (sprite for sprite in reversed(levels) if sprite.shape[0] >= 1.4 * radius), levels[0]
-        )
+        large = (sprite for sprite in reversed(levels) if sprite.shape[0] >= 1.4 * radius)
+        level = next(large, levels[0])
         scale = level.shape[0] / (2 * radius)
-        matrix = np.array(
-            [
-                [scale, 0, scale * (x0 + 0.5 - cx + radius) - 0.5],
-                [0, scale, scale * (y0 + 0.5 - cy + radius) - 0.5],
-            ]
-        )
+        shift_x = scale * (x0 + 0.5 - cx + radius) - 0.5
+        shift_y = scale * (y0 + 0.5 - cy + radius) - 0.5
+        matrix = np.array([[scale, 0, shift_x], [0, scale, shift_y]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         sprite = cv2.warpAffine(level, matrix, (x1 - x0, y1 - y0), flags=flags, borderValue=(0, 0))
-        return window, cast("_F", sprite.reshape(y1 - y0, x1 - x0, 2))
+        return window, cast("_Layer", sprite.reshape(y1 - y0, x1 - x0, 2))
 
     def _crown(self, tile: Tile, tree: Tree) -> None:
         patch = self._crown_patch(tile, tree, x=tree.x, y=tree.y)
@@ -324,38 +320,38 @@ class Painter:
         cover = sprite[:, :, 0]
         light = sprite[:, :, 1]
         if self.px_per_m > 25:
-            light = light * (
-                1 + 0.12 * tile.noise[0][y0:y1, x0:x1] + 0.08 * tile.noise[1][y0:y1, x0:x1]
-            )
+            first_noise = tile.noise[0][y0:y1, x0:x1]
+            second_noise = tile.noise[1][y0:y1, x0:x1]
+            light = light * (1 + 0.12 * first_noise + 0.08 * second_noise)
         target = tile.rgb[y0:y1, x0:x1]
-        blend = target * (1 - cover[:, :, None]) + light[:, :, None] * np.array(
-            tree.rgb, dtype=np.float32
-        )
+        leaves = light[:, :, None] * np.array(tree.rgb, dtype=np.float32)
+        blend = target * (1 - cover[:, :, None]) + leaves
         target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
         hidden = tile.crowns[y0:y1, x0:x1]
         np.maximum(hidden, (cover * 255).astype(np.uint8), out=hidden)
 
 
-def _pyramid(sprite: _F) -> list[_F]:
+def _pyramid(sprite: _Layer) -> list[_Layer]:
     levels = [sprite]
     while levels[-1].shape[0] > 8:
         size = levels[-1].shape[0] // 2
-        levels.append(
-            cast("_F", cv2.resize(levels[-1], (size, size), interpolation=cv2.INTER_AREA))
-        )
+        smaller = cv2.resize(levels[-1], (size, size), interpolation=cv2.INTER_AREA)
+        levels.append(cast("_Layer", smaller))
     return levels
 
 
 def _bounds(
     outlines: Sequence[NDArray[np.float64]],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[_Ends, _Ends, _Ends, _Ends]:
     low = np.array([outline.min(axis=0) for outline in outlines]).reshape(-1, 2)
     high = np.array([outline.max(axis=0) for outline in outlines]).reshape(-1, 2)
     return low[:, 0], low[:, 1], high[:, 0], high[:, 1]
 
 
-def _darken(rgb: _U8, shadow: _U8) -> None:
+def _darken(rgb: _Pixels, shadow: _Pixels) -> None:
     """Reduce the light in shadows to that of the sky."""
     for channel, share in enumerate(_SHADE):
-        table = np.rint(255 * (1 - (1 - share) * np.arange(256) / 255)).astype(np.uint8)
-        rgb[:, :, channel] = cv2.multiply(rgb[:, :, channel], cv2.LUT(shadow, table), scale=1 / 255)
+        light = 1 - (1 - share) * np.arange(256) / 255
+        table = np.rint(255 * light).astype(np.uint8)
+        gain = cv2.LUT(shadow, table)
+        rgb[:, :, channel] = cv2.multiply(rgb[:, :, channel], gain, scale=1 / 255)

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import TypeAlias, cast
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
+
+Points: TypeAlias = NDArray[np.float64]
+"""Points x, y ``[n, 2]``."""
+
+Texture: TypeAlias = NDArray[np.float32]
+"""Texture ``[h, w]``."""
 
 _SMOOTH_BELOW = 0.34
 
 
-def polygon_area(points: NDArray[np.float64]) -> float:
+def polygon_area(points: Points) -> float:
     """Compute the area of a simple polygon [N,2] by the shoelace formula, in squared units."""
     x = points[:, 0]
     y = points[:, 1]
-    return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
+    next_x = np.roll(x, -1)
+    next_y = np.roll(y, -1)
+    doubled = np.dot(x, next_y) - np.dot(y, next_x)
+    return float(abs(doubled) / 2)
 
 
-def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
+def polygon_mask(points: Points, width: int, height: int) -> NDArray[np.bool_]:
     """Rasterise a polygon: pixels whose centre lies inside (even-odd rule).
 
     The number of pixels is an unbiased estimate of the area. ``cv2.fillPoly`` also fills every
@@ -34,7 +44,8 @@ def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArra
         [height, width] mask.
     """
     toggles = np.zeros((height, width + 1), dtype=np.uint8)
-    for (x0, y0), (x1, y1) in zip(points, np.roll(points, -1, axis=0), strict=True):
+    next_points = np.roll(points, -1, axis=0)
+    for (x0, y0), (x1, y1) in zip(points, next_points, strict=True):
         if y0 == y1:
             continue
         low, high = (y0, y1) if y0 < y1 else (y1, y0)
@@ -46,21 +57,20 @@ def polygon_mask(points: NDArray[np.float64], width: int, height: int) -> NDArra
         crossings = x0 + (rows + 0.5 - y0) * ((x1 - x0) / (y1 - y0))
         columns = np.clip(np.ceil(crossings - 0.5), 0, width).astype(np.intp)
         toggles[rows, columns] ^= 1
-    return cast(
-        "NDArray[np.bool_]", np.bitwise_xor.accumulate(toggles, axis=1)[:, :width].astype(bool)
-    )
+    is_inside = np.bitwise_xor.accumulate(toggles, axis=1)[:, :width]
+    return cast("NDArray[np.bool_]", is_inside.astype(bool))
 
 
-def clip_polygon(
-    points: NDArray[np.float64], x0: float, y0: float, x1: float, y1: float
-) -> NDArray[np.float64]:
+def clip_polygon(points: Points, x0: float, y0: float, x1: float, y1: float) -> Points:
     """Clip a polygon to a rectangle (Sutherland-Hodgman); the result may be empty [0,2]."""
     current = points
-    for axis, bound, sign in ((0, x0, 1.0), (0, x1, -1.0), (1, y0, 1.0), (1, y1, -1.0)):
+    # Axis, bound, and the direction to the inside of each edge.
+    edges = ((0, x0, 1.0), (0, x1, -1.0), (1, y0, 1.0), (1, y1, -1.0))
+    for axis, bound, sign in edges:
         if len(current) == 0:
             break
         inside = sign * (current[:, axis] - bound) >= 0
-        clipped: list[NDArray[np.float64]] = []
+        clipped: list[Points] = []
         for index, point in enumerate(current):
             previous = current[index - 1]
             if inside[index] != inside[index - 1]:
@@ -72,10 +82,12 @@ def clip_polygon(
     return current
 
 
-def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArray[np.float32]:
+def noise_texture(rng: Generator, size: int, exponent: float) -> Texture:
     """Create periodic noise [size, size]: spectrum f ** -exponent, zero mean, unit variance."""
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
-    frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
+    rows = np.fft.fftfreq(size)[:, None]
+    columns = np.fft.rfftfreq(size)[None, :]
+    frequency = np.hypot(rows, columns)
     frequency[0, 0] = 1.0
     spectrum *= frequency**-exponent
     spectrum[0, 0] = 0.0
@@ -84,14 +96,14 @@ def noise_texture(rng: np.random.Generator, size: int, exponent: float) -> NDArr
 
 
 def sample_noise(
-    texture: NDArray[np.float32],
+    texture: Texture,
     texel: float,
     x: float,
     y: float,
     step: float,
     width: int,
     height: int,
-) -> NDArray[np.float32]:
+) -> Texture:
     """Sample a periodic texture, laid over the world, at the pixels of a window.
 
     Args:
@@ -113,7 +125,7 @@ def sample_noise(
         factor *= 2
     if factor > 1:
         texture = cast(
-            "NDArray[np.float32]",
+            "Texture",
             cv2.resize(texture, (size // factor,) * 2, interpolation=cv2.INTER_AREA),
         )
         texel = texel * factor
@@ -136,4 +148,4 @@ def sample_noise(
         border = cv2.BORDER_REPLICATE
     matrix = np.array([[scale, 0, left], [0, scale, top]])
     sampled = cv2.warpAffine(texture, matrix, (width, height), flags=flags, borderMode=border)
-    return cast("NDArray[np.float32]", sampled)
+    return cast("Texture", sampled)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple, cast, get_args
+from typing import NamedTuple, TypeAlias, cast, get_args
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.fleet import Fleet
@@ -27,6 +28,15 @@ from research.scenes.truth import (
 )
 from research.scenes.world import PlacedCourt, PlacedVehicle, Target, World
 from vehanchor.errors import InvalidParameterError
+
+Points: TypeAlias = NDArray[np.float64]
+"""Points x, y ``[n, 2]``."""
+
+Picture: TypeAlias = NDArray[np.uint8]
+"""RGB picture ``[h, w, 3]``."""
+
+Labels: TypeAlias = NDArray[np.uint16]
+"""Numbers ``[h, w]`` of objects; 0 is the background."""
 
 _TILE_PX = 1024
 _MIN_SIZE_PX = 16
@@ -88,7 +98,9 @@ def render_scene(
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     random_layout = int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))
     layout = layout or cast("Layout", get_args(Layout)[random_layout])
-    sun = Sun(float(place_rng.uniform(0, 2 * math.pi)), math.radians(place_rng.uniform(33, 64)))
+    azimuth = place_rng.uniform(0, 2 * math.pi)
+    elevation_deg = place_rng.uniform(33, 64)
+    sun = Sun(azimuth, math.radians(elevation_deg))
     fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
     width_m = width_px * gsd_m_per_px
     height_m = height_px * gsd_m_per_px
@@ -114,7 +126,7 @@ def render_scene(
 
 
 def _scene(
-    image: NDArray[np.uint8],
+    image: Picture,
     world: World,
     view: _View,
     *,
@@ -192,7 +204,7 @@ def _oversampling(gsd_m_per_px: float) -> int:
 
 def _paint(
     painter: Painter, x0: float, y0: float, *, gsd_m_per_px: float, width_px: int, height_px: int
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+) -> tuple[Picture, Picture]:
     """Paint the view from (x0, y0) metres on.
 
     Returns:
@@ -216,9 +228,7 @@ def _paint(
     return image, crowns
 
 
-def _view_corner(
-    world: World, width: float, height: float, rng: np.random.Generator
-) -> tuple[float, float]:
+def _view_corner(world: World, width: float, height: float, rng: Generator) -> tuple[float, float]:
     """Choose the view's top left corner; small views move to the vehicle nearest the centre."""
     jitter = rng.uniform(-0.2, 0.2, 2)
     if max(width, height) >= _SMALL_VIEW_M or not world.vehicles:
@@ -227,16 +237,20 @@ def _view_corner(
     centres = np.array([(vehicle.x, vehicle.y) for vehicle in small])
     if len(centres) == 0:
         return 0.0, 0.0
-    distances = np.hypot(centres[:, 0] - width / 2, centres[:, 1] - height / 2)
+    from_centre = centres - (width / 2, height / 2)
+    distances = np.hypot(from_centre[:, 0], from_centre[:, 1])
     x, y = centres[int(np.argmin(distances))]
-    return float(x - width * (0.5 + jitter[0])), float(y - height * (0.5 + jitter[1]))
+    jitter_x, jitter_y = jitter
+    corner_x = x - width * (0.5 + jitter_x)
+    corner_y = y - height * (0.5 + jitter_y)
+    return float(corner_x), float(corner_y)
 
 
 def _thin(
     world: World,
     view: tuple[float, float, float, float],
     limit: int | None,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> None:
     """Remove vehicles: keep at most ``limit`` small ones in view, and that share of all others."""
     if limit is None:
@@ -260,23 +274,23 @@ def _thin(
     world.vehicles[:] = [vehicle for vehicle in world.vehicles if id(vehicle) in kept]
 
 
-def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def _photograph(image: Picture, rng: Generator) -> Picture:
     """Apply lens, haze, sensor and compression."""
-    sigma = float(rng.uniform(0.45, 0.85))
+    sigma = rng.uniform(0.45, 0.85)
     blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-    image = cast("NDArray[np.uint8]", blurred)
+    image = cast("Picture", blurred)
     # Sharpening in post-processing.
     if rng.random() < 0.35:
         soft = cv2.GaussianBlur(image, (0, 0), 1.2, borderType=cv2.BORDER_REFLECT)
-        amount = float(rng.uniform(0.3, 0.9))
-        image = cast("NDArray[np.uint8]", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))
+        amount = rng.uniform(0.3, 0.9)
+        image = cast("Picture", cv2.addWeighted(image, 1 + amount, soft, -amount, 0))
     gamma = rng.uniform(0.88, 1.12)
     gain = rng.uniform(0.9, 1.12)
     haze = rng.uniform(0, 16)
     cast_rgb = 1 + np.clip(rng.normal(0, 0.018, 3), -0.04, 0.04)
-    saturation = float(rng.uniform(0.75, 1.1))
-    noise_sd = float(rng.uniform(0.8, 3.6))
-    colour_sd = float(rng.uniform(0.2, 1.2))
+    saturation = rng.uniform(0.75, 1.1)
+    noise_sd = rng.uniform(0.8, 3.6)
+    colour_sd = rng.uniform(0.2, 1.2)
     # Gamma, gain, haze and colour cast act on each value, so a table of 256 values holds them.
     levels = np.arange(256) / 255
     tables = [
@@ -298,7 +312,7 @@ def _photograph(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     if rng.random() < 0.6:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(78, 96))]
         _, encoded = cv2.imencode(".jpg", out, quality)
-        out = cast("NDArray[np.uint8]", cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+        out = cast("Picture", cv2.imdecode(encoded, cv2.IMREAD_COLOR))
     return out
 
 
@@ -323,30 +337,34 @@ class _View(NamedTuple):
         height, width = self.hidden.shape
         return width, height
 
-    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pixels(self, points: Points) -> Points:
         """Convert points in metres to pixels."""
         return np.asarray((points - (self.x0, self.y0)) / self.gsd_m_per_px)
 
-    def is_cut(self, corners: NDArray[np.float64]) -> bool:
+    def is_cut(self, corners: Points) -> bool:
         """Return whether the image's edge cuts a polygon in pixels."""
         return bool((corners < 0).any() or (corners > self.size).any())
 
-    def hidden_share(self, corners: NDArray[np.float64]) -> float:
+    def hidden_share(self, corners: Points) -> float:
         """Compute the share of a polygon's pixels that crowns hide; 0 without pixels."""
         width, height = self.size
-        low = np.clip(np.floor(corners.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
-        high = np.clip(np.ceil(corners.max(axis=0)), low + 1, (width, height)).astype(int)
-        inside = polygon_mask(corners - low, int(high[0] - low[0]), int(high[1] - low[1]))
-        hidden = self.hidden[low[1] : high[1], low[0] : high[0]][inside]
+        first = np.floor(corners.min(axis=0))
+        last = np.ceil(corners.max(axis=0))
+        low = np.clip(first, 0, (width - 1, height - 1)).astype(int)
+        high = np.clip(last, low + 1, (width, height)).astype(int)
+        columns, rows = (high - low).tolist()
+        inside = polygon_mask(corners - low, columns, rows)
+        window = np.s_[low[1] : high[1], low[0] : high[0]]
+        hidden = self.hidden[window][inside]
         return float(hidden.mean()) if hidden.size else 0.0
 
 
 def _masks(
     targets: list[Target], view: _View
-) -> tuple[dict[Category, NDArray[np.uint16]], tuple[SceneObject, ...]]:
+) -> tuple[dict[Category, Labels], tuple[SceneObject, ...]]:
     """Number the visible pixels of each object by category, and measure its areas."""
     width, height = view.size
-    masks: dict[Category, NDArray[np.uint16]] = {
+    masks: dict[Category, Labels] = {
         category: np.zeros((height, width), dtype=np.uint16) for category in CATEGORIES
     }
     full_areas: dict[Category, list[float]] = {category: [] for category in CATEGORIES}
@@ -363,18 +381,20 @@ def _masks(
     return masks, tuple(objects)
 
 
-def _draw_target(mask: NDArray[np.uint16], target: Target, number: int, view: _View) -> bool:
+def _draw_target(mask: Labels, target: Target, number: int, view: _View) -> bool:
     """Write a target's number into its visible pixels; return whether there are any."""
     width, height = view.size
     is_visible = False
     for polygon in target.polygons:
         outline = view.pixels(polygon)
         low = np.maximum(np.floor(outline.min(axis=0)), 0).astype(int)
-        high = np.minimum(np.ceil(outline.max(axis=0)), (width, height)).astype(int)
+        last = np.ceil(outline.max(axis=0))
+        high = np.minimum(last, (width, height)).astype(int)
         if (low >= high).any():
             continue
         window = np.s_[low[1] : high[1], low[0] : high[0]]
-        inside = polygon_mask(outline - low, int(high[0] - low[0]), int(high[1] - low[1]))
+        columns, rows = (high - low).tolist()
+        inside = polygon_mask(outline - low, columns, rows)
         if target.category in ("swimming-pool", "building"):
             inside &= ~view.hidden[window]
         mask[window][inside] = number

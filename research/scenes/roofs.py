@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.sprites import Sun
 from research.scenes.tile import Tile
 from research.scenes.world import Rect, Rgb, Roof
 
-_F = NDArray[np.float32]
+_Layer = NDArray[np.float32]
 # Depth of one course of tiles.
 _COURSE_M = 0.36
 _PARAPET_M = 0.7
@@ -21,7 +22,8 @@ _PARAPET_M = 0.7
 
 def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
     """Draw a roof with an exact outline onto a tile."""
-    corners = tile.pixels(np.vstack([roof.corners(part) for part in roof.parts]))
+    outline = np.vstack([roof.corners(part) for part in roof.parts])
+    corners = tile.pixels(outline)
     window = tile.window(corners.min(axis=0) - 1, corners.max(axis=0) + 1)
     if window is None:
         return
@@ -55,7 +57,9 @@ def paint_roof(tile: Tile, roof: Roof, sun: Sun) -> None:
     target[:] = np.clip(blend + 0.5, 0, 255).astype(np.uint8)
 
 
-def _roof_coordinates(tile: Tile, window: tuple[int, int, int, int], roof: Roof) -> tuple[_F, _F]:
+def _roof_coordinates(
+    tile: Tile, window: tuple[int, int, int, int], roof: Roof
+) -> tuple[_Layer, _Layer]:
     """Compute the coordinates of a window's pixels in the roof's frame, metres."""
     x0, y0, x1, y1 = window
     cos = np.float32(math.cos(roof.frame.angle))
@@ -68,8 +72,8 @@ def _roof_coordinates(tile: Tile, window: tuple[int, int, int, int], roof: Roof)
 
 
 def _part(
-    roof: Roof, part: Rect, *, u: _F, v: _F, light: tuple[float, float, float], step: float
-) -> tuple[_F, _F, _F]:
+    roof: Roof, part: Rect, *, u: _Layer, v: _Layer, light: tuple[float, float, float], step: float
+) -> tuple[_Layer, _Layer, _Layer]:
     """Compute distance inside the outline, height and shading of one rectangle's roof."""
     left, top, right, bottom = part
     distances = [
@@ -107,8 +111,8 @@ _NORMALS = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 def _flat_shade(
-    inset: _F, distances: list[_F], *, light: tuple[float, float, float], step: float
-) -> _F:
+    inset: _Layer, distances: list[_Layer], *, light: tuple[float, float, float], step: float
+) -> _Layer:
     """Shade a flat roof: a bright parapet, whose shadow falls inside on the sides to the sun."""
     shade = np.ones_like(inset)
     reach = _PARAPET_M / math.tan(max(math.asin(light[2]), 0.2))
@@ -117,20 +121,21 @@ def _flat_shade(
         facing = (nx * light[0] + ny * light[1]) / horizontal
         if facing > 0:
             depth = 0.3 + reach * facing
-            shade *= 1 - 0.5 * np.clip((depth - distance) / max(step, 0.05) + 0.5, 0, 1)
+            shadow = np.clip((depth - distance) / max(step, 0.05) + 0.5, 0, 1)
+            shade *= 1 - 0.5 * shadow
     rim = np.clip((0.3 - inset) / step + 0.5, 0, 1)
     shade += (1.12 - shade) * rim
     return shade.astype(np.float32)
 
 
 def _pitched_shade(
-    distances: list[_F],
+    distances: list[_Layer],
     normals: list[tuple[int, int]],
     *,
     pitch: float,
     light: tuple[float, float, float],
     step: float,
-) -> tuple[_F, _F]:
+) -> tuple[_Layer, _Layer]:
     """Shade the faces of a pitched roof, one for each side, with courses of tiles and ridges.
 
     Returns:
@@ -143,7 +148,8 @@ def _pitched_shade(
     course = np.zeros(shape, dtype=np.float32)
     for distance, (nx, ny) in zip(distances, normals, strict=True):
         # Lambert's law relative to level ground, which light[2] lights, with 0.42 of sky.
-        face = (pitch * (nx * light[0] + ny * light[1]) + light[2]) / math.hypot(pitch, 1)
+        facing = nx * light[0] + ny * light[1]
+        face = (pitch * facing + light[2]) / math.hypot(pitch, 1)
         value = 0.42 + 0.58 * max(face, 0.0) / light[2]
         closer = distance < nearest
         second = np.where(closer, nearest, np.minimum(second, distance))
@@ -154,9 +160,11 @@ def _pitched_shade(
     fade = float(np.clip(0.20 / step - 0.9, 0, 1))
     if fade > 0:
         phase = course / np.float32(_COURSE_M)
-        lambert = lambert * (1 + fade * 0.10 * (0.5 - (phase - np.floor(phase))))
+        within_course = phase - np.floor(phase)
+        lambert = lambert * (1 + fade * 0.10 * (0.5 - within_course))
     # A ridge is where two faces are equally near.
-    ridge = np.clip((0.16 - (second - nearest)) / max(step, 0.08) + 0.5, 0, 1)
+    from_ridge = second - nearest
+    ridge = np.clip((0.16 - from_ridge) / max(step, 0.08) + 0.5, 0, 1)
     shade = lambert * (1 + 0.14 * ridge)
     return nearest, shade.astype(np.float32)
 
@@ -174,9 +182,9 @@ class _Canvas:
         angle: angle of the frame in the scene, radians.
     """
 
-    rgb: _F
-    u: _F
-    v: _F
+    rgb: _Layer
+    u: _Layer
+    v: _Layer
     step: float
     sun: Sun
     angle: float
@@ -185,7 +193,8 @@ class _Canvas:
         """Blend in an axis-aligned rectangle, given by its centre and size."""
         x, y, w, h = box
         cover = self._cover(x, y, w, h)[:, :, None] * opacity * self._visible(w, h)
-        self.rgb += (np.array(rgb, dtype=np.float32) - self.rgb) * cover
+        colour = np.array(rgb, dtype=np.float32)
+        self.rgb += (colour - self.rgb) * cover
 
     def block(self, box: Rect, height: float, rgb: Rgb) -> None:
         """Draw a block, given by its centre and size, with its shadow."""
@@ -198,13 +207,15 @@ class _Canvas:
         # The shadow is the union of the outline at four places between the block and its end.
         shadow = np.zeros(self.u.shape, dtype=np.float32)
         for share in (0.25, 0.5, 0.75, 1.0):
-            shadow = np.maximum(shadow, self._cover(x + share * shift_x, y + share * shift_y, w, h))
+            block_x = x + share * shift_x
+            block_y = y + share * shift_y
+            shadow = np.maximum(shadow, self._cover(block_x, block_y, w, h))
         self.rgb *= 1 - 0.52 * shadow[:, :, None] * self._visible(w, h)
         self.rectangle(box, rgb)
         top = cast("Rgb", tuple(int(0.88 * channel) for channel in rgb))
         self.rectangle((x, y, 0.6 * w, 0.6 * h), top)
 
-    def _cover(self, x: float, y: float, w: float, h: float) -> _F:
+    def _cover(self, x: float, y: float, w: float, h: float) -> _Layer:
         """Compute the cover of each pixel by a rectangle, a ramp one pixel wide."""
         from_ends = w / 2 - np.abs(self.u - np.float32(x))
         from_sides = h / 2 - np.abs(self.v - np.float32(y))
@@ -216,7 +227,7 @@ class _Canvas:
         return min(1.0, w / self.step, h / self.step)
 
 
-def _pitched_fittings(canvas: _Canvas, part: Rect, rng: np.random.Generator) -> None:
+def _pitched_fittings(canvas: _Canvas, part: Rect, rng: Generator) -> None:
     """Add chimneys, roof windows and solar panels to a pitched roof."""
     x0, y0, x1, y1 = part
     w = x1 - x0
@@ -233,15 +244,16 @@ def _pitched_fittings(canvas: _Canvas, part: Rect, rng: np.random.Generator) -> 
         return centre_x + across * w / 2, centre_y + along * h / 2
 
     # Chimneys.
-    for _ in range(int(rng.integers(0, 3))):
+    for _ in range(rng.integers(0, 3)):
         x, y = position(rng.uniform(-0.6, 0.6), rng.uniform(-0.35, 0.35))
         canvas.block((x, y, 0.7, 0.6), 1.1, (150, 130, 118))
     # Roof windows: a frame, and glass that reflects the sky or does not.
     if rng.random() < 0.35:
-        for _ in range(int(rng.integers(1, 4))):
+        for _ in range(rng.integers(1, 4)):
             x, y = position(rng.uniform(-0.6, 0.6), side * rng.uniform(0.4, 0.6))
             size = (0.85, 1.2) if along_x else (1.2, 0.85)
-            canvas.rectangle((x, y, size[0] + 0.2, size[1] + 0.2), (90, 84, 80))
+            frame = (x, y, size[0] + 0.2, size[1] + 0.2)
+            canvas.rectangle(frame, (90, 84, 80))
             glass = (120, 140, 158) if rng.random() < 0.5 else (48, 56, 64)
             canvas.rectangle((x, y, *size), glass)
     # Solar panels, left out where they would not fit on the roof.
@@ -257,15 +269,17 @@ def _pitched_fittings(canvas: _Canvas, part: Rect, rng: np.random.Generator) -> 
                 dv = (row - rows / 2 + 0.5) * (panel[1] + 0.04)
                 if not along_x:
                     du, dv = dv, du
-                fits_x = abs(x + du - centre_x) < w / 2 - 0.8
-                fits_y = abs(y + dv - centre_y) < h / 2 - 0.8
+                panel_x = x + du
+                panel_y = y + dv
+                fits_x = abs(panel_x - centre_x) < w / 2 - 0.8
+                fits_y = abs(panel_y - centre_y) < h / 2 - 0.8
                 if fits_x and fits_y:
-                    canvas.rectangle((x + du, y + dv, *size), (112, 118, 128))
-                    cells = (x + du, y + dv, size[0] - 0.12, size[1] - 0.12)
+                    canvas.rectangle((panel_x, panel_y, *size), (112, 118, 128))
+                    cells = (panel_x, panel_y, size[0] - 0.12, size[1] - 0.12)
                     canvas.rectangle(cells, (34, 42, 66))
 
 
-def _random_box(part: Rect, rng: np.random.Generator, size: tuple[float, float]) -> Rect:
+def _random_box(part: Rect, rng: Generator, size: tuple[float, float]) -> Rect:
     """Draw a position on a flat roof, away from its edge: centre and size."""
     x0, y0, x1, y1 = part
     margin = 1.6
@@ -276,7 +290,7 @@ def _random_box(part: Rect, rng: np.random.Generator, size: tuple[float, float])
     return float(x), float(y), sx, sy
 
 
-def _flat_fittings(canvas: _Canvas, roof_rgb: Rgb, part: Rect, rng: np.random.Generator) -> None:
+def _flat_fittings(canvas: _Canvas, roof_rgb: Rgb, part: Rect, rng: Generator) -> None:
     """Add sheets, seams, roof lights, machinery and solar panels to one part of a flat roof."""
     x0, y0, x1, y1 = part
     w = x1 - x0
@@ -285,8 +299,9 @@ def _flat_fittings(canvas: _Canvas, roof_rgb: Rgb, part: Rect, rng: np.random.Ge
     if min(w, h) < 5:
         return
     # Newer or older sheets.
-    for _ in range(int(rng.poisson(min(area / 500, 4)))):
-        box = _random_box(part, rng, (rng.uniform(3, 10), rng.uniform(3, 10)))
+    for _ in range(rng.poisson(min(area / 500, 4))):
+        size = (rng.uniform(3, 10), rng.uniform(3, 10))
+        box = _random_box(part, rng, size)
         sheet = cast("Rgb", tuple(int(channel * rng.uniform(0.88, 1.08)) for channel in roof_rgb))
         canvas.rectangle(box, sheet, 0.6)
     _draw_seams(canvas, x0)
@@ -301,17 +316,19 @@ def _flat_fittings(canvas: _Canvas, roof_rgb: Rgb, part: Rect, rng: np.random.Ge
                 y = y0 + (j + 0.5) * h / count_y
                 canvas.block((x, y, *size), 0.35, (226, 230, 232))
     # Machines for heating and air.
-    for _ in range(int(rng.poisson(min(1 + area / 350, 8)))):
+    for _ in range(rng.poisson(min(1 + area / 350, 8))):
         size = (rng.uniform(0.9, 3.2), rng.uniform(0.9, 2.2))
         grey = int(rng.uniform(130, 215))
         box = _random_box(part, rng, size)
         canvas.block(box, rng.uniform(0.5, 1.4), (grey, grey, grey))
     # Vents.
-    for _ in range(int(rng.poisson(min(area / 150, 10)))):
-        canvas.block(_random_box(part, rng, (0.5, 0.5)), 0.5, (150, 150, 150))
+    for _ in range(rng.poisson(min(area / 150, 10))):
+        vent = _random_box(part, rng, (0.5, 0.5))
+        canvas.block(vent, 0.5, (150, 150, 150))
     # A staircase or lift.
     if area > 120 and rng.random() < 0.4:
-        box = _random_box(part, rng, (rng.uniform(3, 5), rng.uniform(2.5, 4)))
+        size = (rng.uniform(3, 5), rng.uniform(2.5, 4))
+        box = _random_box(part, rng, size)
         canvas.block(box, 2.6, (188, 184, 178))
     # Rows of solar panels.
     if rng.random() < 0.22:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import TypeAlias, cast
 
 import cv2
 import numpy as np
@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from research.scenes.sprites import CROWN_SPAN, Sun
 from research.scenes.world import PlacedVehicle, Roof, Tree
 
+Points: TypeAlias = NDArray[np.float64]
+"""Points x, y ``[n, 2]``."""
 
-def swept(points: NDArray[np.float64], offset: tuple[float, float]) -> NDArray[np.float64]:
+
+def swept(points: Points, offset: tuple[float, float]) -> Points:
     """Compute the convex hull of a convex outline and its shadow."""
     both = np.vstack([points, points + offset]).astype(np.float32)
-    return cast("NDArray[np.float64]", cv2.convexHull(both).reshape(-1, 2).astype(np.float64))
+    return cast("Points", cv2.convexHull(both).reshape(-1, 2).astype(np.float64))
 
 
-def roof_shadows(roof: Roof, sun: Sun) -> list[NDArray[np.float64]]:
+def roof_shadows(roof: Roof, sun: Sun) -> list[Points]:
     """Compute the convex hull of each part's walls, ridge and their shadows."""
     hulls = []
     for part in roof.parts:
@@ -30,18 +33,20 @@ def roof_shadows(roof: Roof, sun: Sun) -> list[NDArray[np.float64]]:
             half = min(x1 - x0, y1 - y0) / 2
             inset = half if roof.style == "hip" else 0.0
             if x1 - x0 >= y1 - y0:
-                ridge = [(x0 + inset, (y0 + y1) / 2), (x1 - inset, (y0 + y1) / 2)]
+                middle_y = (y0 + y1) / 2
+                ridge = [(x0 + inset, middle_y), (x1 - inset, middle_y)]
             else:
-                ridge = [((x0 + x1) / 2, y0 + inset), ((x0 + x1) / 2, y1 - inset)]
+                middle_x = (x0 + x1) / 2
+                ridge = [(middle_x, y0 + inset), (middle_x, y1 - inset)]
             outline.append(roof.frame.points(ridge) + sun.shadow(roof.eaves + roof.pitch * half))
         hull = (
             cv2.convexHull(np.vstack(outline).astype(np.float32)).reshape(-1, 2).astype(np.float64)
         )
-        hulls.append(cast("NDArray[np.float64]", hull))
+        hulls.append(cast("Points", hull))
     return hulls
 
 
-def tree_reach(tree: Tree, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+def tree_reach(tree: Tree, reach: Points) -> Points:
     """Compute two corners of the box around a crown and its shadow.
 
     Args:
@@ -51,10 +56,10 @@ def tree_reach(tree: Tree, reach: NDArray[np.float64]) -> NDArray[np.float64]:
     radius = tree.radius * CROWN_SPAN
     centre = np.array([tree.x, tree.y])
     ends = np.array([centre, centre + tree.height * reach])
-    return cast("NDArray[np.float64]", np.vstack([ends - radius, ends + radius]))
+    return cast("Points", np.vstack([ends - radius, ends + radius]))
 
 
-def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.float64]:
+def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> Points:
     """Compute a vehicle's corners [4,2]; length and width grow by ``grow - 1`` times the length."""
     cos = math.cos(vehicle.angle)
     sin = math.sin(vehicle.angle)
@@ -63,7 +68,7 @@ def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.flo
     across = np.array([-sin, cos]) * (vehicle.model.width_m + margin) / 2
     centre = np.array([vehicle.x, vehicle.y])
     return cast(
-        "NDArray[np.float64]",
+        "Points",
         np.array(
             [
                 centre + along - across,
@@ -75,7 +80,7 @@ def vehicle_corners(vehicle: PlacedVehicle, grow: float = 1.0) -> NDArray[np.flo
     )
 
 
-def vehicle_outline(vehicle: PlacedVehicle) -> NDArray[np.float64]:
+def vehicle_outline(vehicle: PlacedVehicle) -> Points:
     """Compute an octagon slightly inside the body, the base of its shadow."""
     corners = vehicle_corners(vehicle)
     inner = []
@@ -89,7 +94,7 @@ def vehicle_outline(vehicle: PlacedVehicle) -> NDArray[np.float64]:
     return np.array(inner)
 
 
-def vehicle_reach(vehicle: PlacedVehicle, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+def vehicle_reach(vehicle: PlacedVehicle, reach: Points) -> Points:
     """Compute points [8,2] around a vehicle and its shadow.
 
     Args:
@@ -97,4 +102,4 @@ def vehicle_reach(vehicle: PlacedVehicle, reach: NDArray[np.float64]) -> NDArray
         reach: shadow of 1 m of height.
     """
     corners = vehicle_corners(vehicle)
-    return cast("NDArray[np.float64]", np.vstack([corners, corners + 3.5 * reach]))
+    return cast("Points", np.vstack([corners, corners + 3.5 * reach]))

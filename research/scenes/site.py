@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from research.scenes.fleet import Fleet, VehicleModel
@@ -27,10 +28,19 @@ from research.scenes.world import (
     World,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 WHITE: Rgb = (222, 222, 216)
+Option = TypeVar("Option")
 
 
-def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float = 0.05) -> Rgb:
+def pick(rng: Generator, options: Sequence[Option]) -> Option:
+    """Draw one of several options, all equally likely."""
+    return options[int(rng.integers(len(options)))]
+
+
+def jitter(rng: Generator, rgb: Rgb, spread: float = 6.0, gain: float = 0.05) -> Rgb:
     """Vary a colour at random."""
     brightness, red, green, blue = rng.standard_normal(4).tolist()
     scale = 1 + brightness * gain
@@ -43,7 +53,7 @@ def jitter(rng: np.random.Generator, rgb: Rgb, spread: float = 6.0, gain: float 
     return cast("Rgb", tuple(varied))
 
 
-def flat_roof_rgb(rng: np.random.Generator) -> Rgb:
+def flat_roof_rgb(rng: Generator) -> Rgb:
     """Draw the colour of a flat roof: gravel, membrane or bitumen."""
     tones: tuple[Rgb, ...] = (
         (204, 200, 192),
@@ -53,7 +63,7 @@ def flat_roof_rgb(rng: np.random.Generator) -> Rgb:
         (222, 222, 220),
         (168, 156, 142),
     )
-    return jitter(rng, tones[int(rng.integers(len(tones)))], 6, 0.05)
+    return jitter(rng, pick(rng, tones), 6, 0.05)
 
 
 @dataclass(frozen=True)
@@ -76,7 +86,7 @@ class Palette:
     """Share of gardens with a pool."""
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> Palette:
+    def draw(cls, rng: Generator) -> Palette:
         """Draw one of several kinds of region, with variation."""
         greens: tuple[Rgb, ...] = (
             (96, 110, 78),
@@ -98,7 +108,8 @@ class Palette:
         brown: tuple[Rgb, ...] = ((124, 108, 98), (142, 124, 110), (110, 100, 94), (164, 150, 136))
         slate: tuple[Rgb, ...] = ((112, 114, 120), (96, 98, 104), (134, 132, 130), (128, 112, 104))
         pale: tuple[Rgb, ...] = ((205, 200, 190), (182, 174, 164), (214, 212, 206), (160, 140, 124))
-        roofs = (red, (*red, *brown), brown, slate, (*slate, *brown), pale)[int(rng.integers(6))]
+        regions = (red, (*red, *brown), brown, slate, (*slate, *brown), pale)
+        roofs = pick(rng, regions)
         tone = rng.uniform(92, 150)
         warm = rng.uniform(-3, 7)
         dry = rng.random() < 0.4
@@ -109,14 +120,20 @@ class Palette:
             paving=jitter(rng, (168, 164, 156), 8, 0.08),
             lawn=jitter(rng, lawn, 8),
             meadow=jitter(rng, meadow, 10),
-            soil=jitter(rng, (164, 142, 114) if rng.random() < 0.6 else (132, 112, 92), 8, 0.07),
+            soil=_soil(rng),
             gravel=jitter(rng, (182, 172, 154), 8, 0.06),
             leaves=tuple(jitter(rng, rgb, 8, 0.08) for rgb in greens),
             roofs=tuple(jitter(rng, rgb, 6, 0.04) for rgb in roofs),
             pitched=0.3 if roofs is pale else 0.93,
-            greenery=float(rng.uniform(0.6, 1.5)),
+            greenery=rng.uniform(0.6, 1.5),
             pools=float(rng.choice([0.08, 0.25, 0.55])),
         )
+
+
+def _soil(rng: Generator) -> Rgb:
+    """Draw the colour of soil, light or dark."""
+    rgb: Rgb = (164, 142, 114) if rng.random() < 0.6 else (132, 112, 92)
+    return jitter(rng, rgb, 8, 0.07)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +142,7 @@ class Site:
 
     world: World
     frame: Frame
-    rng: np.random.Generator
+    rng: Generator
     fleet: Fleet
     palette: Palette
     kept_free: list[tuple[Frame, Rect]] = field(default_factory=list)
@@ -156,7 +173,8 @@ class Site:
         rough: float = 0.12,
     ) -> None:
         """Add an irregular round surface."""
-        self.polygon(_blob(self.rng, x, y=y, rx=rx, ry=ry, rough=rough), rgb, material)
+        outline = _blob(self.rng, x, y=y, rx=rx, ry=ry, rough=rough)
+        self.polygon(outline, rgb, material)
 
     def line(
         self, x0: float, y0: float, x1: float, y1: float, width: float = 0.12, rgb: Rgb = WHITE
@@ -165,9 +183,12 @@ class Site:
         length = math.hypot(x1 - x0, y1 - y0)
         nx = -(y1 - y0) / length * width / 2
         ny = (x1 - x0) / length * width / 2
-        start = [(x0 - nx, y0 - ny), (x0 + nx, y0 + ny)]
-        end = [(x1 + nx, y1 + ny), (x1 - nx, y1 - ny)]
-        self.polygon([start[1], *end, start[0]], rgb, Material.PAINT)
+        left_start = (x0 + nx, y0 + ny)
+        left_end = (x1 + nx, y1 + ny)
+        right_end = (x1 - nx, y1 - ny)
+        right_start = (x0 - nx, y0 - ny)
+        outline = [left_start, left_end, right_end, right_start]
+        self.polygon(outline, rgb, Material.PAINT)
 
     def stain(self, points: ArrayLike, level: int) -> None:
         """Darken (level below 128) or lighten the ground."""
@@ -186,7 +207,9 @@ class Site:
         strides = np.stack([np.cos(turns), np.sin(turns)], axis=1) * length / steps
         path = np.array([x, y]) + np.cumsum(strides, axis=0)
         normal = np.stack([-np.sin(turns), np.cos(turns)], axis=1) * width / 2
-        self.stain(np.vstack([path + normal, (path - normal)[::-1]]), level)
+        left = path + normal
+        right = path - normal
+        self.stain(np.vstack([left, right[::-1]]), level)
 
     def target(self, category: Category, *polygons: ArrayLike, area: float | None = None) -> None:
         """Add an object to be masked.
@@ -205,13 +228,16 @@ class Site:
 
     def box(self, rect: Rect, height: float, rgb: Rgb, *, leafy: bool = False) -> None:
         """Add a low upright block."""
-        self.world.boxes.append(Box(self.frame.points(_corners(rect)), height, rgb, leafy))
+        outline = self.frame.points(_corners(rect))
+        self.world.boxes.append(Box(outline, height, rgb, leafy))
 
     def disc(self, x: float, y: float, radius: float, height: float, rgb: Rgb) -> None:
         """Add a low cylinder."""
         angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-        circle = np.stack([x + radius * np.cos(angles), y + radius * np.sin(angles)], axis=1)
-        self.world.boxes.append(Box(self.frame.points(circle), height, rgb))
+        circle_x = x + radius * np.cos(angles)
+        circle_y = y + radius * np.sin(angles)
+        outline = self.frame.points(np.stack([circle_x, circle_y], axis=1))
+        self.world.boxes.append(Box(outline, height, rgb))
 
     def pole(self, x: float, y: float, height: float = 7.0) -> None:
         """Add a lamp post, of which little more than the shadow is visible."""
@@ -229,10 +255,12 @@ class Site:
             height = self.rng.uniform(1.4, 2.4)
             count = max(int(length / 0.8), 3)
             along = np.linspace(0, length, count)
-            upper = np.stack([along, half + self.rng.normal(0, 0.12, count)], axis=1)
-            lower = np.stack([along, -half + self.rng.normal(0, 0.12, count)], axis=1)[::-1]
+            upper_y = half + self.rng.normal(0, 0.12, count)
+            lower_y = -half + self.rng.normal(0, 0.12, count)
+            upper = np.stack([along, upper_y], axis=1)
+            lower = np.stack([along, lower_y], axis=1)
             green = jitter(self.rng, self._green(), 6, 0.06)
-            outline = site.frame.points(np.vstack([upper, lower]))
+            outline = site.frame.points(np.vstack([upper, lower[::-1]]))
             self.world.boxes.append(Box(outline, height, green, leafy=True))
         else:
             site.box(
@@ -242,8 +270,7 @@ class Site:
             )
 
     def _green(self) -> Rgb:
-        leaves = self.palette.leaves
-        red, green, blue = leaves[int(self.rng.integers(len(leaves)))]
+        red, green, blue = pick(self.rng, self.palette.leaves)
         return int(red * 0.88), int(green * 0.88), int(blue * 0.88)
 
     def tree(
@@ -254,13 +281,18 @@ class Site:
         (centre,) = self.frame.points([(x, y)])
         if any(_within(centre, frame, rect) for frame, rect in self.kept_free):
             return
-        radius = float(np.clip(rng.lognormal(0.85, 0.35), 1.0, 5.5)) if radius is None else radius
-        leaves = self.palette.leaves
-        rgb = jitter(rng, leaves[int(rng.integers(len(leaves)))], 10, 0.10)
+        if radius is None:
+            radius = float(np.clip(rng.lognormal(0.85, 0.35), 1.0, 5.5))
+        rgb = jitter(rng, pick(rng, self.palette.leaves), 10, 0.10)
         if rng.random() < 0.015:  # blossom or purple foliage
             rgb = jitter(rng, (128, 84, 104), 10)
-        look = int(rng.integers(7, 9)) if conical else int(rng.integers(0, 7))
-        height = radius * (rng.uniform(3.2, 4.6) if conical else rng.uniform(1.5, 2.3)) + 0.8
+        if conical:
+            look = int(rng.integers(7, 9))
+            slenderness = rng.uniform(3.2, 4.6)
+        else:
+            look = int(rng.integers(0, 7))
+            slenderness = rng.uniform(1.5, 2.3)
+        height = radius * slenderness + 0.8
         self.world.trees.append(
             Tree(
                 float(centre[0]),
@@ -274,17 +306,18 @@ class Site:
 
     def bush(self, x: float, y: float) -> None:
         """Add a shrub."""
-        self.tree(x, y, float(self.rng.uniform(0.4, 1.1)))
+        self.tree(x, y, self.rng.uniform(0.4, 1.1))
 
     def grove(self, rect: Rect, density: float) -> None:
         """Scatter trees over a rectangle, at a density per square metre."""
         x0, y0, x1, y1 = rect
-        for _ in range(int(self.rng.poisson(max(x1 - x0, 0) * max(y1 - y0, 0) * density))):
+        area = max(x1 - x0, 0) * max(y1 - y0, 0)
+        for _ in range(self.rng.poisson(area * density)):
             self.tree(self.rng.uniform(x0, x1), self.rng.uniform(y0, y1))
 
     def roof(self, parts: tuple[Rect, ...], style: str, eaves: float, rgb: Rgb) -> None:
         """Add a building over one or two rectangles of its frame."""
-        pitch = float(self.rng.uniform(0.32, 0.62))
+        pitch = self.rng.uniform(0.32, 0.62)
         self.world.roofs.append(
             Roof(
                 self.frame,
@@ -302,7 +335,9 @@ class Site:
         area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in parts)
         if len(parts) == 2:
             (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1) = parts
-            area -= max(min(ax1, bx1) - max(ax0, bx0), 0) * max(min(ay1, by1) - max(ay0, by0), 0)
+            overlap_x = max(min(ax1, bx1) - max(ax0, bx0), 0)
+            overlap_y = max(min(ay1, by1) - max(ay0, by0), 0)
+            area -= overlap_x * overlap_y
         self.target("building", *(_corners(part) for part in parts), area=area)
 
     def pool(self, x: float, y: float, angle: float = 0.0) -> None:
@@ -311,7 +346,8 @@ class Site:
         site = self.at(x, y, angle)
         length = rng.uniform(6, 12)
         width = rng.uniform(3, 5)
-        water = jitter(rng, (96, 182, 206) if rng.random() < 0.8 else (74, 150, 190), 10, 0.06)
+        water_rgb: Rgb = (96, 182, 206) if rng.random() < 0.8 else (74, 150, 190)
+        water = jitter(rng, water_rgb, 10, 0.06)
         rim = jitter(rng, (212, 200, 182), 8, 0.05)
         terrace = rng.uniform(0.8, 2.5)
         if rng.random() < 0.6:
@@ -325,21 +361,23 @@ class Site:
             outline = np.array(_corners((-length / 2, -width / 2, length / 2, width / 2)))
         else:
             angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-            waist = 1 - (0.22 if kind > 0.85 else 0.0) * np.exp(
-                -(((angles - np.pi / 2) / 0.6) ** 2)
-            )
+            indent = 0.22 if kind > 0.85 else 0.0
             power = 2.6 if kind > 0.85 else 2.0
-            radial = (np.abs(np.cos(angles)) ** power + np.abs(np.sin(angles)) ** power) ** (
-                -1 / power
-            ) * waist
-            outline = np.stack(
-                [length / 2 * radial * np.cos(angles), width / 2 * radial * np.sin(angles)], axis=1
-            )
+            waist = 1 - indent * np.exp(-(((angles - np.pi / 2) / 0.6) ** 2))
+            cos = np.cos(angles)
+            sin = np.sin(angles)
+            # A superellipse in polar coordinates.
+            inverse = np.abs(cos) ** power + np.abs(sin) ** power
+            radial = inverse ** (-1 / power) * waist
+            outline_x = length / 2 * radial * cos
+            outline_y = width / 2 * radial * sin
+            outline = np.stack([outline_x, outline_y], axis=1)
         grown = outline * (1 + 0.9 / np.array([length, width]))
         site.polygon(grown, (226, 222, 212), Material.PAVING)
         site.polygon(outline, water, Material.WATER)
         inner = outline * (1 - 0.7 / np.array([length, width]))
-        deep = cast("Rgb", tuple(int(c * f) for c, f in zip(water, (0.86, 0.96, 1.0), strict=True)))
+        red, green, blue = water
+        deep = (int(red * 0.86), int(green * 0.96), int(blue * 1.0))
         site.polygon(inner, deep, Material.WATER)
         site.stain_rect((length * 0.1, -width * 0.4, length * 0.42, width * 0.4), 116)
         if kind < 0.7:
@@ -379,12 +417,13 @@ def _corners(rect: Rect) -> list[tuple[float, float]]:
 
 
 def _blob(
-    rng: np.random.Generator, x: float, y: float, rx: float, ry: float, rough: float
+    rng: Generator, x: float, y: float, rx: float, ry: float, rough: float
 ) -> NDArray[np.float64]:
     angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     radial = np.ones_like(angles)
     for order in range(2, 7):
-        radial += (
-            rough * rng.normal() / order**0.7 * np.cos(order * angles + rng.uniform(0, 2 * np.pi))
-        )
-    return np.stack([x + rx * radial * np.cos(angles), y + ry * radial * np.sin(angles)], axis=1)
+        amplitude = rough * rng.normal() / order**0.7
+        radial += amplitude * np.cos(order * angles + rng.uniform(0, 2 * np.pi))
+    outline_x = x + rx * radial * np.cos(angles)
+    outline_y = y + ry * radial * np.sin(angles)
+    return np.stack([outline_x, outline_y], axis=1)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from research.scenes.site import WHITE, Site, jitter
+from research.scenes.site import WHITE, Site, jitter, pick
 from research.scenes.truth import CourtKind
 from research.scenes.world import Material, PlacedCourt, Rgb
 
@@ -69,13 +69,17 @@ class Paint:
             return
         pieces = max(int(math.hypot(x1 - x0, y1 - y0)), 1)
         ends = np.linspace(0, 1, pieces + 1)
-        for a, b, gone in zip(
-            ends[:-1], ends[1:], self.site.rng.random(pieces) < self.wear, strict=True
-        ):
-            if not gone:
-                dx = x1 - x0
-                dy = y1 - y0
-                self.site.line(x0 + a * dx, y0 + a * dy, x0 + b * dx, y0 + b * dy, width, self.rgb)
+        is_worn = self.site.rng.random(pieces) < self.wear
+        dx = x1 - x0
+        dy = y1 - y0
+        for (a, b), worn in zip(pairwise(ends), is_worn, strict=True):
+            if worn:
+                continue
+            start_x = x0 + a * dx
+            start_y = y0 + a * dy
+            end_x = x0 + b * dx
+            end_y = y0 + b * dy
+            self.site.line(start_x, start_y, end_x, end_y, width, self.rgb)
 
     def path(self, points: NDArray[np.float64]) -> None:
         """Paint a line through points."""
@@ -86,8 +90,10 @@ class Paint:
         """Paint a rectangle of this size to the outside of its lines."""
         x = (length - self.width) / 2
         y = (width - self.width) / 2
-        for a, b, c, d in ((-x, -y, x, -y), (-x, y, x, y), (-x, -y, -x, y), (x, -y, x, y)):
-            self.line(a, b, c, d)
+        self.line(-x, -y, x, -y)
+        self.line(-x, y, x, y)
+        self.line(-x, -y, -x, y)
+        self.line(x, -y, x, y)
 
 
 def sports_ground(site: Site, width: float, depth: float) -> None:
@@ -98,12 +104,10 @@ def sports_ground(site: Site, width: float, depth: float) -> None:
     y = rng.uniform(3, 8)
     while y + 36 < depth:
         x = rng.uniform(3, 10)
-        surface = jitter(rng, _SURFACES[int(rng.integers(len(_SURFACES)))], 8)
-        inner = (
-            jitter(rng, _SURFACES[int(rng.integers(len(_SURFACES)))], 6)
-            if rng.random() < 0.6
-            else surface
-        )
+        surface = jitter(rng, pick(rng, _SURFACES), 8)
+        inner = surface
+        if rng.random() < 0.6:
+            inner = jitter(rng, pick(rng, _SURFACES), 6)
         kind = _KINDS[int(rng.choice(len(_KINDS), p=_KIND_SHARES))]
         broad = rng.uniform(16.5, 19) if kind == "tennis" else rng.uniform(18.5, 21)
         wear = float(rng.choice([0.0, 0.0, 0.05, 0.15, 0.3]))
@@ -127,7 +131,7 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
         "sports-court", [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
     )
     site.kept_free.append((site.frame, (-half_x, -half_y, half_x, half_y)))
-    for _ in range(int(rng.integers(0, 5))):
+    for _ in range(rng.integers(0, 5)):
         site.crack(
             rng.uniform(-16, 16),
             rng.uniform(-half_y, half_y),
@@ -158,19 +162,20 @@ def place_court(site: Site, kind: CourtKind, inner: Rgb, wear: float) -> None:
             inner,
             Material.COURT,
         )
-        site.stain_rect((-2, -3, rng.uniform(0, 8), 3), int(rng.integers(112, 142)))
+        stain = (-2, -3, rng.uniform(0, 8), 3)
+        site.stain_rect(stain, int(rng.integers(112, 142)))
     if rng.random() < 0.2:
         _other_game(site)
-    tone = float(rng.uniform(0.35, 1.0))  # remaining whiteness of the paint
+    tone = rng.uniform(0.35, 1.0)  # remaining whiteness of the paint
     rgb = tuple(
         int(tone * white + (1 - tone) * ground) for white, ground in zip(WHITE, inner, strict=True)
     )
-    paint = Paint(site, (rgb[0], rgb[1], rgb[2]), width=float(rng.uniform(0.05, 0.1)), wear=wear)
+    paint = Paint(site, (rgb[0], rgb[1], rgb[2]), width=rng.uniform(0.05, 0.1), wear=wear)
     if kind == "tennis":
         _tennis(paint)
     else:
         _basketball(paint, _BASKETBALL[kind])
-    for _ in range(int(rng.poisson(1.2))):
+    for _ in range(rng.poisson(1.2)):
         x = rng.uniform(-length / 2, length / 2)
         y = rng.uniform(-width / 2, width / 2)
         site.disc(float(x), float(y), radius=0.28, height=1.7, rgb=jitter(rng, (150, 120, 110), 40))
@@ -198,7 +203,8 @@ def _tennis(paint: Paint) -> None:
         paint.line(x, -inside, x, inside)
     paint.line(-service, 0, service, 0)
     if paint.site.rng.random() < 0.9:
-        paint.site.box((-0.05, -width / 2 - 0.9, 0.05, width / 2 + 0.9), 1.0, (60, 64, 62))
+        net_end = width / 2 + 0.9
+        paint.site.box((-0.05, -net_end, 0.05, net_end), 1.0, (60, 64, 62))
 
 
 def _basketball(paint: Paint, court: _Basketball) -> None:
@@ -219,21 +225,26 @@ def _basketball(paint: Paint, court: _Basketball) -> None:
             paint.line(end * half, y, end * free_throw, y)
         paint.line(end * free_throw, -key_y, end * free_throw, key_y)
         ahead = ring[(ring[:, 0] <= 1e-9)] * (_RING_M - line / 2)
-        paint.path(np.stack([end * (free_throw + ahead[:, 0]), ahead[:, 1]], axis=1))
+        ahead_x = end * (free_throw + ahead[:, 0])
+        paint.path(np.stack([ahead_x, ahead[:, 1]], axis=1))
         turn = math.asin(min(1.0, straight_y / reach))
         angles = np.linspace(-turn, turn, _RING_STEPS)
         basket = half - _BASKET_FROM_END_M
-        arc = np.stack([end * (basket - reach * np.cos(angles)), reach * np.sin(angles)], axis=1)
+        arc_x = end * (basket - reach * np.cos(angles))
+        arc_y = reach * np.sin(angles)
+        arc = np.stack([arc_x, arc_y], axis=1)
         for x, y in (arc[0], arc[-1]):
             paint.line(end * half, y, x, y)
         paint.path(arc)
-        paint.site.box((end * half - 0.6, -0.9, end * half + 0.6, 0.9), 3.0, (110, 110, 112))
+        board_x = end * half
+        paint.site.box((board_x - 0.6, -0.9, board_x + 0.6, 0.9), 3.0, (110, 110, 112))
 
 
 def _other_game(site: Site) -> None:
     """Paint lines of pickleball or volleyball in another colour."""
     rng = site.rng
-    rgb: Rgb = ((206, 190, 80), (90, 130, 190), (190, 90, 80))[int(rng.integers(3))]
+    yellow_blue_red: tuple[Rgb, ...] = ((206, 190, 80), (90, 130, 190), (190, 90, 80))
+    rgb = pick(rng, yellow_blue_red)
     paint = Paint(site, rgb, width=0.05, wear=0.0)
     length, width = (13.41, 6.10) if rng.random() < 0.6 else (18.0, 9.0)
     position = float(rng.choice([0.0, 0.0, 3.0]))

@@ -13,13 +13,14 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 CROWN_SPAN = 1.25
 # Transparent margin on every side of a vehicle's sprite, as a share of the length.
 VEHICLE_PAD = 0.03
 
-_F = NDArray[np.float32]
+_Layer = NDArray[np.float32]
 _Reals = NDArray[np.floating[Any]]
 
 
@@ -148,18 +149,18 @@ _CARS = {
 }
 
 
-def _soft(distance: _F, width: float) -> _F:
+def _soft(distance: _Layer, width: float) -> _Layer:
     """Convert a signed distance (positive inside) to coverage: a ramp one pixel wide."""
-    return cast("_F", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
+    return cast("_Layer", np.clip(distance / width + 0.5, 0, 1).astype(np.float32))
 
 
-def _band(value: _F, low: float, high: float, width: float) -> _F:
-    return cast("_F", _soft(value - low, width) * _soft(high - value, width))
+def _band(value: _Layer, low: float, high: float, width: float) -> _Layer:
+    return cast("_Layer", _soft(value - low, width) * _soft(high - value, width))
 
 
 def vehicle_sprite(
     body: str, length: float, width: float, px_per_m: float, light: tuple[float, float, float]
-) -> _F:
+) -> _Layer:
     """Draw a vehicle that points to +x.
 
     Args:
@@ -176,11 +177,11 @@ def vehicle_sprite(
     pad = VEHICLE_PAD * length
     columns = max(8, round((length + 2 * pad) * px_per_m))
     rows = max(6, round((width + 2 * pad) * px_per_m))
-    u = ((np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5) * np.float32(
-        length + 2 * pad
-    )
-    v = ((np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5) * np.float32(width + 2 * pad)
-    grid_u, grid_v = cast("tuple[_F, _F]", np.meshgrid(u, v))
+    u_share = (np.arange(columns, dtype=np.float32) + 0.5) / columns - 0.5
+    v_share = (np.arange(rows, dtype=np.float32) + 0.5) / rows - 0.5
+    u = u_share * np.float32(length + 2 * pad)
+    v = v_share * np.float32(width + 2 * pad)
+    grid_u, grid_v = cast("tuple[_Layer, _Layer]", np.meshgrid(u, v))
     if body in _CARS:
         return _car(
             _CARS[body], body, u=grid_u, v=grid_v, length=length, width=width, px=px, light=light
@@ -188,32 +189,31 @@ def vehicle_sprite(
     return _heavy(body, grid_u, v=grid_v, length=length, width=width, px=px, light=light)
 
 
-def _lit(height: _F, px: float, light: tuple[float, float, float]) -> _F:
+def _lit(height: _Layer, px: float, light: tuple[float, float, float]) -> _Layer:
     """Compute the Lambert shading of a height map; 1 for horizontal surfaces."""
     blur = max(0.05 / px, 0.4)
-    height = cast("_F", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
+    height = cast("_Layer", cv2.GaussianBlur(height, (0, 0), blur, borderType=cv2.BORDER_REPLICATE))
     slope_v, slope_u = np.gradient(height, px)
     slope_u = np.clip(slope_u, -2, 2)
     slope_v = np.clip(slope_v, -2, 2)
-    lambert = (light[2] - light[0] * slope_u - light[1] * slope_v) / np.sqrt(
-        1 + slope_u**2 + slope_v**2
-    )
+    light_x, light_y, light_z = light
+    normal_length = np.sqrt(1 + slope_u**2 + slope_v**2)
+    lambert = (light_z - light_x * slope_u - light_y * slope_v) / normal_length
     ambient = 0.45
-    return cast(
-        "_F", np.clip(ambient + (1 - ambient) * lambert / light[2], 0.38, 1.35).astype(np.float32)
-    )
+    shade = ambient + (1 - ambient) * lambert / light_z
+    return cast("_Layer", np.clip(shade, 0.38, 1.35).astype(np.float32))
 
 
 def _car(
     car: _Car,
     body: str,
-    u: _F,
-    v: _F,
+    u: _Layer,
+    v: _Layer,
     length: float,
     width: float,
     px: float,
     light: tuple[float, float, float],
-) -> _F:
+) -> _Layer:
     half_width = width / 2
     t = (length / 2 - u) / length
     across = np.abs(v) / half_width
@@ -230,11 +230,9 @@ def _car(
     roof_height = {"van": 2.1, "suv": 1.65}.get(body, car.cabin_height)
     crown = 0.05 * (1 - np.clip(across, 0, 1) ** 2)
     edge = np.clip(inset / 0.22, 0, 1)
-    height = (
-        belt * (0.55 + 0.45 * np.sqrt(edge))
-        + crown
-        + (roof_height - belt) * np.minimum(cabin, lean)
-    )
+    body_height = belt * (0.55 + 0.45 * np.sqrt(edge))
+    cabin_height = (roof_height - belt) * np.minimum(cabin, lean)
+    height = body_height + crown + cabin_height
     shade = _lit(height.astype(np.float32), px, light)
 
     glass = _car_glass(
@@ -244,53 +242,50 @@ def _car(
         glass *= 1 - _soft(((t - 0.30) * length).astype(np.float32), px)
     paint = shade * (1 - glass)
     # Windscreens reflect the sky: brighter towards the roof.
-    grey = glass * (38 + 26 * np.clip(rise, 0, 1) * (t < 0.5) + 14 * (shade - 0.8))
+    sky = 26 * np.clip(rise, 0, 1) * (t < 0.5)
+    grey = glass * (38 + sky + 14 * (shade - 0.8))
     if car.bed:
-        bed = _band(t * length, car.bed_front * length, high=0.965 * length, width=px) * _soft(
-            ((0.80 - across) * half_width).astype(np.float32), px
-        )
+        along_bed = _band(t * length, car.bed_front * length, high=0.965 * length, width=px)
+        from_side = (0.80 - across) * half_width
+        bed = along_bed * _soft(from_side.astype(np.float32), px)
         paint *= 1 - 0.85 * bed
         grey += 26 * bed * (1 - glass)
-    gloss = (
-        np.exp(-(((v / half_width) - 0.35 * np.sign(-light[1] or 1.0)) ** 2) / 0.05)
-        * np.clip(edge, 0, 1)
-        * (1 - glass)
-    )
+    from_gloss = (v / half_width) - 0.35 * np.sign(-light[1] or 1.0)
+    gloss = np.exp(-(from_gloss**2) / 0.05) * np.clip(edge, 0, 1) * (1 - glass)
     grey += 11 * gloss  # along bonnet and roof
     red = _car_trim(
         car, paint, grey=grey, t=t, across=across, length=length, half_width=half_width, px=px
     )
-    return cast(
-        "_F", np.stack([cover, paint * cover, grey * cover, red * cover], axis=2).astype(np.float32)
-    )
+    channels = [cover, paint * cover, grey * cover, red * cover]
+    return cast("_Layer", np.stack(channels, axis=2).astype(np.float32))
 
 
-def _car_inset(body: str, u: _F, v: _F, t: _F, across: _Reals, length: float, width: float) -> _F:
+def _car_inset(
+    body: str, u: _Layer, v: _Layer, t: _Layer, across: _Reals, length: float, width: float
+) -> _Layer:
     """Compute the distance inside the outline, metres; front and rear are rounded and narrower."""
     half_length = length / 2
     half_width = width / 2
     rounding = 0.10 * width if body == "van" else 0.17 * width
     front = half_length - rounding * np.clip(across, 0, 1.2) ** 3.5
     rear = half_length - 0.5 * rounding * np.clip(across, 0, 1.2) ** 4
-    side = half_width * (
-        1
-        - 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2
-        - 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
-    )
-    return cast(
-        "_F", np.minimum(np.minimum(front - u, u + rear), side - np.abs(v)).astype(np.float32)
-    )
+    front_taper = 0.07 * np.clip((0.16 - t) / 0.16, 0, 1) ** 2
+    rear_taper = 0.04 * np.clip((t - 0.88) / 0.12, 0, 1) ** 2
+    side = half_width * (1 - front_taper - rear_taper)
+    from_ends = np.minimum(front - u, u + rear)
+    from_sides = side - np.abs(v)
+    return cast("_Layer", np.minimum(from_ends, from_sides).astype(np.float32))
 
 
 def _car_glass(
     car: _Car,
-    t: _F,
+    t: _Layer,
     across: _Reals,
     base_front: _Reals,
     length: float,
     half_width: float,
     px: float,
-) -> _F:
+) -> _Layer:
     """Compute the share of glass: windscreen, rear window, and side windows between pillars."""
     base_half = _BASE_HALF_WIDTH
     roof_half = car.roof_half_width
@@ -327,14 +322,14 @@ def _car_glass(
     )
     pillar = (car.roof_front * 0.45 + car.roof_rear * 0.55) * length
     pillars = _band(t * length, pillar - 0.06, high=pillar + 0.06, width=px)
-    return cast("_F", np.clip(screen + sides * (1 - pillars), 0, 1))
+    return cast("_Layer", np.clip(screen + sides * (1 - pillars), 0, 1))
 
 
 def _car_trim(
     car: _Car,
     paint: _Reals,
     grey: _Reals,
-    t: _F,
+    t: _Layer,
     across: _Reals,
     length: float,
     half_width: float,
@@ -360,13 +355,13 @@ def _car_trim(
 
 def _heavy(
     body: str,
-    u: _F,
-    v: _F,
+    u: _Layer,
+    v: _Layer,
     length: float,
     width: float,
     px: float,
     light: tuple[float, float, float],
-) -> _F:
+) -> _Layer:
     half_length = length / 2
     half_width = width / 2
     rounding = 0.10 if body in ("truck", "semitrailer") else 0.30
@@ -411,11 +406,12 @@ def _heavy(
     paint = shade * (1 - dark)
     grey = grey + 34 * dark
     return cast(
-        "_F", np.stack([cover, paint * cover, grey * cover, 0 * cover], axis=2).astype(np.float32)
+        "_Layer",
+        np.stack([cover, paint * cover, grey * cover, 0 * cover], axis=2).astype(np.float32),
     )
 
 
-def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool = False) -> _F:
+def crown_sprite(rng: Generator, size: int, sun: Sun, *, conical: bool = False) -> _Layer:
     """Draw a crown of leaf clusters in sunlight.
 
     Args:
@@ -453,7 +449,7 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     inside = (height > -1).astype(np.float32)
     leaves = rng.standard_normal((size, size)).astype(np.float32)
     leaves = cast(
-        "_F",
+        "_Layer",
         cv2.GaussianBlur(leaves, (0, 0), max(0.6, 0.014 * size), borderType=cv2.BORDER_REPLICATE),
     )
     leaves /= leaves.std()
@@ -477,7 +473,7 @@ def crown_sprite(rng: np.random.Generator, size: int, sun: Sun, *, conical: bool
     depth = np.clip((surface + 0.1) / 0.9, 0, 1)
     value = (0.34 + 0.26 * depth) + 0.62 * np.clip(lambert, 0, 1) * lit
     value = value * (1 + 0.09 * leaves)
-    cover = cast("_F", cv2.GaussianBlur(inside, (0, 0), max(0.5, size / 160)))
+    cover = cast("_Layer", cv2.GaussianBlur(inside, (0, 0), max(0.5, size / 160)))
     return cast(
-        "_F", np.stack([cover, np.clip(value, 0.15, 1.5) * cover], axis=2).astype(np.float32)
+        "_Layer", np.stack([cover, np.clip(value, 0.15, 1.5) * cover], axis=2).astype(np.float32)
     )

@@ -247,13 +247,13 @@ def _wear(own: Site, street: Street) -> None:
         for track in (0.28, 0.72):
             y = side * lane * track
             own.stain_rect((0, y - 0.3, length, y + 0.3), int(rng.integers(119, 127)))
-    for _ in range(int(rng.poisson(length / 35))):
+    for _ in range(rng.poisson(length / 35)):
         x = rng.uniform(0, length)
         y = rng.uniform(-half, half - 1)
         size = (rng.uniform(1, 14), rng.uniform(0.6, 2.6))
         patch = (x, y, x + size[0], min(y + size[1], half))
         own.stain_rect(patch, int(rng.choice([108, 114, 119, 136, 141])))
-    for _ in range(int(rng.poisson(length / 14))):
+    for _ in range(rng.poisson(length / 14)):
         heading = rng.choice([0.0, 0.0, math.pi / 2]) + rng.normal(0, 0.15)
         span = rng.uniform(2, 6) if abs(math.sin(heading)) > 0.5 else rng.uniform(4, 20)
         own.crack(
@@ -263,11 +263,13 @@ def _wear(own: Site, street: Street) -> None:
             angle=heading,
             level=int(rng.integers(96, 116)),
         )
-    for _ in range(int(rng.poisson(length / 30))):
+    for _ in range(rng.poisson(length / 30)):
         x = rng.uniform(0, length)
         y = rng.uniform(-half + 0.5, half - 0.5)
         angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
-        own.stain(np.stack([x + 0.33 * np.cos(angles), y + 0.33 * np.sin(angles)], axis=1), 84)
+        circle_x = x + 0.33 * np.cos(angles)
+        circle_y = y + 0.33 * np.sin(angles)
+        own.stain(np.stack([circle_x, circle_y], axis=1), 84)
 
 
 def _furniture(own: Site, street: Street) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import cast
+from typing import TypeAlias, cast
 
 import cv2
 import numpy as np
@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 from research.scenes.raster import clip_polygon
 from research.scenes.world import Rgb
 
-_F = NDArray[np.float32]
-_U8 = NDArray[np.uint8]
+Points: TypeAlias = NDArray[np.float64]
+"""Points x, y ``[n, 2]``."""
+
+_Layer = NDArray[np.float32]
+_Pixels = NDArray[np.uint8]
 
 SUBPIXEL_BITS = 4
 # Polygons that reach farther beyond a tile are clipped: OpenCV's coordinates are finite.
@@ -30,17 +33,15 @@ class Tile:
     step: float
     width: int
     height: int
-    rgb: _U8
-    crowns: _U8
-    noise: tuple[_F, _F, _F]
+    rgb: _Pixels
+    crowns: _Pixels
+    noise: tuple[_Layer, _Layer, _Layer]
 
-    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pixels(self, points: Points) -> Points:
         """Convert metres to the tile's continuous pixel coordinates."""
         return (points - (self.x, self.y)) / self.step
 
-    def window(
-        self, low: NDArray[np.float64], high: NDArray[np.float64]
-    ) -> tuple[int, int, int, int] | None:
+    def window(self, low: Points, high: Points) -> tuple[int, int, int, int] | None:
         """Compute the pixels x0, y0, x1, y1 that a box in pixels touches; None for none."""
         x0 = max(math.floor(low[0]), 0)
         y0 = max(math.floor(low[1]), 0)
@@ -48,7 +49,7 @@ class Tile:
         y1 = min(math.ceil(high[1]), self.height)
         return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
-    def fixed(self, points: NDArray[np.float64]) -> NDArray[np.int32] | None:
+    def fixed(self, points: Points) -> NDArray[np.int32] | None:
         """Convert metres to OpenCV's fixed-point coordinates; None if out of reach.
 
         Integers are pixel centres.
@@ -62,7 +63,7 @@ class Tile:
             "NDArray[np.int32]", np.rint((pixels - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
         )
 
-    def fill(self, image: _U8, points: NDArray[np.float64], value: int | Rgb) -> None:
+    def fill(self, image: _Pixels, points: Points, value: int | Rgb) -> None:
         """Fill an outline, given in metres, in an image of the tile's size."""
         outline = self.fixed(points)
         if outline is not None:

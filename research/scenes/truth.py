@@ -6,13 +6,19 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast, get_args
+from typing import Literal, TypeAlias, cast, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor.errors import InvalidParameterError
+
+Corners: TypeAlias = NDArray[np.float64]
+"""Corners x, y ``[4, 2]``."""
+
+Picture: TypeAlias = NDArray[np.uint8]
+"""RGB picture ``[h, w, 3]``."""
 
 VehicleKind = Literal["small-vehicle", "large-vehicle"]
 FleetKind = Literal["passenger", "mixed"]
@@ -45,13 +51,15 @@ class SceneVehicle:
     body: str = field(default="", repr=False)
     """Body; empty if unknown."""
 
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Corners:
         """Compute the corners [4,2] in pixels: front left, front right, rear right, rear left."""
-        along = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)]) * self.length_px / 2
-        across = np.array([-np.sin(self.angle_rad), np.cos(self.angle_rad)]) * self.width_px / 2
+        cos = np.cos(self.angle_rad)
+        sin = np.sin(self.angle_rad)
+        along = np.array([cos, sin]) * self.length_px / 2
+        across = np.array([-sin, cos]) * self.width_px / 2
         centre = np.array([self.x_px, self.y_px])
         offsets = np.array([along - across, along + across, -along + across, -along - across])
-        return cast("NDArray[np.float64]", centre + offsets)
+        return cast("Corners", centre + offsets)
 
 
 @dataclass(frozen=True)
@@ -80,7 +88,7 @@ class SceneCourt:
     """
 
     kind: CourtKind
-    corners: NDArray[np.float64]
+    corners: Corners
     hidden_share: float
     cut: bool
 
@@ -102,7 +110,7 @@ class Scene:
         courts: courts whose centre is inside the image.
     """
 
-    image: NDArray[np.uint8]
+    image: Picture
     gsd_m_per_px: float
     vehicles: tuple[SceneVehicle, ...]
     masks: Mapping[Category, NDArray[np.uint16]]
@@ -170,7 +178,7 @@ class Scene:
         return written
 
 
-def _write_image(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Path:
+def _write_image(path: Path, image: Picture | NDArray[np.uint16]) -> Path:
     """Encode in memory and let Python write, because OpenCV cannot open every path."""
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if path.suffix.lower() != ".png" else []
     _, encoded = cv2.imencode(path.suffix.lower(), image, quality)

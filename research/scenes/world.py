@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from research.scenes.fleet import VehicleModel
 from research.scenes.truth import Category, CourtKind
+
+Points: TypeAlias = NDArray[np.float64]
+"""Points x, y ``[n, 2]``."""
 
 Rgb = tuple[int, int, int]
 Rect = tuple[float, float, float, float]
@@ -41,7 +45,7 @@ class Frame:
     y: float
     angle: float
 
-    def points(self, local: ArrayLike) -> NDArray[np.float64]:
+    def points(self, local: ArrayLike) -> Points:
         """Convert local coordinates [N,2] to the frame of the image."""
         xy = np.asarray(local, dtype=np.float64).reshape(-1, 2)
         cos = math.cos(self.angle)
@@ -61,7 +65,7 @@ class Frame:
 class Surface:
     """Flat polygon on the ground; later ones cover earlier ones."""
 
-    points: NDArray[np.float64]
+    points: Points
     rgb: Rgb
     material: Material
 
@@ -70,7 +74,7 @@ class Surface:
 class Stain:
     """Polygon that darkens (level < 128) or lightens the ground."""
 
-    points: NDArray[np.float64]
+    points: Points
     level: int
 
 
@@ -78,7 +82,7 @@ class Stain:
 class Box:
     """Low object with vertical sides: wall, shed, container, hedge, parasol, or a pole's shadow."""
 
-    points: NDArray[np.float64]
+    points: Points
     height: float
     rgb: Rgb
     leafy: bool = False
@@ -99,7 +103,7 @@ class PlacedCourt:
     """Court with its outline: ``[4, 2]`` corners, the first two at the ends of a long side."""
 
     kind: CourtKind
-    corners: NDArray[np.float64]
+    corners: Points
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class Roof:
     rgb: Rgb
     seed: int
 
-    def corners(self, part: Rect) -> NDArray[np.float64]:
+    def corners(self, part: Rect) -> Points:
         """Compute the corners [4,2] of one of its rectangles in the frame of the image."""
         x0, y0, x1, y1 = part
         return self.frame.points([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
@@ -140,7 +144,7 @@ class Target:
     """Masked object: the union of one or more polygons."""
 
     category: Category
-    polygons: tuple[NDArray[np.float64], ...]
+    polygons: tuple[Points, ...]
     area: float
 
 

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Weights: TypeAlias = NDArray[np.float64]
+    """Weights ``[n]`` of the cases."""
+
+    Values: TypeAlias = NDArray[np.float64]
+    """Values ``[n]`` of a score."""
 
 _ITERATIONS = 30
 
@@ -15,7 +21,7 @@ _ITERATIONS = 30
 def logistic(
     design: NDArray[np.float64],
     car: NDArray[np.bool_],
-    weight: NDArray[np.float64],
+    weight: Weights,
     ridge: float = 1e-6,
 ) -> NDArray[np.float64]:
     """Fit log odds ``design @ theta`` by Newton's method.
@@ -39,14 +45,14 @@ def logistic(
     return theta
 
 
-def weight_of_sets(sets: NDArray[np.str_]) -> NDArray[np.float64]:
+def weight_of_sets(sets: NDArray[np.str_]) -> Weights:
     """Compute weights ``[n]`` of sum 1: each set counts by the root of its number."""
     _, number, counts = np.unique(sets, return_inverse=True, return_counts=True)
     weight = (1 / np.sqrt(counts))[number]
     return np.asarray(weight / weight.sum())
 
 
-def area(hits: NDArray[np.float64], false: NDArray[np.float64]) -> float:
+def area(hits: Values, false: Values) -> float:
     """Compute the area under the ROC curve."""
     rank = np.argsort(np.argsort(np.concatenate([hits, false]), kind="stable"), kind="stable")
     return float((rank[: len(hits)].mean() - (len(hits) - 1) / 2) / len(false))

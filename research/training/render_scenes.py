@@ -64,7 +64,7 @@ def rendered(kind: str, seed: int) -> Scene:
         height_px=choice.side_px,
         seed=seed,
         n_vehicles=0 if rng.random() < choice.empty_share else None,
-        mean_vehicle_length_m=float(rng.uniform(*choice.length_m)),
+        mean_vehicle_length_m=rng.uniform(*choice.length_m),
         fleet_kind="mixed" if kind == "chips" else "passenger",
     )
 

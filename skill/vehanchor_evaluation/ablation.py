@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Boxes = Literal["detector", "labels"]
 _Setting = tuple[str, str, Boxes]
+_Group = tuple[str, str, list[ScaleTrial]]
 
 # Reference lengths in the paper: European, DOTA's, North American.
 _LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)
@@ -123,9 +124,11 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
             repeated = [
                 _repeat(trial, options_of, variant=variant, benchmark=benchmark) for trial in trials
             ]
-            rows.append(_row(variant.choice, variant.setting, boxes=boxes, trials=repeated))
+            row = _row(variant.choice, variant.setting, boxes=boxes, trials=repeated)
+            rows.append(row)
     for choice, setting, group in _splits(benchmark.trials):
-        rows.append(_row(choice, setting, boxes="detector", trials=group))
+        row = _row(choice, setting, boxes="detector", trials=group)
+        rows.append(row)
     return AblationReport(
         data=benchmark.data.source,
         detector=benchmark.detector.name,
@@ -141,21 +144,25 @@ def _variants() -> Iterator[_Variant]:
     for length in _LENGTHS_M:
         factor = length / REFERENCE_LENGTH_M
         setting = "1" if factor == 1 else f"{length:g} / {REFERENCE_LENGTH_M:g}"
-        yield _Variant("reference length", setting, partial(_with_reference, factor=factor))
+        changed_length = partial(_with_reference, factor=factor)
+        yield _Variant("reference length", setting, changed_length)
     for alpha in ABLATION_ALPHAS:
         setting = "none" if alpha is None else f"{alpha:g}"
-        yield _Variant("alpha", setting, partial(_with_lengths, alpha=alpha))
+        changed = partial(_with_lengths, alpha=alpha)
+        yield _Variant("alpha", setting, changed)
 
 
 def _with_lengths(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> ScaleOptions:
-    return replace(options, lengths=replace(options.lengths, **changes))
+    lengths = replace(options.lengths, **changes)
+    return replace(options, lengths=lengths)
 
 
 def _with_reference(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) -> ScaleOptions:
     length_m = analysis.estimate.details.reference_length_m
     if length_m is None:
         return options
-    return replace(options, reference=Reference(length_m * factor))
+    reference = Reference(length_m * factor)
+    return replace(options, reference=reference)
 
 
 def _repeat(
@@ -169,13 +176,15 @@ def _repeat(
         raise InvalidParameterError(
             f"the trial of {trial.image.path} lacks its vehicles: use benchmark_scale"
         )
-    options = variant.changed(trial.analysis, options_of(trial.image))
+    own_options = options_of(trial.image)
+    options = variant.changed(trial.analysis, own_options)
     # The table is about the published scale, L_ref / P_mode.
     options = replace(options, method=Method(preset="paper"))
-    return replace(trial, analysis=trial.searched.analysis(benchmark.detector, options))
+    analysis = trial.searched.analysis(benchmark.detector, options)
+    return replace(trial, analysis=analysis)
 
 
-def _splits(trials: Sequence[ScaleTrial]) -> Iterator[tuple[str, str, list[ScaleTrial]]]:
+def _splits(trials: Sequence[ScaleTrial]) -> Iterator[_Group]:
     """Split the trials by number of vehicles and by true GSD: choice, setting, trials."""
     counts: tuple[tuple[str, float, float], ...] = (
         (f"N < {MIN_KDE_VEHICLES}", 1, MIN_KDE_VEHICLES),
@@ -195,7 +204,8 @@ def _n_detections(trial: ScaleTrial) -> int:
 
 
 def _row(choice: str, setting: str, boxes: Boxes, trials: Sequence[ScaleTrial]) -> AblationRow:
-    median, within_20 = _PAPER.get((choice, setting, boxes), (None, None))
+    setting_in_paper = (choice, setting, boxes)
+    median, within_20 = _PAPER.get(setting_in_paper, (None, None))
     return AblationRow(
         choice=choice,
         setting=setting,

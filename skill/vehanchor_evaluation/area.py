@@ -29,11 +29,13 @@ from vehanchor_evaluation.known_scale import DATASET_READING, FileIssue
 from vehanchor_evaluation.pool import finished
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from vehanchor.models.runtime import Progress
     from vehanchor.records import GsdEstimate
     from vehanchor.segmentation.segmenter import Segmentation, Segmenter
+    from vehanchor_evaluation.area_errors import AreaAnswer
     from vehanchor_evaluation.areas import AreaEntry
 
 
@@ -92,7 +94,9 @@ def open_mask_log(path: Path | None, segmenter_sha256: str) -> MaskLog:
 
 def _key(entry: AreaEntry) -> Key:
     """Identify an entry and the current state of its image and mask."""
-    return (entry.name, *Source.of(entry.image), *Source.of(entry.mask_file))
+    image_source = Source.of(entry.image)
+    mask_source = Source.of(entry.mask_file)
+    return (entry.name, *image_source, *mask_source)
 
 
 def segment_entries(
@@ -101,7 +105,7 @@ def segment_entries(
     log: MaskLog,
     *,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[dict[str, MaskTrial], list[FileIssue]]:
     """Segment the entries that the log lacks, each prompted by its box, and add them to the log.
 
@@ -117,7 +121,8 @@ def segment_entries(
     """
     keys = {entry.name: _key(entry) for entry in entries}
     # Entries of one image are segmented together, so that each image is opened once.
-    missing = sorted((entry for entry in entries if keys[entry.name] not in log), key=_image)
+    missing = [entry for entry in entries if keys[entry.name] not in log]
+    missing.sort(key=_image)
     groups = [list(group) for _, group in itertools.groupby(missing, key=_image)]
     segment = partial(_segment_image, segmenter)
     issues: list[FileIssue] = []
@@ -154,7 +159,8 @@ def _segment_image(
                 try:
                     segmentation = segmenter.segment(raster, prompt, limits=limits)
                 except VehAnchorError as error:
-                    issues.append(FileIssue(image, error.code, f"{entry.name}: {error}"))
+                    message = f"{entry.name}: {error}"
+                    issues.append(FileIssue(image, error.code, message))
                 else:
                     trials.append(_mask_trial(entry, segmentation))
     except VehAnchorError as error:
@@ -179,18 +185,23 @@ def _iou(entry: AreaEntry, segmentation: Segmentation) -> float:
     left = entry.left_px
     top = entry.top_px
     height, width = entry.mask.shape
-    x1 = max(left, window.x_px)
-    x2 = min(left + width, window.x_px + window.width_px)
-    y1 = max(top, window.y_px)
-    y2 = min(top + height, window.y_px + window.height_px)
+    window_left = window.x_px
+    window_top = window.y_px
+    x1 = max(left, window_left)
+    x2 = min(left + width, window_left + window.width_px)
+    y1 = max(top, window_top)
+    y2 = min(top + height, window_top + window.height_px)
     if x2 <= x1 or y2 <= y1:
         return 0.0
-    true_part = entry.mask[y1 - top : y2 - top, x1 - left : x2 - left]
-    model_part = segmentation.mask[
-        y1 - window.y_px : y2 - window.y_px, x1 - window.x_px : x2 - window.x_px
-    ]
+    true_rows = slice(y1 - top, y2 - top)
+    true_columns = slice(x1 - left, x2 - left)
+    model_rows = slice(y1 - window_top, y2 - window_top)
+    model_columns = slice(x1 - window_left, x2 - window_left)
+    true_part = entry.mask[true_rows, true_columns]
+    model_part = segmentation.mask[model_rows, model_columns]
     n_both = int((model_part & true_part).sum())
-    n_either = int(segmentation.mask.sum()) + entry.mask_area_px - n_both
+    n_model = int(segmentation.mask.sum())
+    n_either = n_model + entry.mask_area_px - n_both
     return n_both / n_either
 
 
@@ -207,11 +218,13 @@ def area_trials(
     Returns:
         Trials of the entries that have both, in the order of ``entries``.
     """
-    return [
-        _area_trial(entry, masks[entry.name], scales[entry.image])
-        for entry in entries
-        if entry.name in masks and entry.image in scales
-    ]
+    trials = []
+    for entry in entries:
+        mask = masks.get(entry.name)
+        scale = scales.get(entry.image)
+        if mask is not None and scale is not None:
+            trials.append(_area_trial(entry, mask, scale))
+    return trials
 
 
 def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:
@@ -257,6 +270,6 @@ def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
     ]
 
 
-def _end_to_end(trials: Sequence[AreaTrial]) -> list[tuple[str, float | None, float]]:
+def _end_to_end(trials: Sequence[AreaTrial]) -> list[AreaAnswer]:
     """List category, end-to-end area and true area."""
     return [(trial.category, trial.end_to_end_m2, trial.true_area_m2) for trial in trials]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    AreaAnswer: TypeAlias = tuple[str, float | None, float]
+    """Category, stated area (None for no answer) and true area of an entry."""
 
 # A missing scale, mask or number counts as an error of 100 %.
 NO_ANSWER = 1.0
@@ -55,7 +58,7 @@ def relative_error(area: float | None, truth: float) -> float:
     return abs(area / truth - 1.0)
 
 
-def area_errors(name: str, answers: Iterable[tuple[str, float | None, float]]) -> AreaErrors:
+def area_errors(name: str, answers: Iterable[AreaAnswer]) -> AreaErrors:
     """Summarise answers.
 
     Args:
@@ -81,11 +84,12 @@ def area_errors(name: str, answers: Iterable[tuple[str, float | None, float]]) -
     errors = np.array([relative_error(area, truth) for _, area, truth in entries])
     by_category: dict[str, list[float]] = {}
     for (category, _, _), error in zip(entries, errors, strict=True):
-        by_category.setdefault(category, []).append(float(error))
-    categories = {
-        category: CategoryErrors(entries=len(errors_of), median=float(np.median(errors_of)))
-        for category, errors_of in sorted(by_category.items())
-    }
+        of_category = by_category.setdefault(category, [])
+        of_category.append(float(error))
+    categories = {}
+    for category, of_category in sorted(by_category.items()):
+        median = float(np.median(of_category))
+        categories[category] = CategoryErrors(entries=len(of_category), median=median)
     return AreaErrors(
         name=name,
         entries=len(entries),
@@ -97,14 +101,17 @@ def area_errors(name: str, answers: Iterable[tuple[str, float | None, float]]) -
         below_50=float((errors < 0.50).mean()),
         below_100=float((errors < 1.00).mean()),
         catastrophic=float((errors >= 1.0).mean()),
-        polarisation=_polarisation([category.median for category in categories.values()]),
+        polarisation=_polarisation(categories.values()),
         categories=categories,
     )
 
 
-def _polarisation(medians: list[float]) -> float | None:
+def _polarisation(categories: Iterable[CategoryErrors]) -> float | None:
     """Divide the worst category's median by the best one's; None if that is undefined."""
+    medians = [category.median for category in categories]
     if len(medians) < 2 or min(medians) <= 0:
         return None
     ratio = max(medians) / min(medians)
-    return ratio if math.isfinite(ratio) else None
+    if not math.isfinite(ratio):
+        return None
+    return ratio

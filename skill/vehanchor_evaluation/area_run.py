@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.engine import Engine
+    from vehanchor.models.runtime import Progress
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate
     from vehanchor.segmentation.segmenter import Segmenter
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.area_report import AreaReport
     from vehanchor_evaluation.areas import AreaEntry, AreaSet
     from vehanchor_evaluation.search import SearchedImage
+
+    NameStep: TypeAlias = Callable[[str], Progress | None]
+    """Takes the name of the next step; returns a function of (done, total), or None."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ def measure_areas(
     logs: Path | None = None,
     limit: int | None = None,
     workers: int | None = None,
-    progress: Callable[[str], Callable[[int, int], None] | None] | None = None,
+    progress: NameStep | None = None,
 ) -> AreaRun:
     """Measure objects of known area and separate the errors of masks and scales.
 
@@ -91,8 +95,9 @@ def measure_areas(
     )
     # Objects of one image share its search.
     images = {entry.image: KnownScaleImage(entry.image, entry.gsd_m_per_px) for entry in entries}
+    known_scales = KnownScaleSet(str(data.source), tuple(images.values()))
     searched = search_known_scale(
-        KnownScaleSet(str(data.source), tuple(images.values())),
+        known_scales,
         detector,
         options,
         cache=detections_file,
@@ -102,10 +107,12 @@ def measure_areas(
     search_issues = [result for result in searched.values() if isinstance(result, FileIssue)]
     issues = [*data.issues, *mask_issues, *search_issues]
 
-    trials = area_trials(entries, masks, _scales(searched, detector, options))
+    scales = _scales(searched, detector, options)
+    trials = area_trials(entries, masks, scales)
     run = _run_facts(detector, segmenter, options=options, limit=limit)
     facts = _facts(trials, entries, detector.card.name, segmenter.card.name)
-    report = area_report(data, run, rows=summarise_area(trials), facts=facts, issues=issues)
+    rows = summarise_area(trials)
+    report = area_report(data, run, rows=rows, facts=facts, issues=issues)
     return AreaRun(report, tuple(trials), tuple(issues))
 
 
@@ -125,12 +132,15 @@ def _run_facts(
 ) -> dict[str, Any]:
     """Describe models and options for the report."""
     calibration = options.reference.calibration
+    calibration_facts = None
+    if calibration is not None:
+        calibration_facts = calibration.model_dump(mode="json")
     return {
         "detector": {"name": detector.card.name, "sha256": detector.card.sha256},
         "segmenter": {"name": segmenter.card.name, "sha256": segmenter.card.sha256},
         "reference_length_m": options.reference.reference_length_m,
         "region": options.reference.region,
-        "calibration": None if calibration is None else calibration.model_dump(mode="json"),
+        "calibration": calibration_facts,
         **asdict(options.search),
         **asdict(options.lengths),
         "bands": options.reading.bands,
@@ -143,7 +153,8 @@ def _facts(
 ) -> list[str]:
     """Describe the basis of the table, one sentence each."""
     objects = count(len(entries), "object")
-    images = count(len({trial.image for trial in trials}), "image")
+    measured_images = {trial.image for trial in trials}
+    images = count(len(measured_images), "image")
     facts = [
         f"{len(trials)} of {objects} measured, in {images}",
         f"detector {detector}, segmenter {segmenter}; a missing scale or mask counts as an "

@@ -14,7 +14,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -28,9 +28,17 @@ from vehanchor.errors import (
 from vehanchor_evaluation.known_scale import FileIssue
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from vehanchor.models.runtime import Progress
+
+    Mask: TypeAlias = NDArray[np.bool_]
+    """Pixels ``[h, w]`` of an object."""
+
+    ObjectMask: TypeAlias = tuple[int, int, int, Mask]
+    """Number of an object, left and top of its box, and its mask in the box."""
 
 # Shorter side of an object's box; smaller objects are too coarse for a mask.
 MIN_SIDE_PX = 15
@@ -60,7 +68,7 @@ class AreaEntry:
     gsd_m_per_px: float
     left_px: int
     top_px: int
-    mask: NDArray[np.bool_]
+    mask: Mask
 
     @property
     def mask_area_px(self) -> int:
@@ -76,7 +84,9 @@ class AreaEntry:
     def corners(self) -> tuple[float, float, float, float]:
         """Box as a prompt: x1, y1, x2, y2; the image's first pixel spans 0 to 1."""
         height, width = self.mask.shape
-        return self.left_px, self.top_px, self.left_px + width, self.top_px + height
+        right_px = self.left_px + width
+        bottom_px = self.top_px + height
+        return self.left_px, self.top_px, right_px, bottom_px
 
 
 class AreaSet(NamedTuple):
@@ -108,7 +118,7 @@ def read_areas(
     split: str | None = None,
     *,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> AreaSet:
     """Read the objects of a folder.
 
@@ -137,17 +147,19 @@ def read_areas(
         if issues:
             message += f"; the first problem: {issues[0].file}: {issues[0].message}"
         raise InvalidParameterError(message)
-    sha256 = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
-    return AreaSet(folder, sha256, entries=tuple(_alternating(entries)), issues=tuple(issues))
+    index_bytes = (folder / INDEX).read_bytes()
+    sha256 = hashlib.sha256(index_bytes).hexdigest()
+    alternating = tuple(_alternating(entries))
+    return AreaSet(folder, sha256, entries=alternating, issues=tuple(issues))
 
 
 def _usable_rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]:
     """Read the rows of a split, and list the rows that are malformed or repeated."""
     index = folder / INDEX
     lines = _index_lines(index)
-    lines_of_split = [
-        (line, cells) for line, cells in lines if split is None or cells.get("split") == split
-    ]
+    lines_of_split = lines
+    if split is not None:
+        lines_of_split = [(line, cells) for line, cells in lines if cells.get("split") == split]
     if not lines_of_split:
         splits = sorted({cells.get("split") or "" for _, cells in lines})
         raise InvalidParameterError(
@@ -198,7 +210,9 @@ def _row(folder: Path, cells: Mapping[str, str | None]) -> _Row | None:
         gsd = float(gsd_text)
     except ValueError:
         return None
-    if not (math.isfinite(gsd) and gsd > 0 and image and mask and category):
+    if not (image and mask and category):
+        return None
+    if not math.isfinite(gsd) or gsd <= 0:
         return None
     return _Row(
         image=(folder / image).resolve(),
@@ -247,7 +261,7 @@ def _alternating(entries: Sequence[AreaEntry]) -> list[AreaEntry]:
 # --- Label images
 
 
-def read_masks(path: Path) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
+def read_masks(path: Path) -> Iterator[ObjectMask]:
     """Read the objects of a label image of 8 or 16 bit: see ``split_instances``.
 
     Raises:
@@ -273,7 +287,9 @@ def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
     except OSError as error:
         raise ImageNotFoundError(f"{path}: {error.strerror}") from None
     # OpenCV raises its own error for an empty buffer.
-    pixels = cv2.imdecode(data, flags) if len(data) else None
+    pixels = None
+    if len(data):
+        pixels = cv2.imdecode(data, flags)
     if pixels is None:
         raise ImageDecodeError(f"{path}: damaged, or not an image")
     return np.asarray(pixels)
@@ -281,7 +297,7 @@ def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
 
 def split_instances(
     ids: NDArray[np.integer[Any]],
-) -> Iterator[tuple[int, int, int, NDArray[np.bool_]]]:
+) -> Iterator[ObjectMask]:
     """Split a label image into its objects.
 
     Args:
@@ -294,7 +310,8 @@ def split_instances(
 
     # Numbers become ranks without gaps: find_objects makes an entry for every number up to the
     # largest.
-    is_present = np.zeros(int(ids.max(initial=0)) + 1, bool)
+    largest = int(ids.max(initial=0))
+    is_present = np.zeros(largest + 1, bool)
     is_present[ids] = True
     is_present[0] = False
     numbers = np.flatnonzero(is_present)
@@ -303,4 +320,6 @@ def split_instances(
     ranks = rank_of_number[ids]
     for rank, box in enumerate(find_objects(ranks), start=1):
         rows, columns = box
-        yield int(numbers[rank - 1]), columns.start, rows.start, ranks[box] == rank
+        number = int(numbers[rank - 1])
+        mask = ranks[box] == rank
+        yield number, columns.start, rows.start, mask

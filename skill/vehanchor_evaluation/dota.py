@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    Corners: TypeAlias = NDArray[np.float64]
+    """Corners ``[n, 4, 2]`` of boxes, pixels."""
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """Boxes ``[n, 5]``: x, y, length, width, angle."""
 
 SMALL_VEHICLE = "small-vehicle"
 # Folders of axis-aligned boxes, whose sides are not the vehicles' lengths.
@@ -41,11 +47,11 @@ class DotaLabels:
     """
 
     gsd_m_per_px: float | None
-    corners: NDArray[np.float64]
+    corners: Corners
     classes: tuple[str, ...]
     difficult: NDArray[np.bool_]
 
-    def of_class(self, *names: str) -> NDArray[np.float64]:
+    def of_class(self, *names: str) -> Corners:
         """Select the corners ``[k, 4, 2]`` of the labels with one of these class names."""
         keep = np.array([name in names for name in self.classes], dtype=bool)
         return np.asarray(self.corners[keep])
@@ -91,7 +97,8 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
             continue
         corners.append(points)
         classes.append(name)
-        difficult.append(len(fields) > 9 and fields[9] != "0")
+        is_difficult = len(fields) > 9 and fields[9] != "0"
+        difficult.append(is_difficult)
     return DotaLabels(
         gsd_m_per_px=gsd,
         corners=np.array(corners, dtype=np.float64).reshape(-1, 4, 2),
@@ -104,8 +111,10 @@ def _header_gsd(text: str) -> float | None:
     """Parse the value of a ``gsd:`` line; None if it is missing or not a positive number."""
     if text.strip().lower() in ("", "none", "null"):
         return None
-    value = float(text)
-    return value if np.isfinite(value) and value > 0 else None
+    gsd = float(text)
+    if not np.isfinite(gsd) or gsd <= 0:
+        return None
+    return gsd
 
 
 def read_labels(path: Path, problems: list[str] | None = None) -> DotaLabels:
@@ -121,7 +130,7 @@ def read_labels(path: Path, problems: list[str] | None = None) -> DotaLabels:
         raise ValueError(f"{path}: {error}") from None
 
 
-def labelled_boxes(path: Path, classes: Sequence[str] = (SMALL_VEHICLE,)) -> NDArray[np.float64]:
+def labelled_boxes(path: Path, classes: Sequence[str] = (SMALL_VEHICLE,)) -> Boxes:
     """Read the labelled vehicles of one image, difficult ones included.
 
     Malformed lines are skipped; ``survey_dota`` and other surveys report them.
@@ -136,7 +145,8 @@ def labelled_boxes(path: Path, classes: Sequence[str] = (SMALL_VEHICLE,)) -> NDA
     ignored_problems: list[str] = []
     labels = read_labels(path, ignored_problems)
     boxes = boxes_from_corners(labels.of_class(*classes))
-    return np.asarray(boxes[boxes[:, 2] > 0])
+    lengths = boxes[:, 2]
+    return np.asarray(boxes[lengths > 0])
 
 
 def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
@@ -169,7 +179,8 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
         image_by_stem[stem] = path
         text = texts.get(stem)
         if text is None:
-            issues.append(FileIssue(path, "no_label", f"no {stem}.txt in {label_folder}"))
+            message = f"no {stem}.txt in {label_folder}"
+            issues.append(FileIssue(path, "no_label", message))
             continue
         image = _labelled_image(path, text, folder / "meta", issues)
         if image is not None:
@@ -185,7 +196,8 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
 def _label_folder(folder: Path, labels: Path | None) -> Path:
     """Check the folder of a split, and find its labels unless they are given."""
     if not (folder / "images").is_dir():
-        splits = sorted(path.parent.name for path in folder.glob("*/images") if path.is_dir())
+        folders = [path for path in folder.glob("*/images") if path.is_dir()]
+        splits = sorted(path.parent.name for path in folders)
         hint = f"; name one of its splits: {', '.join(splits)}" if splits else ""
         raise InvalidParameterError(f"no images/ folder in {str(folder)!r}{hint}")
     label_folder = labels or _latest_labels(folder)
@@ -245,7 +257,8 @@ def _latest_labels(folder: Path) -> Path:
 
 def _version(path: Path) -> tuple[list[int], str]:
     """Order ``labelTxt-v1.0`` before ``labelTxt-v1.5`` and ``labelTxt-v2.0``."""
-    return [int(part) for part in re.findall(r"\d+", path.name)], path.name
+    numbers = re.findall(r"\d+", path.name)
+    return [int(number) for number in numbers], path.name
 
 
 def _is_axis_aligned(path: Path, label_folder: Path) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -29,6 +29,12 @@ if TYPE_CHECKING:
     from vehanchor.scale.calibration import Calibration, SurveyedImage
     from vehanchor_evaluation.gsd import ScaleTrial
 
+    Shares: TypeAlias = NDArray[np.float64]
+    """Levels or shares ``[k]`` in 0..1."""
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
 # Colours of Okabe and Ito, which colour-blind readers can distinguish.
 _BLUE = "#0072B2"
 _ORANGE = "#E69F00"
@@ -40,10 +46,8 @@ _DPI = 150
 # The paper's band around the true GSD: +-10 %.
 _BAND = 0.10
 # Larger median errors are drawn as this one.
-# Larger median errors are drawn as this one.
 _MAX_ERROR = 1.0
 _CONFIDENCE_BINS = np.linspace(0.0, 1.0, 6)
-# Side of a picture in the sheet, and the gap between pictures.
 # Side of a picture in the sheet, and the gap between pictures.
 _CELL_PX = 640
 _GAP_PX = 12
@@ -61,12 +65,13 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    figure = require_plots()(figsize=(7.0, 7.2), dpi=_DPI, layout="constrained")
+    figure = _new_figure(7.0, 7.2)
     axes = _without_frame(figure.add_subplot())
     estimated = [trial for trial in trials if trial.estimated]
     missed = [trial.image.gsd_m_per_px for trial in trials if not trial.estimated]
     truth = np.array([trial.image.gsd_m_per_px for trial in estimated])
-    predicted = np.array([trial.analysis.estimate.gsd_m_per_px or np.nan for trial in estimated])
+    estimates = [trial.analysis.estimate for trial in estimated]
+    predicted = np.array([estimate.gsd_m_per_px or np.nan for estimate in estimates])
     guard = _guard_gsd(estimated)
 
     # Both axes share their ends, so that a correct estimate lies on the diagonal.
@@ -78,11 +83,12 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     above = ends * (1 + _BAND)
     axes.fill_between(ends, below, above, color=_GREEN, alpha=0.18, lw=0, label="\u00b110 %")
     axes.plot(ends, ends, color=_GREEN, lw=1.2)
-    axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=f"resolution guard {guard:.2g} m/px")
+    guard_label = f"resolution guard {guard:.2g} m/px"
+    axes.axhline(guard, color=_RED, ls="--", lw=1.4, label=guard_label)
 
-    is_usable = np.array([trial.analysis.estimate.status == "ok" for trial in estimated])
-    for status, colour, name in ((True, _BLUE, "usable"), (False, _ORANGE, "not usable")):
-        group = is_usable == status
+    is_usable = np.array([trial.usable for trial in estimated], dtype=bool)
+    groups = ((is_usable, _BLUE, "usable"), (~is_usable, _ORANGE, "not usable"))
+    for group, colour, name in groups:
         label = f"{name} ({int(group.sum())})"
         axes.scatter(
             truth[group],
@@ -97,7 +103,8 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
         label = f"no estimate ({len(missed)})"
         at_edge = np.full(len(missed), low)
         axes.scatter(missed, at_edge, marker="|", s=60, color=_INK, clip_on=False, label=label)
-    axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal")
+    limits = (low, high)
+    axes.set(xscale="log", yscale="log", xlim=limits, ylim=limits, aspect="equal")
     _plain_log(axes)
     axes.set_xlabel("true GSD, m/px")
     axes.set_ylabel("predicted GSD, m/px")
@@ -133,12 +140,14 @@ def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    figure = require_plots()(figsize=(7.0, 4.6), dpi=_DPI, layout="constrained")
+    figure = _new_figure(7.0, 4.6)
     axes = _without_frame(figure.add_subplot())
     colours = (_BLUE, _ORANGE, _GREEN, _RED)
     for (name, trials), colour in zip(curves.items(), colours, strict=False):
-        errors = np.sort([abs(trial.signed_error) for trial in trials if trial.estimated])
-        shares = np.arange(1, len(errors) + 1) / max(1, len(trials))
+        estimated = [trial for trial in trials if trial.estimated]
+        errors = np.sort([abs(trial.signed_error) for trial in estimated])
+        ranks = np.arange(1, len(errors) + 1)
+        shares = ranks / max(1, len(trials))
         # The curve stays level from the last error to 100 %.
         last_share = shares[-1] if len(shares) else 0
         label = f"{name} ({len(errors)} of {len(trials)})"
@@ -154,9 +163,7 @@ def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
     return figure
 
 
-def interval_coverage(
-    trials: Sequence[ScaleTrial], nominal: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def interval_coverage(trials: Sequence[ScaleTrial], nominal: Shares) -> Shares:
     """Compute the observed coverage at other levels than 95 % by scaling the lognormal intervals.
 
     Args:
@@ -173,9 +180,11 @@ def interval_coverage(
     high = np.array([estimate.gsd_ci95_high_m_per_px or np.nan for estimate in estimates])
     # The 95 % interval reaches Z95 standard deviations of the log GSD; this is the error in them.
     log_reach = np.log(high / gsd)
-    log_error = np.abs(np.log1p([trial.signed_error for trial in trials]))
+    signed_errors = [trial.signed_error for trial in trials]
+    log_error = np.abs(np.log1p(signed_errors))
     error_in_sd = log_error / log_reach * Z95
-    level_in_sd = norm.ppf((1 + np.asarray(nominal)) / 2)
+    upper_quantile = (1 + np.asarray(nominal)) / 2
+    level_in_sd = norm.ppf(upper_quantile)
     is_covered = error_in_sd[None, :] <= level_in_sd[:, None]
     return np.asarray(is_covered.mean(axis=1))
 
@@ -195,7 +204,7 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    figure = require_plots()(figsize=(10.0, 4.6), dpi=_DPI, layout="constrained")
+    figure = _new_figure(10.0, 4.6)
     left, right = figure.subplots(1, 2)
     _without_frame(left)
     _without_frame(right)
@@ -204,7 +213,8 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
     left.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="ideal")
     if estimated:
         observed = interval_coverage(estimated, nominal)
-        left.plot(nominal, observed, color=_BLUE, lw=2, label=count(len(estimated), "image"))
+        label = count(len(estimated), "image")
+        left.plot(nominal, observed, color=_BLUE, lw=2, label=label)
     left.axvline(0.95, color=_GREY, lw=0.8, ls=":")
     left.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
     left.set_xlabel("nominal coverage of the interval")
@@ -216,11 +226,12 @@ def plot_calibration(trials: Sequence[ScaleTrial]) -> Figure:
 
 def _confidence_bars(axes: Axes, trials: Sequence[ScaleTrial]) -> None:
     """Draw median error and share of errors above 20 % side by side for each bin of confidence."""
-    confidence = np.array([trial.analysis.estimate.confidence for trial in trials])
+    confidence = np.array([trial.confidence for trial in trials])
     errors = np.array([trial.error for trial in trials])
     n_bins = len(_CONFIDENCE_BINS) - 1
     # A confidence of 1 belongs to the last bin.
-    bins = np.clip(np.digitize(confidence, _CONFIDENCE_BINS) - 1, 0, n_bins - 1)
+    bins = np.digitize(confidence, _CONFIDENCE_BINS) - 1
+    bins = np.clip(bins, 0, n_bins - 1)
     width = 0.4
     median_label: str | None = "median error, %"
     high_label: str | None = "share of errors > 20 %"
@@ -229,7 +240,8 @@ def _confidence_bars(axes: Axes, trials: Sequence[ScaleTrial]) -> None:
         if not len(in_bin):
             continue
         high = 100 * float((in_bin > HIGH_ERROR).mean())
-        median = 100 * min(float(np.median(in_bin)), _MAX_ERROR)
+        median_error = float(np.median(in_bin))
+        median = 100 * min(median_error, _MAX_ERROR)
         axes.bar(index - width / 2, median, width, color=_BLUE, label=median_label)
         axes.bar(index + width / 2, high, width, color=_ORANGE, label=high_label)
         # Only the first bars enter the legend.
@@ -265,7 +277,7 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    figure = require_plots()(figsize=(8.0, 4.6), dpi=_DPI, layout="constrained")
+    figure = _new_figure(8.0, 4.6)
     axes = _without_frame(figure.add_subplot())
     metres, weights, smoothing = weighted_lengths_m(images)
     mode = calibration.reference_length_m
@@ -274,7 +286,7 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     low = max(0.0, min(low, 0.6 * mode))
     high = max(min(high, 2.5 * mode), 1.4 * mode)
     shown = metres[(metres >= low) & (metres <= high)]
-    n_bins = int(np.clip(np.sqrt(len(shown)) * 2, 12, 80))
+    n_bins = int(np.clip(2 * np.sqrt(len(shown)), 12, 80))
     edges = np.linspace(low, high, n_bins + 1)
     axes.hist(
         shown,
@@ -287,7 +299,8 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     # The density is scaled to vehicles per bin, so that it fits the histogram.
     lengths = np.linspace(low, high, 800)
     density = kde_density(lengths, metres, weights, smoothing=smoothing)
-    density = density * len(metres) * (edges[1] - edges[0])
+    bin_width = edges[1] - edges[0]
+    density = density * len(metres) * bin_width
     axes.plot(lengths, density, color=_BLUE, lw=2, label="density (KDE)")
     ci95_low = calibration.reference_length_ci95_low_m
     ci95_high = calibration.reference_length_ci95_high_m
@@ -304,6 +317,16 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     axes.set_title(title, loc="left", fontsize=11)
     axes.legend(frameon=False, fontsize=9)
     return figure
+
+
+def _new_figure(width_in: float, height_in: float) -> Figure:
+    """Create an empty figure; its size is in inches.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure_class = require_plots()
+    return figure_class(figsize=(width_in, height_in), dpi=_DPI, layout="constrained")
 
 
 def _without_frame(axes: Axes) -> Axes:
@@ -334,7 +357,7 @@ class SheetCell(NamedTuple):
         lines: lines of text below it, the first in bold.
     """
 
-    picture: NDArray[np.uint8]
+    picture: Picture
     lines: tuple[str, ...]
 
 
@@ -365,10 +388,12 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
     with open_raster(trial.image.path, DATASET_READING) as raster:
         picture = fit_for_eyes(read_reduced(raster))
     whole = Window(0, 0, width_px=estimate.image_width_px, height_px=estimate.image_height_px)
-    draw_vehicles(picture, trial.analysis, Placement.of(picture, whole))
+    placement = Placement.of(picture, whole)
+    draw_vehicles(picture, trial.analysis, placement)
     vehicles = count(estimate.n_vehicles or 0, "vehicle")
     # OpenCV draws ASCII only.
-    name = trial.image.path.name[-48:].encode("ascii", "replace").decode()
+    name_end = trial.image.path.name[-48:]
+    name = name_end.encode("ascii", "replace").decode()
     lines = (
         f"error {100 * trial.signed_error:+.1f} %",
         f"{estimate.gsd_m_per_px:.3g} m/px, true {trial.image.gsd_m_per_px:.3g}",
@@ -378,7 +403,7 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
     return SheetCell(picture, lines)
 
 
-def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
+def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> Picture:
     """Arrange cells in rows, each picture above its text.
 
     Args:
@@ -389,11 +414,11 @@ def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
     """
     n_columns = max((len(row) for row in rows), default=0)
     width = n_columns * (_CELL_PX + _GAP_PX) + _GAP_PX
-    strips = [np.full((_GAP_PX, width, 3), 255, np.uint8)]
+    strips = [_blank(_GAP_PX, width, level=255)]
     for row in rows:
         cells = [_draw_cell(cell) for cell in row]
         height = max((len(cell) for cell in cells), default=0)
-        strip = np.full((height + _GAP_PX, width, 3), 255, np.uint8)
+        strip = _blank(height + _GAP_PX, width, level=255)
         for column, cell in enumerate(cells):
             left = _GAP_PX + column * (_CELL_PX + _GAP_PX)
             strip[: len(cell), left : left + _CELL_PX] = cell
@@ -401,17 +426,23 @@ def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> NDArray[np.uint8]:
     return np.concatenate(strips)
 
 
-def _draw_cell(cell: SheetCell) -> NDArray[np.uint8]:
+def _draw_cell(cell: SheetCell) -> Picture:
     """Draw a picture fitted into a square, with its text below."""
     height, width = cell.picture.shape[:2]
     factor = _CELL_PX / max(height, width)
     new_width = max(1, round(width * factor))
     new_height = max(1, round(height * factor))
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-    resized = cv2.resize(cell.picture, (new_width, new_height), interpolation=method)
-    square = np.full((_CELL_PX, _CELL_PX, 3), 235, np.uint8)
+    new_size = (new_width, new_height)
+    resized = cv2.resize(cell.picture, new_size, interpolation=method)
+    square = _blank(_CELL_PX, _CELL_PX, level=235)
     top = (_CELL_PX - new_height) // 2
     left = (_CELL_PX - new_width) // 2
     square[top : top + new_height, left : left + new_width] = resized
     caption = caption_panel(_CELL_PX, [[(None, line)] for line in cell.lines])
     return np.concatenate([square, caption])
+
+
+def _blank(height: int, width: int, level: int) -> Picture:
+    """Return a picture of one grey level, 0 to 255."""
+    return np.full((height, width, 3), level, np.uint8)

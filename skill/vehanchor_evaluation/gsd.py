@@ -60,12 +60,24 @@ class ScaleTrial:
     @property
     def error(self) -> float:
         """Absolute relative error; 1 (100 %) without an estimate."""
-        return 1.0 if math.isnan(self.signed_error) else abs(self.signed_error)
+        if math.isnan(self.signed_error):
+            return 1.0
+        return abs(self.signed_error)
 
     @property
     def estimated(self) -> bool:
         """Whether the image has an estimate."""
         return self.analysis.estimate.gsd_m_per_px is not None
+
+    @property
+    def usable(self) -> bool:
+        """Whether the scale is usable: status ok."""
+        return self.analysis.estimate.status == "ok"
+
+    @property
+    def confidence(self) -> float:
+        """Confidence in the scale, 0..1."""
+        return self.analysis.estimate.confidence
 
     @property
     def covered(self) -> bool | None:
@@ -230,11 +242,10 @@ def benchmark_scale(
         try:
             boxes = labelled_boxes(image.labels, label_classes)
         except (OSError, ValueError) as error:
-            issues.append(FileIssue(image.labels, "unreadable_labels", str(error), skipped=False))
+            issue = FileIssue(image.labels, "unreadable_labels", str(error), skipped=False)
+            issues.append(issue)
             continue
-        # Labels are analysed like detections with a score of 1.
-        facts = ImageFacts(result.image.width_px, result.image.height_px)
-        labelled = SearchedImage(Detections(boxes, np.ones(len(boxes))), facts)
+        labelled = _labelled_image(boxes, result.image)
         with naming(image.labels):
             analysis = labelled.analysis(detector, label_options_of(image))
         baseline.append(ScaleTrial(image, analysis, searched=labelled))
@@ -247,6 +258,13 @@ def benchmark_scale(
         options_of=options_of,
         label_options_of=label_options_of,
     )
+
+
+def _labelled_image(boxes: np.ndarray, searched: ImageFacts) -> SearchedImage:
+    """Make a search result from labels, which are analysed like detections with a score of 1."""
+    facts = ImageFacts(searched.width_px, searched.height_px)
+    scores = np.ones(len(boxes))
+    return SearchedImage(Detections(boxes, scores), facts)
 
 
 class _Row(BaseModel):
@@ -277,11 +295,12 @@ class ErrorRow(_Row):
         """Summarise trials."""
         tried = list(trials)
         estimated = [trial for trial in tried if trial.estimated]
-        usable = [trial for trial in estimated if trial.analysis.estimate.status == "ok"]
+        usable = [trial for trial in estimated if trial.usable]
         summary = summarise(estimated)
         interval_coverage = math.nan
         if estimated:
-            interval_coverage = float(np.mean([bool(trial.covered) for trial in estimated]))
+            is_covered = [bool(trial.covered) for trial in estimated]
+            interval_coverage = float(np.mean(is_covered))
         coverage = None
         usable_share = None
         if tried:
@@ -348,7 +367,7 @@ class ScaleReport(_Row):
 def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
     """Summarise a benchmark."""
     estimated = [trial for trial in benchmark.trials if trial.estimated]
-    confidence = np.array([trial.analysis.estimate.confidence for trial in estimated])
+    confidence = np.array([trial.confidence for trial in estimated])
     errors = np.array([trial.error for trial in estimated])
     high = [trial for trial in estimated if trial.error > HIGH_ERROR]
     low = [trial for trial in estimated if trial.error <= HIGH_ERROR]
@@ -412,21 +431,24 @@ def _of_images(trials: Iterable[ScaleTrial], images: set[Path]) -> list[ScaleTri
 
 
 def _reasons(issues: Iterable[FileIssue], *, skipped: bool) -> dict[str, int]:
-    counts = Counter(issue.reason for issue in issues if issue.skipped == skipped)
+    reasons = [issue.reason for issue in issues if issue.skipped == skipped]
+    counts = Counter(reasons)
     return dict(sorted(counts.items()))
 
 
 def _reference_lengths(trials: Iterable[ScaleTrial]) -> tuple[float, ...]:
-    lengths = [trial.analysis.estimate.details.reference_length_m for trial in trials]
-    return tuple(sorted({length for length in lengths if length is not None}))
+    details = [trial.analysis.estimate.details for trial in trials]
+    lengths = {own.reference_length_m for own in details}
+    return tuple(sorted(length for length in lengths if length is not None))
 
 
 def _guarded(trials: Iterable[ScaleTrial]) -> int:
-    return sum(bool(trial.analysis.estimate.details.resolution_guard) for trial in trials)
+    details = [trial.analysis.estimate.details for trial in trials]
+    return sum(bool(own.resolution_guard) for own in details)
 
 
 def _low_confidence(trials: Iterable[ScaleTrial]) -> int:
-    return sum(trial.analysis.estimate.status != "ok" for trial in trials)
+    return sum(not trial.usable for trial in trials)
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
@@ -437,6 +459,9 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 def _pearson(first: np.ndarray, second: np.ndarray) -> float | None:
     """Compute Pearson's correlation; None with fewer than three values or without spread."""
-    if len(first) < 3 or np.ptp(first) == 0 or np.ptp(second) == 0:
+    if len(first) < 3:
         return None
-    return float(np.corrcoef(first, second)[0, 1])
+    if np.ptp(first) == 0 or np.ptp(second) == 0:
+        return None
+    correlations = np.corrcoef(first, second)
+    return float(correlations[0, 1])

@@ -75,12 +75,11 @@ class KnownScaleSet:
         self, *, set_name: str | None = None, split: str | None = None, limit: int | None = None
     ) -> KnownScaleSet:
         """Select images by set, split and number; None selects all."""
-        images = [
-            image
-            for image in self.images
-            if (set_name is None or image.set == set_name)
-            and (split is None or image.split == split)
-        ]
+        images = list(self.images)
+        if set_name is not None:
+            images = [image for image in images if image.set == set_name]
+        if split is not None:
+            images = [image for image in images if image.split == split]
         return replace(self, images=tuple(images[:limit]))
 
     def without_duplicates(self) -> KnownScaleSet:
@@ -93,14 +92,14 @@ class KnownScaleSet:
                 issues.append(FileIssue(image.path, "duplicate_name", message))
             else:
                 first[image.path] = image
-        return replace(self, images=tuple(first.values()), issues=tuple(issues))
+        images = tuple(first.values())
+        return replace(self, images=images, issues=tuple(issues))
 
 
 def image_files(folder: Path) -> list[Path]:
     """List all files below a folder with an image suffix, sorted by path."""
-    return sorted(
-        path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()
-    )
+    named = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES]
+    return sorted(path for path in named if path.is_file())
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:

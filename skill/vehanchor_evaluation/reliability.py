@@ -6,8 +6,8 @@ wrong of n, about 3 / n.
 
 from __future__ import annotations
 
-import itertools
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.gsd import ScaleTrial
 
 _CHANCE_EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
-_VEHICLE_EDGES = (0, 1, 5, 20)
-_RESOLUTION_EDGES_M_PER_PX = (0.0, 0.03, 0.06, 0.12, 0.2, 0.3)
+_VEHICLE_EDGES = (0, 1, 5, 20, math.inf)
+_RESOLUTION_EDGES_M_PER_PX = (0.0, 0.03, 0.06, 0.12, 0.2, 0.3, math.inf)
 # Largest share of wrong estimates that the threshold of the confidence allows.
 MAX_WRONG_SHARE = 0.01
 # With 100 estimates, a share of 1 % is one image.
@@ -131,8 +131,10 @@ def confidence_threshold(confidences: Sequence[float], wrong: Sequence[bool]) ->
         n_estimates = int(from_limit_on.sum())
         if n_estimates < MIN_ESTIMATES:
             continue
-        if is_wrong[from_limit_on].mean() <= MAX_WRONG_SHARE:
-            return Threshold(float(limit), n_estimates, int(is_wrong[from_limit_on].sum()))
+        wrong_from_limit_on = is_wrong[from_limit_on]
+        if wrong_from_limit_on.mean() <= MAX_WRONG_SHARE:
+            n_wrong = int(wrong_from_limit_on.sum())
+            return Threshold(float(limit), n_estimates, n_wrong)
     return Threshold(None)
 
 
@@ -147,7 +149,7 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
     tried = list(trials)
     estimated = [trial for trial in tried if trial.estimated]
     threshold = confidence_threshold(
-        [_confidence(trial) for trial in estimated],
+        [trial.confidence for trial in estimated],
         [trial.error > HIGH_ERROR for trial in estimated],
     )
     return ReliabilityReport(
@@ -166,7 +168,7 @@ def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -
 
 def _rows_by_vehicles(trials: Sequence[ScaleTrial]) -> list[GroupRow]:
     rows = []
-    for low, high in itertools.pairwise((*_VEHICLE_EDGES, math.inf)):
+    for low, high in pairwise(_VEHICLE_EDGES):
         # Numbers of vehicles are whole, so the name of a range includes both ends.
         if math.isinf(high):
             name = f"{low:g} and more"
@@ -185,42 +187,42 @@ def _n_vehicles(trial: ScaleTrial) -> int:
 
 def _rows_by_resolution(trials: Sequence[ScaleTrial]) -> list[GroupRow]:
     rows = []
-    for low, high in itertools.pairwise((*_RESOLUTION_EDGES_M_PER_PX, math.inf)):
-        name = f"{low:g} and more" if math.isinf(high) else f"{low:g} to {high:g}"
+    for low, high in pairwise(_RESOLUTION_EDGES_M_PER_PX):
+        name = f"{low:g} to {high:g}"
+        if math.isinf(high):
+            name = f"{low:g} and more"
         group = [trial for trial in trials if low <= trial.image.gsd_m_per_px < high]
         rows.append(group_row(name, group))
     return rows
 
 
-def _confidence(trial: ScaleTrial) -> float:
-    return trial.analysis.estimate.confidence
-
-
 def _chance_rows(estimated: Sequence[ScaleTrial]) -> list[ChanceRow]:
     rows = []
-    for low, high in itertools.pairwise(_CHANCE_EDGES):
-        # The last range includes its upper end, a chance of 1.
-        group = [
-            trial
-            for trial in estimated
-            if low <= _confidence(trial) < high or _confidence(trial) == high == 1.0
-        ]
+    for low, high in pairwise(_CHANCE_EDGES):
+        group = [trial for trial in estimated if _is_in_range(trial.confidence, low, high)]
         row = ChanceRow(
             low=low,
             high=high,
             images=len(group),
-            stated=_mean([_confidence(trial) for trial in group]),
+            stated=_mean([trial.confidence for trial in group]),
             happened=_mean([trial.error < HIGH_ERROR for trial in group]),
         )
         rows.append(row)
     return rows
 
 
+def _is_in_range(confidence: float, low: float, high: float) -> bool:
+    """Check whether a confidence lies in a range without its end; the last range includes 1."""
+    if confidence == high == 1.0:
+        return True
+    return low <= confidence < high
+
+
 def group_row(name: str, trials: Sequence[ScaleTrial]) -> GroupRow:
     """Summarise the trials of one group."""
     estimated = [trial for trial in trials if trial.estimated]
-    usable = [trial for trial in estimated if trial.analysis.estimate.status == "ok"]
-    others = [trial for trial in estimated if trial.analysis.estimate.status != "ok"]
+    usable = [trial for trial in estimated if trial.usable]
+    others = [trial for trial in estimated if not trial.usable]
     wrong = sum(trial.error > HIGH_ERROR for trial in usable)
     return GroupRow(
         name=name,
@@ -239,8 +241,12 @@ def group_row(name: str, trials: Sequence[ScaleTrial]) -> GroupRow:
 
 
 def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if len(values) else None
+    if not values:
+        return None
+    return float(np.mean(values))
 
 
 def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if len(values) else None
+    if not values:
+        return None
+    return float(np.median(values))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.errors import OutputError
 from vehanchor.records.escaping import in_cell
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.gsd import ScaleBenchmark, ScaleReport, ScaleTrial
     from vehanchor_evaluation.known_scale import FileIssue
     from vehanchor_evaluation.reliability import GroupRow, ReliabilityReport
+
+    Rows: TypeAlias = Sequence[Mapping[str, object]]
+    """Rows of a table, all with the same keys."""
 
 _SHORT_SHA = 12
 _LEGEND = """An error above 20 % is wrong; (<) is the 95 % upper bound of the wrong share.
@@ -48,18 +51,19 @@ def markdown_table(
     widths = [0] * len(headings)
     rules = ["---"] * len(headings)
     if aligned:
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        columns = zip(*table, strict=True)
+        widths = [max(map(len, column)) for column in columns]
         rules = ["-" * max(3, width + 2) for width in widths]
     lines = []
     for cells in table:
         padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
-        lines.append("| " + " | ".join(padded) + " |")
-    lines.insert(1, "|" + "|".join(rules) + "|")
+        lines.append(f"| {' | '.join(padded)} |")
+    lines.insert(1, f"|{'|'.join(rules)}|")
     return "\n".join(lines) + "\n"
 
 
 def write_results(
-    folder: Path, stem: str, record: BaseModel, rows: Sequence[Mapping[str, object]], markdown: str
+    folder: Path, stem: str, record: BaseModel, rows: Rows, markdown: str
 ) -> list[Path]:
     """Write a result as ``<stem>.json``, its table as ``<stem>.csv``, and ``<stem>.md``.
 
@@ -76,16 +80,15 @@ def write_results(
     Raises:
         OutputError: a file cannot be written.
     """
+    json_text = record.model_dump_json(indent=2)
     return [
-        _write(folder / f"{stem}.json", record.model_dump_json(indent=2) + "\n"),
+        _write(folder / f"{stem}.json", json_text + "\n"),
         write_table(folder / f"{stem}.csv", rows),
         _write(folder / f"{stem}.md", markdown),
     ]
 
 
-def write_table(
-    path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()
-) -> Path:
+def write_table(path: Path, rows: Rows, columns: Sequence[str] = ()) -> Path:
     """Write rows with the same keys as CSV; None becomes an empty cell.
 
     Args:
@@ -100,7 +103,8 @@ def write_table(
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, fieldnames=fields, lineterminator="\n")
     writer.writeheader()
-    writer.writerows({name: in_cell(value) for name, value in row.items()} for row in rows)
+    for row in rows:
+        writer.writerow({name: in_cell(value) for name, value in row.items()})
     return _write(path, text.getvalue())
 
 
@@ -139,12 +143,15 @@ def write_trials(path: Path, benchmark: ScaleBenchmark) -> Path:
         OutputError: the file cannot be written.
     """
     labelled = {trial.image.path: trial for trial in benchmark.baseline}
-    rows = [_trial_row(trial, labelled.get(trial.image.path)) for trial in benchmark.trials]
+    rows = []
+    for trial in benchmark.trials:
+        rows.append(_trial_row(trial, labelled.get(trial.image.path)))
     return write_table(path, rows)
 
 
 def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, object]:
     estimate = trial.analysis.estimate
+    details = estimate.details
     signed_error = trial.signed_error if trial.estimated else None
     return {
         "file": str(trial.image.path),
@@ -156,10 +163,10 @@ def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, obje
         "gsd_ci95_low_m_per_px": estimate.gsd_ci95_low_m_per_px,
         "gsd_ci95_high_m_per_px": estimate.gsd_ci95_high_m_per_px,
         "n_vehicles": estimate.n_vehicles,
-        "n_detections": estimate.details.n_detections,
+        "n_detections": details.n_detections,
         "mode_length_px": estimate.mode_length_px,
-        "resolution_guard": str(bool(estimate.details.resolution_guard)).lower(),
-        "reference_length_m": estimate.details.reference_length_m,
+        "resolution_guard": str(bool(details.resolution_guard)).lower(),
+        "reference_length_m": details.reference_length_m,
         **_label_cells(labelled),
     }
 
@@ -289,7 +296,8 @@ def reliability_markdown(report: ReliabilityReport) -> str:
         )
         for row in report.chances
     ]
-    chances = markdown_table(("stated chance", "images", "mean", "outcome"), rows, aligned=True)
+    headings = ("stated chance", "images", "mean", "outcome")
+    chances = markdown_table(headings, rows, aligned=True)
     by_vehicles = group_table("vehicles", (*report.by_vehicles, report.whole))
     by_resolution = group_table("true m/px", report.by_resolution)
     return (
@@ -344,4 +352,5 @@ def _correlation(value: float | None) -> str:
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{number} {reason}" for reason, number in counts.items()) or "none"
+    parts = [f"{number} {reason}" for reason, number in counts.items()]
+    return ", ".join(parts) or "none"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.scale.posterior import Witness
+
+    Logs: TypeAlias = NDArray[np.float64]
+    """Natural logs ``[m]`` of the members' metres per pixel, or their standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +34,8 @@ class Component:
     """
 
     members: NDArray[np.intp]
-    log_scales: NDArray[np.float64]
-    log_sds: NDArray[np.float64]
+    log_scales: Logs
+    log_sds: Logs
     reference: int
     extra: tuple[Witness, ...] = ()
     maybe_tilted: bool = False
@@ -41,9 +44,10 @@ class Component:
         return len(self.members)
 
     @property
-    def offsets(self) -> NDArray[np.float64]:
+    def offsets(self) -> Logs:
         """``[n]`` logs of each member's metres per pixel over the reference's."""
-        return np.asarray(self.log_scales - self.log_scales[self.reference])
+        reference = self.log_scales[self.reference]
+        return np.asarray(self.log_scales - reference)
 
 
 def single_component(members: Sequence[int], reference: int) -> Component:
@@ -54,4 +58,5 @@ def single_component(members: Sequence[int], reference: int) -> Component:
         reference: index among the members.
     """
     zeros = np.zeros(len(members))
-    return Component(np.asarray(members, dtype=np.intp), zeros, log_sds=zeros, reference=reference)
+    indices = np.asarray(members, dtype=np.intp)
+    return Component(indices, zeros, log_sds=zeros, reference=reference)

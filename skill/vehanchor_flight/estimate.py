@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence, Sized
+from collections.abc import Sized
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor_flight.features import Features
+    from vehanchor_flight.record import Results
     from vehanchor_flight.records import FlightEstimate
 
 _REDUCED_SIDE_PX = 32  # Side of the copy by which two sizes of a photograph are recognised.
@@ -54,9 +55,7 @@ _MAX_COPY_DIFFERENCE = 3.0
 _ASPECT_TOLERANCE = 0.01  # Relative difference between the aspect ratios of two copies.
 
 
-def conclude(
-    results: Sequence[Photograph | Failure], card: DetectorCard, *, same_scale: bool
-) -> FlightEstimate:
+def conclude(results: Results, card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
     """Make the record of searched photographs; without ``same_scale`` they need features."""
     indices = [index for index, result in enumerate(results) if isinstance(result, Photograph)]
     members = [result for result in results if isinstance(result, Photograph)]
@@ -100,7 +99,8 @@ def search_flight(
         ImageError: no photograph is given, or none can be used.
     """
     report_progress = detector.runtime.report_progress
-    silent_detector = detector.under(replace(detector.runtime, progress=None))
+    silent_runtime = replace(detector.runtime, progress=None)
+    silent_detector = detector.under(silent_runtime)
     results: list[Photograph | Failure] = []
     n_photographs = len(inputs) if isinstance(inputs, Sized) else 0
     for n_done, photograph in enumerate(inputs):
@@ -163,24 +163,28 @@ def _search(
 
 def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
     """Reduce an image to ``[32, 32]`` grey levels."""
-    factor = max(1, max(raster.width_px, raster.height_px) // _MIN_READ_PX)
+    side_px = max(raster.width_px, raster.height_px)
+    factor = max(1, side_px // _MIN_READ_PX)
     whole = Window(
         0,
         0,
         width_px=max(1, raster.width_px // factor),
         height_px=max(1, raster.height_px // factor),
     )
-    grey = cv2.cvtColor(read_preview(raster, whole, factor), cv2.COLOR_RGB2GRAY)
-    side = (_REDUCED_SIDE_PX, _REDUCED_SIDE_PX)
-    return np.asarray(cv2.resize(grey, side, interpolation=cv2.INTER_AREA), np.uint8)
+    preview = read_preview(raster, whole, factor)
+    grey = cv2.cvtColor(preview, cv2.COLOR_RGB2GRAY)
+    size = (_REDUCED_SIDE_PX, _REDUCED_SIDE_PX)
+    reduced = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(reduced, np.uint8)
 
 
-def without_copies(results: Sequence[Photograph | Failure]) -> list[Photograph | Failure]:
+def without_copies(results: Results) -> list[Photograph | Failure]:
     """Keep the largest of several sizes of a photograph; the others become failures."""
     remaining = list(results)
     originals: list[Photograph] = []
     for index, photograph in _widest_first(results):
-        original = next((other for other in originals if _is_copy(photograph, other)), None)
+        copied = (other for other in originals if _is_copy(photograph, other))
+        original = next(copied, None)
         if original is None:
             originals.append(photograph)
         else:
@@ -189,12 +193,19 @@ def without_copies(results: Sequence[Photograph | Failure]) -> list[Photograph |
     return remaining
 
 
-def _widest_first(results: Sequence[Photograph | Failure]) -> list[tuple[int, Photograph]]:
+def _widest_first(results: Results) -> list[tuple[int, Photograph]]:
     """List the photographs with their indices; those of equal width keep their order."""
-    photographs = [
-        (index, result) for index, result in enumerate(results) if isinstance(result, Photograph)
-    ]
-    return sorted(photographs, key=lambda indexed: -indexed[1].view.image.width_px)
+    photographs = []
+    for index, result in enumerate(results):
+        if isinstance(result, Photograph):
+            photographs.append((index, result))
+
+    def width_px(indexed: tuple[int, Photograph]) -> int:
+        _, photograph = indexed
+        return photograph.view.image.width_px
+
+    # A reversed sort keeps the order of equals, too.
+    return sorted(photographs, key=width_px, reverse=True)
 
 
 def _is_copy(small: Photograph, large: Photograph) -> bool:
@@ -206,12 +217,13 @@ def _is_copy(small: Photograph, large: Photograph) -> bool:
     if small_image.width_px == large_image.width_px:
         return False
     # Quotient of the aspect ratios.
-    aspect = (small_image.width_px * large_image.height_px) / (
-        small_image.height_px * large_image.width_px
-    )
+    numerator = small_image.width_px * large_image.height_px
+    denominator = small_image.height_px * large_image.width_px
+    aspect = numerator / denominator
     if abs(aspect - 1) > _ASPECT_TOLERANCE:
         return False
-    difference = np.abs(small.reduced.astype(float) - large.reduced).mean()
+    differences = small.reduced.astype(float) - large.reduced
+    difference = np.abs(differences).mean()
     return bool(difference <= _MAX_COPY_DIFFERENCE)
 
 

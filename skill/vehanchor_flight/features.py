@@ -51,7 +51,8 @@ def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features
     Returns:
         At most 1,200.
     """
-    factor = max(1, math.ceil(max(raster.width_px, raster.height_px) / long_side_px))
+    side_px = max(raster.width_px, raster.height_px)
+    factor = max(1, math.ceil(side_px / long_side_px))
     grey = _reduced_grey(raster, factor)
     cv: Any = cv2  # The stubs of OpenCV lack SIFT.
     sift = cv.SIFT_create(nfeatures=_MAX_FEATURES, contrastThreshold=_CONTRAST)
@@ -63,14 +64,17 @@ def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features
     # SIFT can return more than it is asked for: several orientations of one point.
     strengths = np.array([keypoint.response for keypoint in keypoints])
     order = np.argsort(-strengths, kind="stable")[:_MAX_FEATURES]
-    reduced_points = np.array([keypoints[index].pt for index in order], dtype=np.float64)
+    strongest = [keypoints[index] for index in order]
+    reduced_points = np.array([keypoint.pt for keypoint in strongest], dtype=np.float64)
     # OpenCV counts from the centre of the first pixel, the photograph from its corner.
     points = (reduced_points + 0.5) * factor
     # RootSIFT (Arandjelovic and Zisserman, 2012) matches better than SIFT.
-    histograms = np.asarray(sift_descriptors, dtype=np.float64)[order]
-    shares = histograms / np.maximum(histograms.sum(axis=1, keepdims=True), 1e-9)
-    descriptors = np.rint(255 * np.sqrt(shares)).astype(np.uint8)
-    return Features(points, descriptors, float(factor))
+    all_histograms = np.asarray(sift_descriptors, dtype=np.float64)
+    histograms = all_histograms[order]
+    sums = histograms.sum(axis=1, keepdims=True)
+    shares = histograms / np.maximum(sums, 1e-9)
+    roots = np.rint(255 * np.sqrt(shares))
+    return Features(points, roots.astype(np.uint8), float(factor))
 
 
 def _reduced_grey(raster: Raster, factor: int) -> NDArray[np.uint8]:

@@ -20,7 +20,8 @@ flight's own residuals give the real spread of the ratios, which includes relief
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from itertools import compress
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags
@@ -32,6 +33,27 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    Indices: TypeAlias = NDArray[np.intp]
+    """Indices of photographs."""
+
+    Logs: TypeAlias = NDArray[np.float64]
+    """Natural logs of scales in metres per pixel, or of ratios of scales."""
+
+    Sds: TypeAlias = NDArray[np.float64]
+    """Standard deviations of natural logs."""
+
+    Weights: TypeAlias = NDArray[np.float64]
+    """Weights of the equations."""
+
+    Matrix: TypeAlias = NDArray[np.float64]
+    """Covariance or its inverse."""
+
+    Vectors: TypeAlias = NDArray[np.float64]
+    """Vectors x, y: positions from the centre of a photograph, or tilts."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the links have a property."""
+
 _REACH = 3.0  # Scale of the robust loss, in standard deviations.
 # A link is dropped if it is off by more than both.
 _DROP_SDS = 4.0
@@ -42,9 +64,8 @@ _N_INFLATIONS = 2  # The spread of the ratios is estimated again with the spread
 _MAX_INFLATION = 8.0
 _GRADIENT_SD = 0.05  # Log of scale from the centre to the edge: a tilt of two to five degrees.
 _LOOSE_SD = 3.0  # Of a photograph without evidence: keeps the problem regular.
-_FIT_PRIOR = (
-    1e-3  # Share of the loose prior that the fit uses, so that it does not pull the scales.
-)
+# Share of the loose prior that the fit uses, so that it does not pull the scales.
+_FIT_PRIOR = 1e-3
 _MAD_PER_SD = 0.6745  # Median absolute value of a normal distribution over its deviation.
 _MIN_TILT_PHOTOGRAPHS = 4
 _MIN_TILT_SHARE = 0.5
@@ -100,19 +121,22 @@ class Subgraph:
         covariance: ``[m, m]`` covariance of the log scales.
     """
 
-    members: NDArray[np.intp]
-    log_scales: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    members: Indices
+    log_scales: Logs
+    covariance: Matrix
 
-    def sds_from(self, reference: int) -> NDArray[np.float64]:
+    def sds_from(self, reference: int) -> Sds:
         """Compute the errors of the members' log scales relative to that of the reference.
 
         Returns:
             ``[m]`` standard deviations.
         """
         variances = np.diag(self.covariance)
-        variance = variances + variances[reference] - 2 * self.covariance[reference]
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        covariances = self.covariance[reference]
+        # The variance of a difference is var(a) + var(b) - 2 cov(a, b).
+        differences = variances + variances[reference] - 2 * covariances
+        differences = np.maximum(differences, 0.0)
+        return np.asarray(np.sqrt(differences))
 
 
 class Solution(NamedTuple):
@@ -126,8 +150,8 @@ class Solution(NamedTuple):
     """
 
     components: tuple[Subgraph, ...]
-    residuals: NDArray[np.float64]
-    used: NDArray[np.bool_]
+    residuals: Logs
+    used: Flags
     inflation: float
 
 
@@ -146,12 +170,13 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
     problem = _Problem(n, links, unaries)
     # The residuals show whether the ratios scatter more than their matches state.
     in_loop = ~_is_dangling(n, links)
+    loop_sds = stated_sds[in_loop]
     inflation = 1.0
     for _ in range(_N_INFLATIONS):
         problem.anneal(stated_sds * inflation)
-        scaled = np.abs(problem.residuals[in_loop]) / stated_sds[in_loop]
-        if len(scaled):
-            spread = np.median(scaled) / _MAD_PER_SD
+        loop_errors = np.abs(problem.residuals[in_loop])
+        if len(loop_errors):
+            spread = np.median(loop_errors / loop_sds) / _MAD_PER_SD
             inflation = float(np.clip(spread, 1.0, _MAX_INFLATION))
     sds = stated_sds * inflation
     # The robust loss ignored the outliers; the final fit is without them.
@@ -159,7 +184,7 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
     errors = np.abs(residuals)
     is_outlier = (errors > _DROP_SDS * sds) & (errors > _DROP_LOG)
     used = ~is_outlier
-    used_links = [link for link, is_used in zip(links, used, strict=True) if is_used]
+    used_links = list(compress(links, used))
     if is_outlier.any():
         problem = _Problem(n, used_links, unaries)
         problem.anneal(sds[used])
@@ -186,25 +211,29 @@ class _Problem:
         self._target = np.concatenate([log_ratios, log_scales])
         self._own_sds = np.array([unary.log_sd for unary in evidence], dtype=np.float64)
         # A weak prior at the middle of the evidence keeps components without evidence regular.
-        middle = float(np.median(log_scales)) if log_scales else 0.0
+        middle = 0.0
+        if log_scales:
+            middle = float(np.median(log_scales))
         scale_precision = np.full(n, _FIT_PRIOR / _LOOSE_SD**2)
         gradient_precision = np.full(2 * n, 1 / _GRADIENT_SD**2)
         self._prior = np.concatenate([scale_precision, gradient_precision])
         scale_pull = np.full(n, middle * _FIT_PRIOR / _LOOSE_SD**2)
-        self._prior_pull = np.concatenate([scale_pull, np.zeros(2 * n)])
+        gradient_pull = np.zeros(2 * n)
+        self._prior_pull = np.concatenate([scale_pull, gradient_pull])
         self._unknowns = np.zeros(3 * n)
 
     @property
-    def scales(self) -> NDArray[np.float64]:
+    def scales(self) -> Logs:
         """``[n]`` log scales."""
         return np.asarray(self._unknowns[: self._n])
 
     @property
-    def residuals(self) -> NDArray[np.float64]:
+    def residuals(self) -> Logs:
         """``[l]`` measured less fitted log ratio of each link."""
-        return np.asarray((self._target - self._matrix @ self._unknowns)[: self._n_links])
+        misfits = self._target - self._matrix @ self._unknowns
+        return np.asarray(misfits[: self._n_links])
 
-    def anneal(self, link_sds: NDArray[np.float64]) -> None:
+    def anneal(self, link_sds: Sds) -> None:
         """Solve, in steps from the square loss to the robust loss.
 
         Args:
@@ -216,19 +245,19 @@ class _Problem:
             return
         # Graduated non-convexity: the surrogate loss is nearly convex for a large mu, and it is the
         # Geman-McClure loss for mu = 1. The weights are those of Yang et al. (2020), section IV.
-        largest = float(np.max(self._scaled_residuals(sds) ** 2))
+        squares = self._scaled_residuals(sds) ** 2
+        largest = float(squares.max())
         mu = max(1.0, 2 * largest / _REACH**2)
         for _ in range(_MAX_STEPS):
             squares = self._scaled_residuals(sds) ** 2
-            weights = (mu * _REACH**2 / (squares + mu * _REACH**2)) ** 2
+            limit = mu * _REACH**2
+            weights = (limit / (squares + limit)) ** 2
             self._solve(weights, sds)
             if mu == 1.0:
                 break
             mu = max(1.0, mu / _ANNEALING_FACTOR)
 
-    def information(
-        self, members: NDArray[np.intp], link_sds: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def information(self, members: Indices, link_sds: Sds) -> Matrix:
         """Compute the inverse covariance of some photographs' unknowns.
 
         Args:
@@ -242,24 +271,29 @@ class _Problem:
         gradients_x = self._n + 2 * members
         columns = np.concatenate([members, gradients_x, gradients_x + 1])
         equations = self._matrix.tocsc()[:, columns]
-        measured = (equations.T @ diags(1 / sds**2) @ equations).toarray()
+        weights = diags(1 / sds**2)
+        measured = equations.T @ weights @ equations
         m = len(members)
         scale_precision = np.full(m, 1 / _LOOSE_SD**2)
         gradient_precision = np.full(2 * m, 1 / _GRADIENT_SD**2)
-        prior = np.diag(np.concatenate([scale_precision, gradient_precision]))
-        return np.asarray(measured + prior)
+        prior = np.concatenate([scale_precision, gradient_precision])
+        return np.asarray(measured.toarray() + np.diag(prior))
 
-    def _scaled_residuals(self, sds: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _scaled_residuals(self, sds: Sds) -> Logs:
         """Compute the residuals of all equations, in standard deviations."""
-        return np.asarray(np.abs(self._matrix @ self._unknowns - self._target) / sds)
+        misfits = self._matrix @ self._unknowns - self._target
+        return np.asarray(np.abs(misfits) / sds)
 
-    def _solve(self, weights: NDArray[np.float64], sds: NDArray[np.float64]) -> None:
+    def _solve(self, weights: Weights, sds: Sds) -> None:
         """Solve the normal equations of weighted least squares."""
         matrix = self._matrix
         precision = weights / sds**2
-        normal = matrix.T @ diags(precision) @ matrix + diags(self._prior)
-        right = matrix.T @ (precision * self._target) + self._prior_pull
-        self._unknowns = np.asarray(splu(normal.tocsc()).solve(right))
+        measured = matrix.T @ diags(precision) @ matrix
+        normal = measured + diags(self._prior)
+        right = matrix.T @ (precision * self._target)
+        right = right + self._prior_pull
+        factorised = splu(normal.tocsc())
+        self._unknowns = np.asarray(factorised.solve(right))
 
 
 def _equations(n: int, links: Sequence[Link], evident: Sequence[int]) -> Any:
@@ -278,8 +312,9 @@ def _equations(n: int, links: Sequence[Link], evident: Sequence[int]) -> Any:
     values: list[float] = []
     # The equation of a link: x_i + g_i p_ij - x_j - g_j p_ji = r_ij.
     for row, link in enumerate(links):
-        ends = ((1.0, link.first, link.first_at), (-1.0, link.second, link.second_at))
-        for sign, index, (x, y) in ends:
+        first = (1.0, link.first, link.first_at)
+        second = (-1.0, link.second, link.second_at)
+        for sign, index, (x, y) in (first, second):
             gradient = n + 2 * index
             rows += [row, row, row]
             columns += [index, gradient, gradient + 1]
@@ -289,11 +324,12 @@ def _equations(n: int, links: Sequence[Link], evident: Sequence[int]) -> Any:
         rows.append(row)
         columns.append(index)
         values.append(1.0)
-    shape = (len(links) + len(evident), 3 * n)
-    return coo_matrix((values, (rows, columns)), shape=shape).tocsr()
+    n_equations = len(links) + len(evident)
+    entries = (values, (rows, columns))
+    return coo_matrix(entries, shape=(n_equations, 3 * n)).tocsr()
 
 
-def _is_dangling(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
+def _is_dangling(n: int, links: Sequence[Link]) -> Flags:
     """Find ``[l]`` links to a photograph without another link.
 
     Such a link always fits, so that its residual does not show its error.
@@ -304,15 +340,13 @@ def _is_dangling(n: int, links: Sequence[Link]) -> NDArray[np.bool_]:
     return np.asarray(has_one_link.any(axis=1))
 
 
-def _ends(links: Sequence[Link]) -> NDArray[np.intp]:
+def _ends(links: Sequence[Link]) -> Indices:
     """Return the ``[l, 2]`` indices of both photographs of each link."""
     ends = [(link.first, link.second) for link in links]
     return np.array(ends, dtype=np.intp).reshape(-1, 2)
 
 
-def _components(
-    n: int, links: Sequence[Link], sds: NDArray[np.float64], problem: _Problem
-) -> tuple[Subgraph, ...]:
+def _components(n: int, links: Sequence[Link], sds: Sds, problem: _Problem) -> tuple[Subgraph, ...]:
     """Divide the photographs into linked ones, each with scales and their covariance.
 
     Args:
@@ -321,19 +355,25 @@ def _components(
         sds: ``[l]`` standard deviations of their log ratios.
         problem: solved for these links.
     """
-    ends = _ends(links)
-    adjacency = csr_matrix((sds, (ends[:, 0], ends[:, 1])), shape=(n, n))
+    first, second = _ends(links).T
+    adjacency = csr_matrix((sds, (first, second)), shape=(n, n))
     count, labels = connected_components(adjacency, directed=False)
     subgraphs = []
     for label in range(count):
         members = np.flatnonzero(labels == label)
         m = len(members)
         # The inverse of the whole information integrates over the gradients.
-        whole = np.linalg.inv(problem.information(members, sds))
+        information = problem.information(members, sds)
+        whole = np.linalg.inv(information)
         covariance = np.asarray(whole[:m, :m], dtype=np.float64)
         subgraphs.append(Subgraph(members, problem.scales[members], covariance))
-    subgraphs.sort(key=lambda subgraph: (-len(subgraph.members), int(subgraph.members[0])))
+    subgraphs.sort(key=_largest_first)
     return tuple(subgraphs)
+
+
+def _largest_first(subgraph: Subgraph) -> tuple[int, int]:
+    """Order subgraphs by size, then by their first photograph."""
+    return -len(subgraph.members), int(subgraph.members[0])
 
 
 def tilt_share(links: Sequence[Link]) -> float:
@@ -350,30 +390,32 @@ def tilt_share(links: Sequence[Link]) -> float:
         0..1; 0 for fewer than four photographs, and if no tilt above ten degrees explains at least
         half.
     """
-    n = len({index for link in links for index in (link.first, link.second)})
+    photographs = {link.first for link in links} | {link.second for link in links}
+    n = len(photographs)
     if n < _MIN_TILT_PHOTOGRAPHS:
         return 0.0
     # Search a grid of q, by size and direction, for the tilt that fits the ratios best.
-    gradients, directions = np.meshgrid(
-        np.geomspace(_MIN_TILT_GRADIENT, _MAX_TILT_GRADIENT, _N_TILT_GRADIENTS),
-        np.arange(0.0, 2 * np.pi, _TILT_DIRECTION_STEP),
-    )
+    sizes = np.geomspace(_MIN_TILT_GRADIENT, _MAX_TILT_GRADIENT, _N_TILT_GRADIENTS)
+    turns = np.arange(0.0, 2 * np.pi, _TILT_DIRECTION_STEP)
+    gradients, directions = np.meshgrid(sizes, turns)
     across = gradients * np.cos(directions)
     down = gradients * np.sin(directions)
     tilts = np.column_stack([across.ravel(), down.ravel()])
-    first = _log_scales_by_tilt(tilts, np.array([link.first_at for link in links]))
-    second = _log_scales_by_tilt(tilts, np.array([link.second_at for link in links]))
+    first_points = np.array([link.first_at for link in links])
+    second_points = np.array([link.second_at for link in links])
+    first = _log_scales_by_tilt(tilts, first_points)
+    second = _log_scales_by_tilt(tilts, second_points)
     ratios = np.array([link.log_ratio for link in links])
-    unexplained = ((ratios - first + second) ** 2).sum(axis=1).min()
+    errors = ratios - first + second
+    unexplained = (errors**2).sum(axis=1).min()
     # Adjusted for degrees of freedom: two parameters explain a part of any ratios by chance.
-    unexplained_share = float(unexplained / max(np.sum(ratios**2), 1e-9))
+    total = max(np.sum(ratios**2), 1e-9)
+    unexplained_share = float(unexplained / total)
     share = 1 - unexplained_share * (n - 1) / (n - 3)
     return share if share >= _MIN_TILT_SHARE else 0.0
 
 
-def _log_scales_by_tilt(
-    tilts: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _log_scales_by_tilt(tilts: Vectors, points: Vectors) -> Logs:
     """Compute log scales at points, over that of the centre, for many tilts.
 
     Args:

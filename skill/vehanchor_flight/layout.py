@@ -6,7 +6,7 @@ similarity transform is then ``factor * point + shift``, and the argument of the
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.sparse import coo_matrix, diags
@@ -18,6 +18,24 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor_flight.matching import Overlap
+
+    Indices: TypeAlias = NDArray[np.intp]
+    """Indices of photographs."""
+
+    Numbers: TypeAlias = NDArray[np.complex128]
+    """Points or similarity transforms as complex numbers."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[m, 2]``."""
+
+    Offsets: TypeAlias = NDArray[np.float64]
+    """Logs ``[m]`` of metres per pixel over those of the reference."""
+
+    Weights: TypeAlias = NDArray[np.float64]
+    """Weights ``[s]`` of the equations."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """Lengths in pixels or in diagonals of a photograph."""
 
 _STEPS = 8  # Of the reweighted least squares.
 _HEADING_REACH = 0.15  # Turns that are farther off lose weight; in lengths of a unit vector.
@@ -37,14 +55,14 @@ class Layout(NamedTuple):
             photograph.
     """
 
-    feet: NDArray[np.complex128]
-    off: NDArray[np.float64]
+    feet: Numbers
+    off: Lengths
 
 
 def lay_out(
-    feet: NDArray[np.float64],
-    diagonals: NDArray[np.float64],
-    offsets: NDArray[np.float64],
+    feet: Points,
+    diagonals: Lengths,
+    offsets: Offsets,
     reference: int,
     overlaps: Sequence[Overlap],
 ) -> Layout:
@@ -63,7 +81,8 @@ def lay_out(
         The layout.
     """
     if not overlaps:
-        return Layout(np.zeros(len(feet), np.complex128), np.zeros(0))
+        at_reference = np.zeros(len(feet), np.complex128)
+        return Layout(at_reference, np.zeros(0))
     pairs = _Pairs(
         n=len(feet),
         first=np.array([overlap.first for overlap in overlaps]),
@@ -72,18 +91,21 @@ def lay_out(
     )
     n_matches = np.array([overlap.match.n for overlap in overlaps], dtype=np.float64)
     # Each overlap maps pixels of its first photograph to those of its second.
-    transforms = np.array(
-        [overlap.match.turn[0] + 1j * overlap.match.turn[1] for overlap in overlaps]
-    )
+    matrices = np.array([overlap.match.turn for overlap in overlaps])
+    transforms = matrices[:, 0] + 1j * matrices[:, 1]
     factors = transforms[:, 0]
     shifts = transforms[:, 2]
     # Rotations only: the graph of scales gives better lengths than single overlaps.
     turns = factors / np.abs(factors)
     own_feet = feet[:, 0] + 1j * feet[:, 1]
     # The first camera's foot, seen from that of the second, in pixels of the second.
-    steps = factors * own_feet[pairs.first] + shifts - own_feet[pairs.second]
+    mapped_feet = factors * own_feet[pairs.first] + shifts
+    steps = mapped_feet - own_feet[pairs.second]
     diagonals_in_layout = diagonals * np.exp(offsets)
-    pair_diagonals = (diagonals_in_layout[pairs.first] + diagonals_in_layout[pairs.second]) / 2
+    first_diagonals = diagonals_in_layout[pairs.first]
+    second_diagonals = diagonals_in_layout[pairs.second]
+    pair_diagonals = (first_diagonals + second_diagonals) / 2
+    second_pixels = np.exp(offsets[pairs.second])
     zeros = np.zeros(len(overlaps))
     ones = np.ones(len(overlaps))
     weights = n_matches
@@ -93,10 +115,13 @@ def lay_out(
         headings = pairs.solve(turns, zeros, weights=weights, reference_value=1.0)
         headings /= np.maximum(np.abs(headings), 1e-9)
         # position_first - position_second = step, turned and scaled to the reference's pixels.
-        steps_in_layout = headings[pairs.second] * np.exp(offsets[pairs.second]) * steps
+        first_headings = headings[pairs.first]
+        second_headings = headings[pairs.second]
+        steps_in_layout = second_headings * second_pixels * steps
         positions = pairs.solve(ones, steps_in_layout, weights=weights, reference_value=0.0)
-        heading_errors = np.abs(headings[pairs.first] - turns * headings[pairs.second])
-        shift_errors = np.abs(positions[pairs.first] - positions[pairs.second] - steps_in_layout)
+        heading_errors = np.abs(first_headings - turns * second_headings)
+        position_steps = positions[pairs.first] - positions[pairs.second]
+        shift_errors = np.abs(position_steps - steps_in_layout)
         off = shift_errors / pair_diagonals
         # Weights of the Geman-McClure loss, one factor for turns and one for shifts.
         heading_penalty = 1 + (heading_errors / _HEADING_REACH) ** 2
@@ -116,17 +141,17 @@ class _Pairs(NamedTuple):
     """
 
     n: int
-    first: NDArray[np.intp]
-    second: NDArray[np.intp]
+    first: Indices
+    second: Indices
     reference: int
 
     def solve(
         self,
-        factors: NDArray[np.complex128] | NDArray[np.float64],
-        targets: NDArray[np.complex128] | NDArray[np.float64],
-        weights: NDArray[np.float64],
+        factors: Numbers | NDArray[np.float64],
+        targets: Numbers | NDArray[np.float64],
+        weights: Weights,
         reference_value: float,
-    ) -> NDArray[np.complex128]:
+    ) -> Numbers:
         """Solve ``v[first] - factor * v[second] = target`` by weighted least squares.
 
         Args:
@@ -144,13 +169,15 @@ class _Pairs(NamedTuple):
         rows = np.concatenate([pair_rows, pair_rows, [n_pairs]])
         columns = np.concatenate([self.first, self.second, [self.reference]])
         minus_factors = -factors.astype(np.complex128)
-        values = np.concatenate([np.ones(n_pairs, np.complex128), minus_factors, [1.0]])
-        shape = (n_pairs + 1, self.n)
-        matrix = coo_matrix((values, (rows, columns)), shape=shape).tocsr()
+        ones = np.ones(n_pairs, np.complex128)
+        values = np.concatenate([ones, minus_factors, [1.0]])
+        entries = (values, (rows, columns))
+        matrix = coo_matrix(entries, shape=(n_pairs + 1, self.n)).tocsr()
         reference_weight = _REFERENCE_WEIGHT * float(weights.sum())
         diagonal = diags(np.append(weights, reference_weight))
         right = np.append(targets.astype(np.complex128), reference_value)
         # Normal equations of complex least squares.
         adjoint = matrix.conj().T
         normal = (adjoint @ diagonal @ matrix).tocsc()
-        return np.asarray(splu(normal).solve(adjoint @ (diagonal @ right)))
+        weighted_right = adjoint @ (diagonal @ right)
+        return np.asarray(splu(normal).solve(weighted_right))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -33,6 +33,15 @@ if TYPE_CHECKING:
     from vehanchor_flight.graph import Subgraph
     from vehanchor_flight.layout import Layout
     from vehanchor_flight.photograph import Photograph
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]``, in pixels or in metres."""
+
+    Point: TypeAlias = NDArray[np.float64]
+    """Point x, y ``[2]`` in pixels."""
+
+    Offsets: TypeAlias = NDArray[np.float64]
+    """Logs ``[n]`` of each photograph's metres per pixel over the reference's."""
 
 # An overlap is dropped if its shift is farther off than this, in diagonals of a photograph.
 _MAX_MISPLACED = 0.3
@@ -86,7 +95,7 @@ class _Linked(NamedTuple):
 def _link_consistently(
     photographs: Sequence[Photograph],
     overlaps: Sequence[Overlap],
-    positions: NDArray[np.float64] | None,
+    positions: Points | None,
 ) -> _Linked:
     """Find the components, and leave out the overlaps that contradict the others.
 
@@ -122,7 +131,8 @@ def _link_consistently(
             break
         misplaced |= newly_misplaced
     dropped = {}
-    for number, residual in zip(tried, solution.residuals.tolist(), strict=True):
+    residuals = solution.residuals.tolist()
+    for number, residual in zip(tried, residuals, strict=True):
         if number not in used:
             dropped[number] = _contradicting_text(residual)
     for number, distance in misplaced.items():
@@ -130,7 +140,7 @@ def _link_consistently(
     return _Linked(components, dropped, solution.inflation)
 
 
-def _positions(photographs: Sequence[Photograph]) -> NDArray[np.float64] | None:
+def _positions(photographs: Sequence[Photograph]) -> Points | None:
     """Read the cameras' positions, ``[n, 2]`` metres; None if unknown, or not to be used."""
     rulers = photographs[0].view.options.rulers
     if not uses(rulers, Positions.kind):
@@ -141,12 +151,12 @@ def _positions(photographs: Sequence[Photograph]) -> NDArray[np.float64] | None:
 def _match_candidates(
     photographs: Sequence[Photograph],
     features: Sequence[Features],
-    positions: NDArray[np.float64] | None,
+    positions: Points | None,
 ) -> list[Overlap]:
     """Match the candidate pairs, on the ground plane of tilted photographs."""
-    rectified = [
-        _rectified(photograph, own) for photograph, own in zip(photographs, features, strict=True)
-    ]
+    rectified = []
+    for photograph, own_features in zip(photographs, features, strict=True):
+        rectified.append(_rectified(photograph, own_features))
     overlaps = []
     for first, second in candidate_pairs(features, positions):
         matched = match(rectified[first], rectified[second])
@@ -164,12 +174,12 @@ def _rectified(photograph: Photograph, features: Features) -> Features:
     return replace(features, points=points)
 
 
-def _centre(photograph: Photograph) -> NDArray[np.float64]:
+def _centre(photograph: Photograph) -> Point:
     image = photograph.view.image
     return np.array([image.width_px, image.height_px]) / 2
 
 
-def _foot(photograph: Photograph) -> NDArray[np.float64]:
+def _foot(photograph: Photograph) -> Point:
     """Find the point below the camera, in the pixels of the rectified features.
 
     The metadata's position is that of this point.
@@ -183,20 +193,23 @@ def _foot(photograph: Photograph) -> NDArray[np.float64]:
 def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
     """Make the link of an overlap for the graph of scales."""
     matched = overlap.match
+    first = photographs[overlap.first]
+    second = photographs[overlap.second]
     return Link(
         overlap.first,
         overlap.second,
         log_ratio=matched.log_ratio,
         log_sd=matched.log_sd,
-        first_at=_from_centre(photographs[overlap.first], matched.first_at),
-        second_at=_from_centre(photographs[overlap.second], matched.second_at),
+        first_at=_from_centre(first, matched.first_at),
+        second_at=_from_centre(second, matched.second_at),
     )
 
 
-def _from_centre(photograph: Photograph, point: NDArray[np.float64]) -> tuple[float, float]:
+def _from_centre(photograph: Photograph, point: Point) -> tuple[float, float]:
     """Convert pixels to a position from the centre; 1 is half of the longer side."""
     centre = _centre(photograph)
-    x, y = ((point - centre) / centre.max()).tolist()
+    position = (point - centre) / centre.max()
+    x, y = position.tolist()
     return x, y
 
 
@@ -216,7 +229,7 @@ def _component(
     subgraph: Subgraph,
     photographs: Sequence[Photograph],
     overlaps: Mapping[int, Overlap],
-    positions: NDArray[np.float64] | None,
+    positions: Points | None,
 ) -> tuple[Component, dict[int, float]]:
     """Make a component, and compare its overlaps with its layout.
 
@@ -233,18 +246,18 @@ def _component(
     members = [photographs[index] for index in subgraph.members]
     reference = reference_member(members)
     # The layout counts the members, and overlaps count all photographs.
-    index_in_component = {index: k for k, index in enumerate(subgraph.members.tolist())}
+    indices = subgraph.members.tolist()
+    index_in_component = {index: k for k, index in enumerate(indices)}
     own_overlaps = {
         number: overlap
         for number, overlap in overlaps.items()
         if overlap.first in index_in_component
     }
-    member_overlaps = [
-        overlap._replace(
-            first=index_in_component[overlap.first], second=index_in_component[overlap.second]
-        )
-        for overlap in own_overlaps.values()
-    ]
+    member_overlaps = []
+    for overlap in own_overlaps.values():
+        first = index_in_component[overlap.first]
+        second = index_in_component[overlap.second]
+        member_overlaps.append(Overlap(first, second, overlap.match))
     offsets = subgraph.log_scales - subgraph.log_scales[reference]
     layout = lay_out(
         np.array([_foot(member) for member in members]),
@@ -255,18 +268,21 @@ def _component(
     )
     extra: tuple[Witness, ...] = ()
     if positions is not None:
-        extra = _positions_witness(layout, positions[subgraph.members], members[reference])
+        own_positions = positions[subgraph.members]
+        extra = _positions_witness(layout, own_positions, members[reference])
     links = [_link(overlap, photographs) for overlap in own_overlaps.values()]
     tilt_sds = _sds_by_tilt(members, offsets, links)
+    link_sds = subgraph.sds_from(reference)
     component = Component(
         subgraph.members,
         subgraph.log_scales,
-        log_sds=np.hypot(subgraph.sds_from(reference), tilt_sds),
+        log_sds=np.hypot(link_sds, tilt_sds),
         reference=reference,
         extra=extra,
         maybe_tilted=bool(tilt_sds.any()),
     )
-    return component, dict(zip(own_overlaps, layout.off.tolist(), strict=True))
+    distances = layout.off.tolist()
+    return component, dict(zip(own_overlaps, distances, strict=True))
 
 
 def _diagonal(photograph: Photograph) -> float:
@@ -275,16 +291,17 @@ def _diagonal(photograph: Photograph) -> float:
 
 
 def _positions_witness(
-    layout: Layout, positions: NDArray[np.float64], reference: Photograph
+    layout: Layout, positions: Points, reference: Photograph
 ) -> tuple[Witness, ...]:
     """Compare the layout in pixels with positions in metres; no witness if they do not match."""
-    witness = baseline(layout.feet, positions, float(reference.view.image.width_px))
+    width_px = float(reference.view.image.width_px)
+    witness = baseline(layout.feet, positions, width_px)
     return () if witness is None else (witness,)
 
 
 def _sds_by_tilt(
-    photographs: Sequence[Photograph], offsets: NDArray[np.float64], links: Sequence[Link]
-) -> NDArray[np.float64]:
+    photographs: Sequence[Photograph], offsets: Offsets, links: Sequence[Link]
+) -> Offsets:
     """Compute the errors of offsets that an unknown tilt explains as well as a climb.
 
     Args:
@@ -300,7 +317,8 @@ def _sds_by_tilt(
         return np.zeros(len(photographs))
     # Each photograph has the error of its own offset. The pooled evidence, which was converted by
     # the offsets of all photographs, adds their mean square.
-    sds = tilt_share(links) * np.sqrt(offsets**2 + np.mean(offsets**2))
+    mean_square = np.mean(offsets**2)
+    sds = tilt_share(links) * np.sqrt(offsets**2 + mean_square)
     return np.where(is_unknown, sds, 0.0)
 
 
@@ -308,7 +326,9 @@ def _is_tilt_unknown(photograph: Photograph) -> bool:
     view = photograph.view
     if view.tilt is not None:
         return False
-    camera = view.image.camera if view.options.rulers.metadata else None
+    if not view.options.rulers.metadata:
+        return True
+    camera = view.image.camera
     return camera is None or camera.off_nadir_deg is None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -12,6 +12,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor_flight.features import Features
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
+
+    Point: TypeAlias = NDArray[np.float64]
+    """Point x, y ``[2]`` in pixels."""
+
+    Transform: TypeAlias = NDArray[np.float64]
+    """Similarity transform ``[2, 3]``."""
+
+    Descriptors: TypeAlias = NDArray[np.uint8]
+    """RootSIFT descriptors ``[n, 128]``."""
 
 _MIN_INLIERS = 14
 _MIN_INLIER_SHARE = 0.12
@@ -42,9 +54,9 @@ class Match(NamedTuple):
     log_ratio: float
     log_sd: float
     n: int
-    turn: NDArray[np.float64]
-    first_at: NDArray[np.float64]
-    second_at: NDArray[np.float64]
+    turn: Transform
+    first_at: Point
+    second_at: Point
 
 
 class Overlap(NamedTuple):
@@ -85,13 +97,15 @@ def match(first: Features, second: Features) -> Match | None:
     n_inliers = int(is_inlier.sum())
     if n_inliers < _MIN_INLIERS or n_inliers < _MIN_INLIER_SHARE * len(pairs):
         return None
-    transform: NDArray[np.float64] = np.asarray(fitted, dtype=np.float64).round(_DIGITS)
+    exact_transform = np.asarray(fitted, dtype=np.float64)
+    transform: Transform = exact_transform.round(_DIGITS)
     ratio = math.hypot(transform[0, 0], transform[1, 0])
     if not 1 / _MAX_SCALE_RATIO <= ratio <= _MAX_SCALE_RATIO:
         return None
     first_points = first_points[is_inlier]
     second_points = second_points[is_inlier]
-    log_sd = round(_log_ratio_sd(first_points, second_points, transform), _DIGITS)
+    exact_log_sd = _log_ratio_sd(first_points, second_points, transform)
+    log_sd = round(exact_log_sd, _DIGITS)
     return Match(
         math.log(ratio),
         log_sd,
@@ -102,7 +116,7 @@ def match(first: Features, second: Features) -> Match | None:
     )
 
 
-def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.intp]:
+def _nearest(first: Descriptors, second: Descriptors) -> NDArray[np.intp]:
     """Find mutual best matches that pass the ratio test.
 
     Args:
@@ -115,7 +129,9 @@ def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), np.intp)
     # All descriptors have one length L, so that their squared distance is 2 (L^2 - product).
-    products = first.astype(np.float32) @ second.astype(np.float32).T
+    first_numbers = first.astype(np.float32)
+    second_numbers = second.astype(np.float32)
+    products = first_numbers @ second_numbers.T
     rows = np.arange(len(first))
     best = products.argmax(axis=1)
     is_mutual = products.argmax(axis=0)[best] == rows
@@ -130,9 +146,7 @@ def _nearest(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.
     return np.column_stack([matched, best[matched]])
 
 
-def _log_ratio_sd(
-    first: NDArray[np.float64], second: NDArray[np.float64], transform: NDArray[np.float64]
-) -> float:
+def _log_ratio_sd(first: Points, second: Points, transform: Transform) -> float:
     """Compute the standard deviation of the log ratio of two photographs' scales.
 
     Args:
@@ -141,20 +155,26 @@ def _log_ratio_sd(
         transform: ``[2, 3]`` similarity transform from the first to the second.
     """
     # Scatter: the error of a length is that of n points over their distance from the middle.
-    mapped = first @ transform[:, :2].T + transform[:, 2]
+    rotation = transform[:, :2]
+    shift = transform[:, 2]
+    mapped = first @ rotation.T + shift
     error = _rms(mapped - second)
     radius = _rms(second - second.mean(axis=0))
-    scatter_sd = error / (radius * math.sqrt(2 * len(first)))
+    root_of_n = math.sqrt(2 * len(first))
+    scatter_sd = error / (radius * root_of_n)
     # Shape: an affine fit has two singular values, and a tilt of the camera makes them differ.
-    design = np.column_stack([first - first.mean(axis=0), np.ones(len(first))])
-    affine = np.linalg.lstsq(design, second, rcond=None)[0]
+    centred = first - first.mean(axis=0)
+    design = np.column_stack([centred, np.ones(len(first))])
+    affine, *_ = np.linalg.lstsq(design, second, rcond=None)
     largest, smallest = np.linalg.svd(affine[:2], compute_uv=False)
-    stretch = math.log(max(largest, 1e-9) / max(smallest, 1e-9))
+    along = max(largest, 1e-9)
+    across = max(smallest, 1e-9)
+    stretch = math.log(along / across)
     shape_sd = min(_SHAPE_SHARE * stretch, _MAX_SHAPE_SD)
     return math.sqrt(scatter_sd**2 + shape_sd**2 + _LOG_SD**2)
 
 
-def _rms(vectors: NDArray[np.float64]) -> float:
+def _rms(vectors: Points) -> float:
     """Compute the root mean square length of vectors ``[n, 2]``."""
     squares = (vectors**2).sum(axis=1)
     return math.sqrt(float(squares.mean()))

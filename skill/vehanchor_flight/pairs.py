@@ -7,7 +7,8 @@ photograph, so that their number grows linearly with the number of photographs.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections import Counter, defaultdict
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,6 +18,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor_flight.features import Features
+
+    Pair: TypeAlias = tuple[int, int]
+    """Indices of two photographs, the lower first."""
+
+    Positions: TypeAlias = NDArray[np.float64]
+    """Positions ``[n, 2]`` in metres."""
+
+    Descriptors: TypeAlias = NDArray[np.float32]
+    """Descriptors ``[v, d]`` of voters."""
+
+    Owners: TypeAlias = NDArray[np.intp]
+    """Index ``[v]`` of each voter's photograph."""
+
+    Keys: TypeAlias = NDArray[np.int64]
+    """Cells of a hash, or pairs of photographs as ``first * n + second``."""
 
 _N_VOTERS = 200  # Features of a photograph that vote, the strongest.
 _N_DIMENSIONS = 24
@@ -30,9 +46,7 @@ _MIN_VOTES = 3
 _SEED = 20261121
 
 
-def candidate_pairs(
-    features: Sequence[Features], positions: NDArray[np.float64] | None = None
-) -> list[tuple[int, int]]:
+def candidate_pairs(features: Sequence[Features], positions: Positions | None = None) -> list[Pair]:
     """List the pairs of photographs to match.
 
     Args:
@@ -52,30 +66,35 @@ def candidate_pairs(
     return sorted(pairs)
 
 
-def _by_appearance(features: Sequence[Features]) -> set[tuple[int, int]]:
+def _by_appearance(features: Sequence[Features]) -> set[Pair]:
     """Find the pairs whose features share cells most often."""
     n = len(features)
-    owners = np.concatenate(
-        [np.full(min(len(own), _N_VOTERS), index) for index, own in enumerate(features)]
-    )
+    n_voters = [min(len(own), _N_VOTERS) for own in features]
+    owners = np.repeat(np.arange(n), n_voters)
     if n < 2 or len(owners) < 2:
         return set()
-    votes = _votes(_principal_components(features), owners, n)
+    descriptors = _principal_components(features)
+    votes = _votes(descriptors, owners, n)
     # Both photographs of a pair name each other, with the most votes first.
-    named: dict[int, list[tuple[int, int]]] = {}
+    named: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
     for key, count in votes.items():
         first, second = divmod(key, n)
         if count >= _MIN_VOTES:
-            named.setdefault(first, []).append((-count, second))
-            named.setdefault(second, []).append((-count, first))
+            named[first].append((-count, second))
+            named[second].append((-count, first))
     pairs = set()
     for index, others in named.items():
         for _, other in sorted(others)[:_N_BY_APPEARANCE]:
-            pairs.add((min(index, other), max(index, other)))
+            pairs.add(_pair(index, other))
     return pairs
 
 
-def _principal_components(features: Sequence[Features]) -> NDArray[np.float32]:
+def _pair(index: int, other: int) -> Pair:
+    """Put the lower of two indices first."""
+    return min(index, other), max(index, other)
+
+
+def _principal_components(features: Sequence[Features]) -> Descriptors:
     """Reduce the voters' descriptors to the dimensions in which they differ most, ``[v, d]``."""
     voters = [own.descriptors[:_N_VOTERS] for own in features]
     descriptors = np.concatenate(voters).astype(np.float32)
@@ -84,7 +103,7 @@ def _principal_components(features: Sequence[Features]) -> NDArray[np.float32]:
     return np.asarray(descriptors @ axes[:, -_N_DIMENSIONS:])
 
 
-def _votes(descriptors: NDArray[np.float32], owners: NDArray[np.intp], n: int) -> dict[int, int]:
+def _votes(descriptors: Descriptors, owners: Owners, n: int) -> dict[int, int]:
     """Count the cells that photographs share, by locality-sensitive hashing.
 
     The cell of a descriptor is given by its signs in random directions. Similar descriptors often
@@ -100,21 +119,19 @@ def _votes(descriptors: NDArray[np.float32], owners: NDArray[np.intp], n: int) -
     """
     rng = np.random.default_rng(_SEED)
     bit_values = 1 << np.arange(_N_BITS)
-    votes: dict[int, int] = {}
+    votes: Counter[int] = Counter()
     for _ in range(_N_TABLES):
-        rotation, _ = np.linalg.qr(rng.normal(size=(_N_DIMENSIONS, _N_DIMENSIONS)))
+        random_matrix = rng.normal(size=(_N_DIMENSIONS, _N_DIMENSIONS))
+        rotation, _ = np.linalg.qr(random_matrix)
         directions = rotation[:, :_N_BITS].astype(np.float32)
         is_positive = descriptors @ directions > 0
         pairs = _pairs_in_cells(is_positive @ bit_values, owners, n)
         keys, counts = np.unique(pairs, return_counts=True)
-        for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
-            votes[key] = votes.get(key, 0) + count
+        votes.update(dict(zip(keys.tolist(), counts.tolist(), strict=True)))
     return votes
 
 
-def _pairs_in_cells(
-    cells: NDArray[np.int64], owners: NDArray[np.intp], n: int
-) -> NDArray[np.int64]:
+def _pairs_in_cells(cells: Keys, owners: Owners, n: int) -> Keys:
     """List the pairs of photographs that share a cell, once for each shared cell.
 
     Args:
@@ -130,12 +147,14 @@ def _pairs_in_cells(
     owners = owners[order]
     # A photograph counts once in a cell.
     is_new_cell = cells[1:] != cells[:-1]
-    is_new = np.append(True, is_new_cell | (owners[1:] != owners[:-1]))
+    is_new_owner = owners[1:] != owners[:-1]
+    is_new = np.append(True, is_new_cell | is_new_owner)
     cells = cells[is_new]
     owners = owners[is_new]
     # Leave out full cells.
-    starts = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))
-    sizes = np.diff(np.append(starts, len(cells)))
+    is_first = np.append(True, cells[1:] != cells[:-1])
+    starts = np.flatnonzero(is_first)
+    sizes = np.diff(starts, append=len(cells))
     is_small = np.repeat(sizes, sizes) <= _MAX_IN_CELL
     cells = cells[is_small]
     owners = owners[is_small]
@@ -145,26 +164,29 @@ def _pairs_in_cells(
         is_same = cells[step:] == cells[:-step]
         if not is_same.any():
             break
-        first = owners[:-step][is_same].astype(np.int64)
-        second = owners[step:][is_same]
-        keys.append(first * n + second)
+        earlier = owners[:-step]
+        later = owners[step:]
+        first = earlier[is_same].astype(np.int64)
+        keys.append(first * n + later[is_same])
     return np.concatenate(keys)
 
 
-def _by_position(positions: NDArray[np.float64]) -> set[tuple[int, int]]:
+def _by_position(positions: Positions) -> set[Pair]:
     """Find the pairs of nearest neighbours."""
     from scipy.spatial import cKDTree
 
-    known = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    is_known = np.isfinite(positions).all(axis=1)
+    known = np.flatnonzero(is_known)
     if len(known) < 2:
         return set()
+    known_positions = positions[known]
     # The nearest neighbour of a position is the position itself.
     n_neighbours = min(_N_BY_POSITION + 1, len(known))
-    _, neighbours = cKDTree(positions[known]).query(positions[known], k=n_neighbours)
+    tree = cKDTree(known_positions)
+    _, neighbours = tree.query(known_positions, k=n_neighbours)
     pairs = set()
     for own, others in enumerate(neighbours):
         for other in others:
             if other != own:
-                first, second = sorted((int(known[own]), int(known[other])))
-                pairs.add((first, second))
+                pairs.add(_pair(int(known[own]), int(known[other])))
     return pairs

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -41,6 +41,18 @@ if TYPE_CHECKING:
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor_flight.photograph import Photograph
+
+    Offsets: TypeAlias = NDArray[np.float64]
+    """Logs ``[n]`` of each photograph's metres per pixel over the reference's."""
+
+    OffsetWitness: TypeAlias = tuple[Witness, float]
+    """Witness of a photograph, with the offset of that photograph."""
+
+    Density: TypeAlias = NDArray[np.float64]
+    """Probabilities ``[g]`` on the grid of scales."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the boxes have an appearance."""
 
 _MIN_PROBABILITY = 1e-12  # Keeps the log of a density finite.
 
@@ -77,7 +89,7 @@ def pool(
 
 def _pooled_view(
     members: Sequence[Photograph],
-    offsets: NDArray[np.float64],
+    offsets: Offsets,
     reference: int,
     witnesses: Sequence[Witness],
 ) -> View:
@@ -102,7 +114,7 @@ def _pooled_view(
         card=own_view.card,
         options=own_view.options,
         measure_detail_share=constant_detail_share(_median_detail_share(members)),
-        prior=_pooled_prior([member.view for member in members], offsets),
+        prior=_pooled_prior(members, offsets),
         expected=expected,
     )
 
@@ -133,7 +145,8 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     Returns:
         Boxes with sizes in pixels of the reference; their positions have no meaning.
     """
-    factors = np.exp(np.asarray(offsets, dtype=np.float64))
+    log_factors = np.asarray(offsets, dtype=np.float64)
+    factors = np.exp(log_factors)
     boxes = []
     reductions = []
     for part, factor in zip(detections, factors, strict=True):
@@ -148,7 +161,8 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     pooled_reductions = None
     if any(part.reductions is not None for part in detections):
         pooled_reductions = np.concatenate(reductions)[order]
-    stops = [part.stopped_because for part in detections if part.stopped_because is not None]
+    reasons = [part.stopped_because for part in detections]
+    stops = [reason for reason in reasons if reason is not None]
     return Detections(
         np.concatenate(boxes, dtype=np.float64)[order],
         scores[order],
@@ -170,14 +184,14 @@ def _reductions(detections: Detections) -> NDArray[np.float64]:
     return detections.reductions
 
 
-def _has_appearance(detections: Detections) -> NDArray[np.bool_]:
+def _has_appearance(detections: Detections) -> Flags:
     """Find the boxes ``[n]`` with an appearance: the first ones of a photograph."""
     n_with = 0 if detections.appearance is None else len(detections.appearance)
     return np.arange(len(detections.boxes)) < n_with
 
 
 def _pooled_appearance(
-    detections: Sequence[Detections], has_appearance: NDArray[np.bool_], order: NDArray[np.intp]
+    detections: Sequence[Detections], has_appearance: Flags, order: NDArray[np.intp]
 ) -> Appearance | None:
     """Join the appearances of all photographs; None without any.
 
@@ -192,7 +206,8 @@ def _pooled_appearance(
     # An appearance's row is the number of boxes with an appearance before its own box.
     rows = np.cumsum(has_appearance) - 1
     n_with = int(has_appearance.sum())
-    return Appearance.joined(appearances).take(rows[order[:n_with]])
+    pooled = Appearance.joined(appearances)
+    return pooled.take(rows[order[:n_with]])
 
 
 def _pooled_stretch(detections: Sequence[Detections]) -> float | None:
@@ -211,7 +226,7 @@ def _pooled_stretch(detections: Sequence[Detections]) -> float | None:
     return float(np.average(stretches, weights=counts))
 
 
-def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> NDArray[np.float64]:
+def combined_density(densities: Sequence[Density], gain: float) -> Density:
     """Multiply densities of one ruler in many photographs, with correlated errors.
 
     Args:
@@ -223,8 +238,9 @@ def combined_density(densities: Sequence[NDArray[np.float64]], gain: float) -> N
     """
     # The geometric mean of the densities counts once, whatever n. Its power n ** gain is between
     # this mean (gain 0) and the product of n independent densities (gain 1).
-    logs = [np.log(np.maximum(density, _MIN_PROBABILITY)) for density in densities]
-    combined_logs = np.mean(logs, axis=0) * len(densities) ** gain
+    floored = [np.maximum(density, _MIN_PROBABILITY) for density in densities]
+    mean_logs = np.mean([np.log(density) for density in floored], axis=0)
+    combined_logs = mean_logs * len(densities) ** gain
     combined = np.exp(combined_logs - combined_logs.max())
     return np.asarray(combined / combined.sum())
 
@@ -238,15 +254,17 @@ def _median_detail_share(members: Sequence[Photograph]) -> float:
     shares = np.array([member.analysis.detail_share for member in members])
     # Weighted median: the first share up to which half of all vehicles lie.
     order = np.argsort(shares, kind="stable")
-    middle = np.searchsorted(np.cumsum(counts[order]), counts.sum() / 2)
+    cumulative = np.cumsum(counts[order])
+    middle = np.searchsorted(cumulative, counts.sum() / 2)
     return float(shares[order][middle])
 
 
-def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneScalePrior | None:
+def _pooled_prior(members: Sequence[Photograph], offsets: Offsets) -> SceneScalePrior | None:
     """Pool the scene-scale priors of photographs without a known tilt; None without any."""
     densities = []
     n_tiles = 0
-    for view, offset in zip(views, offsets.tolist(), strict=True):
+    for member, offset in zip(members, offsets.tolist(), strict=True):
+        view = member.view
         if view.prior is not None and view.tilt is None:
             densities.append(shifted(view.prior.density, offset))
             n_tiles += view.prior.n_tiles
@@ -255,16 +273,17 @@ def _pooled_prior(views: Sequence[View], offsets: NDArray[np.float64]) -> SceneS
     return SceneScalePrior(combined_density(densities, SceneScale.pooling_gain), n_tiles)
 
 
-def _pooled_witnesses(members: Sequence[Photograph], offsets: NDArray[np.float64]) -> list[Witness]:
+def _pooled_witnesses(members: Sequence[Photograph], offsets: Offsets) -> list[Witness]:
     """Pool the witnesses of each ruler that measures photographs one by one."""
-    by_kind: dict[str, list[tuple[Witness, float]]] = {}
+    by_kind: dict[str, list[OffsetWitness]] = {}
     for member, offset in zip(members, offsets.tolist(), strict=True):
         for witness in per_photograph_witnesses(member.analysis.witnesses):
-            by_kind.setdefault(witness.kind, []).append((witness, offset))
+            of_kind = by_kind.setdefault(witness.kind, [])
+            of_kind.append((witness, offset))
     return [_pooled_witness(kind, witnesses) for kind, witnesses in by_kind.items()]
 
 
-def _pooled_witness(kind: str, witnesses: Sequence[tuple[Witness, float]]) -> Witness:
+def _pooled_witness(kind: str, witnesses: Sequence[OffsetWitness]) -> Witness:
     """Pool the witnesses of one ruler.
 
     Args:
@@ -274,26 +293,32 @@ def _pooled_witness(kind: str, witnesses: Sequence[tuple[Witness, float]]) -> Wi
     Returns:
         One witness. The errors that it shares with other rulers are those of the first photograph.
     """
-    notices = _first_of_each_code(notice for witness, _ in witnesses for notice in witness.notices)
+    all_notices = (notice for witness, _ in witnesses for notice in witness.notices)
+    notices = _first_of_each_code(all_notices)
     measured = [(witness, offset) for witness, offset in witnesses if witness.found]
     if not measured:
         return Witness(kind, n=0, notices=notices)
     first, first_offset = measured[0]
     if len(measured) == 1:
         return replace(_moved(first, first_offset), notices=notices)
-    densities = [
-        shifted(witness.right, offset) for witness, offset in measured if witness.right is not None
-    ]
+    densities = []
+    for witness, offset in measured:
+        if witness.right is not None:
+            densities.append(shifted(witness.right, offset))
     gain = ruler_class(kind).pooling_gain
     assert gain is not None  # Rulers without a gain measure the pooled boxes.
     right = combined_density(densities, gain)
     # A lack holds the witness as it would be without one doubt; its density is pooled, too.
-    lacks = [Lack(lack.reason, replace(lack.without, right=right)) for lack in first.lacks]
+    lacks = []
+    for lack in first.lacks:
+        without = replace(lack.without, right=right)
+        lacks.append(Lack(lack.reason, without))
+    chances_wrong = [witness.chance_wrong for witness, _ in measured]
     return replace(
         first,
         gsd_m_per_px=quantile(right, 0.5),
         right=right,
-        chance_wrong=sum(witness.chance_wrong for witness, _ in measured) / len(measured),
+        chance_wrong=sum(chances_wrong) / len(measured),
         n=sum(witness.n for witness, _ in measured),
         lacks=tuple(lacks),
         # The sentence and the lines in the picture are those of a single photograph.
@@ -320,10 +345,9 @@ def _moved(witness: Witness, offset: float) -> Witness:
 
 def _facts_with_all_notices(members: Sequence[Photograph], reference: int) -> ImageFacts:
     """Return the facts of the reference, with the notices of all photographs."""
-    notices = _first_of_each_code(
-        notice for member in members for notice in member.view.image.notices
-    )
-    return members[reference].view.image._replace(notices=notices)
+    facts = [member.view.image for member in members]
+    notices = _first_of_each_code(notice for own in facts for notice in own.notices)
+    return facts[reference]._replace(notices=notices)
 
 
 def _first_of_each_code(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:

@@ -42,11 +42,13 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
         tilt = with_scale(tilt, own, photograph.gsd_m_per_px)
     changes = {name: getattr(photograph, name) for name in _FLIGHT_FIELDS}
     changes["leading_ruler"] = pooled.leading_ruler
-    changes["rulers"] = tuple(_scaled(ruler, ratio) for ruler in pooled.rulers)
+    rulers = [_scaled(ruler, ratio) for ruler in pooled.rulers]
+    changes["rulers"] = tuple(rulers)
     changes["tilt"] = tilt
     return own.model_copy(update=changes)
 
 
 def _scaled(ruler: RulerScale, ratio: float) -> RulerScale:
     """Multiply a ruler's scale and interval."""
-    return ruler.model_copy(update={name: getattr(ruler, name) * ratio for name in SCALE_FIELDS})
+    scaled = {name: getattr(ruler, name) * ratio for name in SCALE_FIELDS}
+    return ruler.model_copy(update=scaled)

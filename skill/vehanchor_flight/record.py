@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from vehanchor_flight.components import Component
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
+
+    Results: TypeAlias = Sequence["Photograph | Failure"]
+    """Searched photographs of a flight, or why they cannot be used."""
 
 _MAX_RULERS = 4  # Listed for each photograph.
 # A longer pause between two photographs of one camera begins a sortie; a change of battery is
@@ -106,11 +109,12 @@ class _Exposure(NamedTuple):
         """Check whether a sortie begins between the exposure before and this one."""
         if self.camera != before.camera:
             return True
-        return before.taken > datetime.min and self.taken - before.taken > _PAUSE
+        has_time = before.taken > datetime.min
+        return has_time and self.taken - before.taken > _PAUSE
 
 
 def conclude_flight(
-    results: Sequence[Photograph | Failure],
+    results: Results,
     components: Sequence[Component],
     card: DetectorCard,
     *,
@@ -130,6 +134,7 @@ def conclude_flight(
         The record.
     """
     sorties = _sorties(results)
+    has_others = len(sorties) > 1 and not same_scale
     photographs: dict[int, FlightPhotograph] = {}
     for index, result in enumerate(results):
         if isinstance(result, Failure):
@@ -143,7 +148,7 @@ def conclude_flight(
             reference=component.reference,
             extra=component.extra,
         )
-        is_unlinked = len(component) == 1 and len(sorties) > 1 and not same_scale
+        is_unlinked = has_others and len(component) == 1
         component_record = FlightComponent(
             number=number,
             n_photographs=len(component),
@@ -170,11 +175,12 @@ def conclude_flight(
         common = component_records[0].pooled
         warnings = (*common.warnings, *_several_sorties(sorties.values()))
     scale: dict[str, Any] = {name: getattr(common, name, None) for name in SCALE_FIELDS}
+    confidences = [record.confidence for record in ordered]
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
         **scale,
-        confidence=min(record.confidence for record in ordered if record.confidence is not None),
+        confidence=min(confidence for confidence in confidences if confidence is not None),
         n_vehicles=sum(record.pooled.n_vehicles or 0 for record in component_records),
         photographs=ordered,
         components=tuple(component_records),
@@ -185,13 +191,13 @@ def conclude_flight(
     )
 
 
-def _members(results: Sequence[Photograph | Failure], component: Component) -> list[Photograph]:
+def _members(results: Results, component: Component) -> list[Photograph]:
     """Return the photographs of a component, which are all usable."""
     members = [results[index] for index in component.members]
     return [member for member in members if not isinstance(member, Failure)]
 
 
-def _sorties(results: Sequence[Photograph | Failure]) -> dict[int, int]:
+def _sorties(results: Results) -> dict[int, int]:
     """Number the sorties of the usable photographs, by index of the photograph."""
     indices = []
     images = []
@@ -225,7 +231,9 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
         sortie_of[exposure.photograph] = sortie
     # Number the sorties again, in the order in which the photographs show them first.
     numbers: dict[int, int] = {}
-    return [numbers.setdefault(sortie_of[index], len(numbers)) for index in range(len(images))]
+    for index in range(len(images)):
+        numbers.setdefault(sortie_of[index], len(numbers))
+    return [numbers[sortie_of[index]] for index in range(len(images))]
 
 
 def _exposure(image: ImageFacts, index: int) -> _Exposure:
@@ -233,7 +241,8 @@ def _exposure(image: ImageFacts, index: int) -> _Exposure:
     camera = image.camera
     if camera is None:
         return _Exposure(("", ""), datetime.min, index)
-    return _Exposure((camera.make, camera.model), _taken_at(camera), index)
+    make_and_model = (camera.make, camera.model)
+    return _Exposure(make_and_model, _taken_at(camera), index)
 
 
 def _taken_at(camera: CameraMetadata) -> datetime:
@@ -249,7 +258,8 @@ def _several_sorties(numbers: Iterable[int]) -> tuple[Notice, ...]:
     sizes = Counter(numbers)
     if len(sizes) < 2:
         return ()
-    counts = " and ".join(str(sizes[number]) for number in sorted(sizes))
+    counts_in_order = [str(sizes[number]) for number in sorted(sizes)]
+    counts = " and ".join(counts_in_order)
     message = (
         f"By camera and time, these are {len(sizes)} sorties of {counts} photographs. Pool them "
         "only if all have the same scale; otherwise give each sortie alone, or leave out "
@@ -344,8 +354,10 @@ def _carried_scale(pooled: GsdEstimate, offset: float, log_sd: float) -> _Carrie
     link_reach = Z95 * log_sd
     reach_down = math.log(pooled_gsd / pooled_low)
     reach_up = math.log(pooled_high / pooled_gsd)
-    low = gsd * math.exp(-math.hypot(reach_down, link_reach))
-    high = gsd * math.exp(math.hypot(reach_up, link_reach))
+    carried_down = math.hypot(reach_down, link_reach)
+    carried_up = math.hypot(reach_up, link_reach)
+    low = gsd * math.exp(-carried_down)
+    high = gsd * math.exp(carried_up)
     # The confidence falls as the chance of an error below 20 % does in a wider normal distribution.
     within = _chance_within_tolerance(math.log(high / low))
     pooled_within = _chance_within_tolerance(reach_up + reach_down)
@@ -360,7 +372,8 @@ def _chance_within_tolerance(log_width: float) -> float:
         log_width: width of its 95 % interval, in logs: 2 ``Z95`` standard deviations.
     """
     tolerance = 2 * Z95 * math.log1p(TOLERANCE)
-    return math.erf(tolerance / max(log_width, 1e-9) / math.sqrt(2))
+    width = max(log_width, 1e-9)
+    return math.erf(tolerance / width / math.sqrt(2))
 
 
 def _status(photographs: Sequence[FlightPhotograph]) -> Status:
@@ -379,20 +392,25 @@ def _supporting_rulers(
     supports = measured + of_flight
     if not supports:
         return [()] * len(members)
-    strongest = max(measured or of_flight, key=lambda support: support.strength).member
+    candidates = measured or of_flight
+    strongest = max(candidates, key=lambda support: support.strength).member
     # Rulers that are probably right come first, and of one ruler the strongest photograph.
     p_right = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
-    supports.sort(key=lambda support: (-p_right.get(support.ruler, 0.0), -support.strength))
+
+    def rank(support: _Support) -> tuple[float, float]:
+        return -p_right.get(support.ruler, 0.0), -support.strength
+
+    supports.sort(key=rank)
     rulers_of_members = []
     for member in range(len(members)):
         own = [support for support in supports if support.member == member]
         others = []
         if member != strongest:
             others = [support for support in supports if support.member == strongest]
-        rulers = [
-            FlightRuler(ruler=support.ruler, photograph=members[support.member].name)
-            for support in (own + others)[:_MAX_RULERS]
-        ]
+        rulers = []
+        for support in (own + others)[:_MAX_RULERS]:
+            photograph = members[support.member].name
+            rulers.append(FlightRuler(ruler=support.ruler, photograph=photograph))
         rulers_of_members.append(tuple(rulers))
     return rulers_of_members
 
@@ -403,9 +421,8 @@ def _supports_of_flight(component: Component) -> list[_Support]:
     for witness in component.extra:
         if witness.found:
             strength = 1.0 - witness.chance_wrong
-            supports += [
-                _Support(witness.kind, member, strength) for member in range(len(component))
-            ]
+            for member in range(len(component)):
+                supports.append(_Support(witness.kind, member, strength))
     return supports
 
 
@@ -416,23 +433,28 @@ def _supports(
     supports = []
     for index, member in enumerate(members):
         detections = member.rectified_detections
-        lengths = detections.boxes[:, 2] * math.exp(component.offsets[index])
+        factor = math.exp(component.offsets[index])
+        lengths = detections.boxes[:, 2] * factor
         scores = detections.scores[_is_in_fleet(lengths, pooled)]
         strength = float((scores**2).sum())
         if strength > 0:
             supports.append(_Support(Vehicles.kind, index, strength))
         for witness in per_photograph_witnesses(member.analysis.witnesses):
             if witness.found and witness.sets_scale:
-                supports.append(_Support(witness.kind, index, 1.0 - witness.chance_wrong))
+                strength = 1.0 - witness.chance_wrong
+                supports.append(_Support(witness.kind, index, strength))
     return supports
 
 
 def _is_in_fleet(lengths: NDArray[np.float64], pooled: ScaleAnalysis) -> NDArray[np.bool_]:
     """Find lengths ``[n]``, in pixels of the reference, among those behind the pooled scale."""
-    if pooled.vehicles is None or not len(pooled.vehicles.fleet.lengths):
+    if pooled.vehicles is None:
         return np.zeros(len(lengths), dtype=bool)
-    shortest = pooled.vehicles.fleet.lengths.min()
-    longest = pooled.vehicles.fleet.lengths.max()
+    fleet_lengths = pooled.vehicles.fleet.lengths
+    if not len(fleet_lengths):
+        return np.zeros(len(lengths), dtype=bool)
+    shortest = fleet_lengths.min()
+    longest = fleet_lengths.max()
     return np.asarray((lengths >= shortest) & (lengths <= longest))
 
 

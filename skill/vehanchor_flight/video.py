@@ -102,15 +102,21 @@ def sample_video(
                 sharpest = None
             if position in trials:
                 candidate = _retrieve(film, number)
-                if candidate is not None and (
-                    sharpest is None or candidate.sharpness > sharpest.sharpness
-                ):
-                    sharpest = candidate
+                sharpest = _sharper(sharpest, candidate)
             number += 1
         if sharpest is not None:
             yield _photograph(path, sharpest, rate)
         if number == 0:
             raise ImageDecodeError(f"the video {path!r} has no readable frame")
+
+
+def _sharper(first: _SharpFrame | None, second: _SharpFrame | None) -> _SharpFrame | None:
+    """Return the sharper of two frames; the first of equals, and the other one for None."""
+    if first is None:
+        return second
+    if second is None or second.sharpness <= first.sharpness:
+        return first
+    return second
 
 
 def _retrieve(film: cv2.VideoCapture, number: int) -> _SharpFrame | None:
@@ -125,9 +131,11 @@ def _retrieve(film: cv2.VideoCapture, number: int) -> _SharpFrame | None:
 def _photograph(path: str, frame: _SharpFrame, rate: float) -> InputPhotograph:
     """Make a photograph of a frame, in RGB, named by the video and its time."""
     # As many digits as give each frame another name.
-    digits = max(2, math.ceil(math.log10(max(rate, 1.0))))
+    magnitude = math.log10(max(rate, 1.0))
+    digits = max(2, math.ceil(magnitude))
     name = f"{path} at {frame.number / rate:.{digits}f} s"
-    return InputPhotograph(name, np.ascontiguousarray(frame.pixels[:, :, ::-1]), film=path)
+    rgb = np.ascontiguousarray(frame.pixels[:, :, ::-1])
+    return InputPhotograph(name, rgb, film=path)
 
 
 @contextmanager

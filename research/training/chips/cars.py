@@ -13,7 +13,7 @@ import argparse
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,12 @@ from research.training.chips.stream import cut
 from research.training.logistic import area, logistic, weight_of_sets
 from vehanchor.detection.chips import ChipNetwork
 from vehanchor.models.runtime import Runtime
+
+Flags: TypeAlias = NDArray[np.bool_]
+"""Which of the candidates ``[n]`` have a property."""
+
+LogOdds: TypeAlias = NDArray[np.float64]
+"""Log odds ``[n]`` of a car."""
 
 # Least score of the detector.
 _MIN_SCORE = 0.15
@@ -43,10 +49,10 @@ class Judged(NamedTuple):
     """Candidates, whether they are cars, and the logits of each network."""
 
     rows: Rows
-    car: NDArray[np.bool_]
-    logits: dict[str, NDArray[np.float64]]
+    car: Flags
+    logits: dict[str, LogOdds]
 
-    def take(self, which: NDArray[np.bool_]) -> Judged:
+    def take(self, which: Flags) -> Judged:
         """Select candidates by a mask."""
         logits = {name: of_network[which] for name, of_network in self.logits.items()}
         return Judged(self.rows.take(which), self.car[which], logits)
@@ -90,7 +96,7 @@ def fitted(names: tuple[str, ...], *parts: Judged) -> NDArray[np.float64]:
     return logistic(designs, np.concatenate([part.car for part in parts]), weights)
 
 
-def joined(train: Judged, test: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+def joined(train: Judged, test: Judged, names: tuple[str, ...]) -> LogOdds:
     """Compute the log odds of a car for ``test``, from weights fitted on ``train``.
 
     If both are the same, each half of the files has the weights of the other half.
@@ -104,7 +110,7 @@ def joined(train: Judged, test: Judged, names: tuple[str, ...]) -> NDArray[np.fl
     return np.where(half == 0, odds_of_first, odds_of_second)
 
 
-def left_out(train: Judged, test: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
+def left_out(train: Judged, test: Judged, names: tuple[str, ...]) -> LogOdds:
     """Compute the log odds of a car for ``test``, each set with weights fitted without it."""
     odds = np.zeros(len(test.car))
     for name in np.unique(test.rows.sets):
@@ -113,7 +119,7 @@ def left_out(train: Judged, test: Judged, names: tuple[str, ...]) -> NDArray[np.
     return odds
 
 
-def line(odds: NDArray[np.float64], car: NDArray[np.bool_]) -> str:
+def line(odds: LogOdds, car: Flags) -> str:
     """Format area under the ROC curve, average precision, and precision at two recalls."""
     order = np.argsort(-odds, kind="stable")
     precision = np.cumsum(car[order]) / np.arange(1, len(car) + 1)

@@ -10,66 +10,74 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.sprites import Sun, crown_sprite
 
 Canvas = NDArray[np.float32]
-Draw = Callable[[np.random.Generator, Canvas, float, Sun], tuple[float, float]]
+# Corners x, y [n, 2] in pixels of a canvas.
+Outline = NDArray[np.float64]
+# Length and width of a drawn object, metres.
+Size = tuple[float, float]
+Draw = Callable[[Generator, Canvas, float, Sun], Size]
 # Fractional bits of OpenCV's coordinates.
 _SHIFT = 4
 
 
 def _corners(
     canvas: Canvas, px_per_m: float, length: float, width: float, *, x: float = 0.0, y: float = 0.0
-) -> NDArray[np.float64]:
+) -> Outline:
     """Compute the corners of a rectangle, pixels; sizes and offset from the middle in metres."""
     half = np.array([length, width]) / 2
-    middle = np.array(canvas.shape[1::-1]) / 2 + np.array([x, y]) * px_per_m
-    return middle + np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half * px_per_m
+    middle = _middle(canvas) + np.array([x, y]) * px_per_m
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    return middle + square * half * px_per_m
 
 
-def fill(canvas: Canvas, points: NDArray[np.float64], colour: NDArray[np.floating]) -> None:
+def _middle(canvas: Canvas) -> NDArray[np.float64]:
+    """Compute the middle ``[2]`` of a canvas, pixels."""
+    return np.array(canvas.shape[1::-1]) / 2
+
+
+def fill(canvas: Canvas, points: Outline, colour: NDArray[np.floating]) -> None:
     """Fill a polygon of pixels with a colour."""
     rgb = [float(channel) for channel in colour]
     cv2.fillPoly(canvas, [_fixed_point(points)], rgb, cv2.LINE_AA, _SHIFT)
 
 
-def _fixed_point(points: NDArray[np.float64]) -> NDArray[np.int32]:
+def _fixed_point(points: Outline) -> NDArray[np.int32]:
     """Convert pixels to OpenCV's fixed-point coordinates, where integers are pixel centres."""
     return np.asarray(np.round((points - 0.5) * (1 << _SHIFT)), np.int32)
 
 
-def shade(
-    canvas: Canvas, points: NDArray[np.float64], height_px: float, sun: Sun, strength: float
-) -> None:
+def shade(canvas: Canvas, points: Outline, height_px: float, sun: Sun, strength: float) -> None:
     """Darken the shadow of an object of this height with the convex outline ``points``."""
-    both = np.vstack([points, points + sun.shadow(height_px)]).astype(np.float32)
-    hull = cv2.convexHull(both).reshape(-1, 2).astype(np.float64)
+    both = np.vstack([points, points + sun.shadow(height_px)])
+    hull = cv2.convexHull(both.astype(np.float32))
+    shadow = hull.reshape(-1, 2).astype(np.float64)
     cover = np.zeros(canvas.shape[:2], np.float32)
-    cv2.fillPoly(cover, [_fixed_point(hull)], 1.0, cv2.LINE_AA, _SHIFT)
+    cv2.fillPoly(cover, [_fixed_point(shadow)], 1.0, cv2.LINE_AA, _SHIFT)
     cover = np.asarray(cv2.GaussianBlur(cover, (0, 0), 0.8), np.float32)
     tint = np.array([0.40, 0.44, 0.52], np.float32)
     canvas *= 1 - strength * cover[:, :, None] * (1 - tint)
 
 
-def colour_of(rng: np.random.Generator) -> NDArray[np.float64]:
+def colour_of(rng: Generator) -> NDArray[np.float64]:
     """Draw a colour: mostly grey, sometimes any."""
     grey = rng.uniform(20, 245)
     spread = 8 if rng.random() < 0.7 else 45
     return np.clip(grey + rng.normal(0, spread, 3), 5, 250)
 
 
-def draw_box(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_box(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw a shed, crate or container: plain, ridged, ribbed or framed."""
-    length = float(rng.uniform(1.2, 7.0))
-    width = length * float(rng.uniform(0.3, 0.95))
+    length = rng.uniform(1.2, 7.0)
+    width = length * rng.uniform(0.3, 0.95)
     points = _corners(canvas, px_per_m, length, width)
     colour = colour_of(rng)
-    height_px = px_per_m * float(rng.uniform(0.4, 2.8))
-    strength = float(rng.uniform(0.5, 1.0))
+    height_px = px_per_m * rng.uniform(0.4, 2.8)
+    strength = rng.uniform(0.5, 1.0)
     shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
     fill(canvas, points, colour)
     kind = rng.integers(5)
@@ -84,31 +92,30 @@ def draw_box(
             rib = _corners(canvas, px_per_m, length / count / 2, width, x=x)
             fill(canvas, rib, colour * rng.uniform(0.7, 0.95))
     elif kind == 2:
-        fill(canvas, _corners(canvas, px_per_m, 0.85 * length, 0.75 * width), colour_of(rng))
+        lid = _corners(canvas, px_per_m, 0.85 * length, 0.75 * width)
+        fill(canvas, lid, colour_of(rng))
     elif kind == 3:
-        share = float(rng.uniform(0.2, 0.6))
+        share = rng.uniform(0.2, 0.6)
         end = _corners(canvas, px_per_m, share * length, width, x=(1 - share) * length / 2)
         fill(canvas, end, colour_of(rng))
     return length, width
 
 
-def draw_air_conditioner(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_air_conditioner(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw a grey box with dark fans."""
-    length = float(rng.uniform(1.5, 6.5))
-    width = length * float(rng.uniform(0.35, 0.8))
+    length = rng.uniform(1.5, 6.5)
+    width = length * rng.uniform(0.35, 0.8)
     points = _corners(canvas, px_per_m, length, width)
     colour = np.full(3, rng.uniform(110, 235))
-    height_px = px_per_m * float(rng.uniform(0.6, 2.0))
-    strength = float(rng.uniform(0.6, 1.0))
+    height_px = px_per_m * rng.uniform(0.6, 2.0)
+    strength = rng.uniform(0.6, 1.0)
     shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
     fill(canvas, points, colour)
     fans = int(rng.integers(1, 5))
     radius = 0.42 * min(width, length / fans)
     for k in range(fans):
         x = (k + 0.5) * length / fans - length / 2
-        middle = np.array(canvas.shape[1::-1]) / 2 + (x * px_per_m, 0)
+        middle = _middle(canvas) + np.array([x * px_per_m, 0.0])
         ring = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         circle = np.column_stack([np.cos(ring), np.sin(ring)]) * px_per_m
         fill(canvas, middle + radius * circle, colour * rng.uniform(0.2, 0.6))
@@ -116,16 +123,14 @@ def draw_air_conditioner(
     return length, width
 
 
-def draw_row(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_row(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw one of a row of equal objects: graves, bee hives, solar panels, benches, bays."""
-    length = float(rng.uniform(1.6, 5.5))
-    width = float(rng.uniform(0.7, 2.3))
-    pitch = width * float(rng.uniform(1.15, 1.8))
+    length = rng.uniform(1.6, 5.5)
+    width = rng.uniform(0.7, 2.3)
+    pitch = width * rng.uniform(1.15, 1.8)
     colour = colour_of(rng)
     inner = colour_of(rng)
-    height = px_per_m * float(rng.uniform(0.2, 1.0))
+    height = px_per_m * rng.uniform(0.2, 1.0)
     for k in range(-6, 7):
         if k and rng.random() < 0.15:
             continue
@@ -137,22 +142,20 @@ def draw_row(
     return length, width
 
 
-def draw_bench(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_bench(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw a slatted bench, two that face each other, or a table between two benches."""
-    length = float(rng.uniform(1.3, 2.6))
-    seat = float(rng.uniform(0.3, 0.55))
+    length = rng.uniform(1.3, 2.6)
+    seat = rng.uniform(0.3, 0.55)
     kind = rng.integers(3)
     colour = colour_of(rng)
-    height = px_per_m * float(rng.uniform(0.4, 0.9))
-    table = float(rng.uniform(0.6, 1.0))
+    height = px_per_m * rng.uniform(0.4, 0.9)
+    table = rng.uniform(0.6, 1.0)
     # Middle and depth of each piece, across the canvas.
     if kind == 0:
         pieces = [(0.0, seat)]
         depth = seat
     else:
-        between = float(rng.uniform(0.1, 0.9)) if kind == 1 else table + 0.1
+        between = rng.uniform(0.1, 0.9) if kind == 1 else table + 0.1
         distance = seat + between
         pieces = [(-distance / 2, seat), (distance / 2, seat)]
         depth = distance + seat
@@ -161,7 +164,7 @@ def draw_bench(
     slats = int(rng.integers(2, 5))
     for y, width in pieces:
         outline = _corners(canvas, px_per_m, length, width, y=y)
-        strength = float(rng.uniform(0.6, 1.05))
+        strength = rng.uniform(0.6, 1.05)
         shade(canvas, outline, height_px=height, sun=sun, strength=strength)
         fill(canvas, outline, colour * rng.uniform(0.3, 0.7))
         for k in range(slats):
@@ -174,45 +177,42 @@ def draw_bench(
     return length, depth
 
 
-def draw_playground(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_playground(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw a swing, seesaw or exercise machine of coloured bars, often on a round mat."""
-    length = float(rng.uniform(1.2, 3.5))
-    width = length * float(rng.uniform(0.3, 0.7))
-    middle = np.array(canvas.shape[1::-1]) / 2
+    length = rng.uniform(1.2, 3.5)
+    width = length * rng.uniform(0.3, 0.7)
+    middle = _middle(canvas)
     if rng.random() < 0.7:
         ring = np.linspace(0, 2 * np.pi, 32, endpoint=False)
-        radius = px_per_m * length * float(rng.uniform(0.5, 0.9))
+        radius = px_per_m * length * rng.uniform(0.5, 0.9)
         mat = middle + radius * np.column_stack([np.cos(ring), np.sin(ring)])
         fill(canvas, mat, colour_of(rng))
-    for _ in range(int(rng.integers(3, 8))):
+    for _ in range(rng.integers(3, 8)):
         # Bars lie along or across, and move only at a right angle to themselves.
         if rng.random() < 0.4:
-            size = (float(rng.uniform(0.15, 0.5)), width)
+            size = (rng.uniform(0.15, 0.5), width)
             direction = (1, 0)
         else:
-            size = (length, float(rng.uniform(0.1, 0.4)))
+            size = (length, rng.uniform(0.1, 0.4))
             direction = (0, 1)
         x, y = rng.uniform(-0.4, 0.4, 2) * (length, width) * direction
         points = _corners(canvas, px_per_m, *size, x=float(x), y=float(y))
-        height_px = px_per_m * float(rng.uniform(0.3, 1.5))
-        strength = float(rng.uniform(0.5, 1.0))
+        height_px = px_per_m * rng.uniform(0.3, 1.5)
+        strength = rng.uniform(0.5, 1.0)
         shade(canvas, points, height_px=height_px, sun=sun, strength=strength)
         fill(canvas, points, rng.uniform(20, 250, 3))
     return length, width
 
 
-def draw_skylight(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_skylight(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw glass in a light frame on a roof of one colour."""
     roof = colour_of(rng)
     canvas[:] = 0.25 * canvas + 0.75 * roof.astype(np.float32)
-    length = float(rng.uniform(1.2, 5.0))
-    width = length * float(rng.uniform(0.35, 0.8))
+    length = rng.uniform(1.2, 5.0)
+    width = length * rng.uniform(0.35, 0.8)
     points = _corners(canvas, px_per_m, length, width)
-    shade(canvas, points, height_px=px_per_m * float(rng.uniform(0.1, 0.9)), sun=sun, strength=0.9)
+    height_px = px_per_m * rng.uniform(0.1, 0.9)
+    shade(canvas, points, height_px=height_px, sun=sun, strength=0.9)
     fill(canvas, points, np.full(3, rng.uniform(150, 245)))
     panes = int(rng.integers(1, 4))
     for k in range(panes):
@@ -222,58 +222,57 @@ def draw_skylight(
     return length, width
 
 
-def draw_shadow(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_shadow(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw a shadow without a car: of a tree, a wall or a pole's head."""
-    length = float(rng.uniform(2.0, 6.5))
-    width = length * float(rng.uniform(0.3, 0.7))
+    length = rng.uniform(2.0, 6.5)
+    width = length * rng.uniform(0.3, 0.7)
     ring = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     radius = 1 + rng.normal(0, 0.12, 20)
     x = np.cos(ring) * length / 2 * radius
     y = np.sin(ring) * width / 2 * radius
-    middle = np.array(canvas.shape[1::-1]) / 2
+    middle = _middle(canvas)
     outline = np.column_stack([x, y]) * px_per_m
     if rng.random() < 0.4:
         outline = _corners(canvas, px_per_m, length, width) - middle
-    strength = float(rng.uniform(0.7, 1.15))
+    strength = rng.uniform(0.7, 1.15)
     shade(canvas, outline + middle, height_px=0.0, sun=sun, strength=strength)
     return length, width
 
 
-def draw_bush(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_bush(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw a longish crown and its shadow."""
-    length = float(rng.uniform(2.0, 6.0))
-    width = length * float(rng.uniform(0.4, 0.8))
+    length = rng.uniform(2.0, 6.0)
+    width = length * rng.uniform(0.4, 0.8)
     sprite = crown_sprite(rng, 64, sun)
-    size = (max(6, round(1.25 * length * px_per_m)), max(6, round(1.25 * width * px_per_m)))
+    leaf_length_px = max(6, round(1.25 * length * px_per_m))
+    leaf_width_px = max(6, round(1.25 * width * px_per_m))
+    size = (leaf_length_px, leaf_width_px)
     leaf = np.asarray(cv2.resize(sprite, size, interpolation=cv2.INTER_AREA), np.float32)
     x = (canvas.shape[1] - size[0]) // 2
     y = (canvas.shape[0] - size[1]) // 2
     shade(
         canvas,
         _corners(canvas, px_per_m, 0.8 * length, 0.8 * width),
-        height_px=px_per_m * float(rng.uniform(0.5, 3)),
+        height_px=px_per_m * rng.uniform(0.5, 3),
         sun=sun,
         strength=0.9,
     )
     target = canvas[y : y + size[1], x : x + size[0]]
-    colour = np.array([rng.uniform(40, 120), rng.uniform(70, 130), rng.uniform(30, 80)], np.float32)
+    red = rng.uniform(40, 120)
+    green = rng.uniform(70, 130)
+    blue = rng.uniform(30, 80)
+    colour = np.array([red, green, blue], np.float32)
     target[:] = target * (1 - leaf[:, :, :1]) + leaf[:, :, 1:] * colour
     return length, width
 
 
-def draw_boat(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_boat(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw a pointed hull with a cockpit, on water or on land."""
     if rng.random() < 0.6:
         brightness = np.float32(rng.uniform(0.6, 1.6))
         canvas[:] = 0.2 * canvas + 0.8 * np.array([40, 62, 70], np.float32) * brightness
-    length = float(rng.uniform(3.5, 9.0))
-    width = length * float(rng.uniform(0.28, 0.42))
+    length = rng.uniform(3.5, 9.0)
+    width = length * rng.uniform(0.28, 0.42)
     t = np.linspace(0, 1, 16)
     # The hull reaches its full width at a quarter of its length, and is elliptic towards the bow.
     bow = np.sqrt(np.clip(1 - np.clip((t - 0.45) / 0.55, 0, 1) ** 2, 0, 1))
@@ -282,7 +281,7 @@ def draw_boat(
     starboard = np.column_stack([along, side])
     port = np.column_stack([along, -side])[::-1]
     hull = np.vstack([starboard, port]) * px_per_m
-    middle = np.array(canvas.shape[1::-1]) / 2
+    middle = _middle(canvas)
     shade(canvas, hull + middle, height_px=px_per_m * 0.6, sun=sun, strength=0.8)
     fill(canvas, hull + middle, np.full(3, rng.uniform(150, 245)))
     deck = 0.7 * hull * (0.8, 1) + middle - (0.08 * length * px_per_m, 0)
@@ -292,13 +291,11 @@ def draw_boat(
     return length, width
 
 
-def draw_marking(
-    rng: np.random.Generator, canvas: Canvas, px_per_m: float, sun: Sun
-) -> tuple[float, float]:
+def draw_marking(rng: Generator, canvas: Canvas, px_per_m: float, sun: Sun) -> Size:
     """Draw an empty bay, a zebra crossing or a worn patch of the road."""
     del sun
-    length = float(rng.uniform(3.5, 6.0))
-    width = float(rng.uniform(1.8, 2.8))
+    length = rng.uniform(3.5, 6.0)
+    width = rng.uniform(1.8, 2.8)
     kind = rng.integers(3)
     white = np.full(3, rng.uniform(170, 245))
     if kind == 0:

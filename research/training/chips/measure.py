@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from research.training.chips.stream import cut
 from vehanchor.detection.chips import KINDS, ChipAnswers, ChipNetwork, read_appearance
 from vehanchor.models.runtime import Runtime
 
+Values: TypeAlias = NDArray[np.float64]
+"""A number ``[n]`` of each reading."""
+
 # Groups of cars.
 _N_GROUPS = 4
 # Length of a car as a detector's box has it, about.
@@ -28,17 +32,18 @@ _BOX_M = 4.6
 _FAR_PX = 10_000
 
 
-def sizes(edges: NDArray[np.floating]) -> NDArray[np.float64]:
+def sizes(edges: NDArray[np.floating]) -> Values:
     """Compute lengths and widths ``[n, 2]`` from edges ``[n, 4]``."""
     return np.asarray(edges[:, 1::2] - edges[:, ::2], np.float64)
 
 
-def robust(values: NDArray[np.float64]) -> float:
+def robust(values: Values) -> float:
     """Compute the standard deviation from the median absolute deviation."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    deviations = np.abs(values - np.median(values))
+    return float(1.4826 * np.median(deviations))
 
 
-def log_scale(read: Read, answers: ChipAnswers) -> NDArray[np.float64]:
+def log_scale(read: Read, answers: ChipAnswers) -> Values:
     """Compute the log of metres per pixel from each car alone, as the search does."""
     width_px = np.nan_to_num(read.width_px, nan=1.0)
     middle = np.full(len(width_px), _FAR_PX / 2)
@@ -59,7 +64,8 @@ def edge_report(read: Read, answers: ChipAnswers) -> Iterator[str]:
     yield header("size", *columns)
     for k, size in enumerate(("length", "width")):
         errors = network[:, k] - eye[:, k]
-        cells = [*_errors(box[:, k] - eye[:, k]), *_errors(errors), _percent(robust(errors))]
+        box_errors = box[:, k] - eye[:, k]
+        cells = [*_errors(box_errors), *_errors(errors), _percent(robust(errors))]
         yield f"| {size} | {len(eye)} | {' | '.join(cells)} |"
     is_read = np.isfinite(read.edges)
     ratio = ((answers.edges - read.edges) / answers.edge_sd)[is_read]
@@ -126,9 +132,11 @@ def place_report(read: Read, answers: ChipAnswers) -> Iterator[str]:
         yield f"| {place} | {here.sum()} | {gsd} | {' | '.join(cells)} |"
 
 
-def _errors(logs: NDArray[np.float64]) -> tuple[str, str]:
+def _errors(logs: Values) -> tuple[str, str]:
     """Format median and standard deviation of errors."""
-    return _percent(float(np.median(logs)), "+"), _percent(float(logs.std(ddof=1)))
+    median = float(np.median(logs))
+    sd = float(logs.std(ddof=1))
+    return _percent(median, "+"), _percent(sd)
 
 
 def _percent(share: float, sign: str = "") -> str:

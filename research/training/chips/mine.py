@@ -15,10 +15,11 @@ import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.training.chips.store import STORED_LENGTH_PX, STORED_PX, UNKNOWN, ChipStore, Rows
@@ -35,6 +36,21 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
+
+Boxes: TypeAlias = NDArray[np.float64]
+"""Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+Polygons: TypeAlias = NDArray[np.float64]
+"""Corners ``[n, 4, 2]`` of areas."""
+
+Objects: TypeAlias = NDArray[np.float64]
+"""Centres and lengths ``[n, 3]`` of objects judged by eye."""
+
+Scores: TypeAlias = NDArray[np.float64]
+"""Scores ``[n]``."""
+
+Flags: TypeAlias = NDArray[np.bool_]
+"""Which of the boxes ``[n]`` have a property."""
 
 # Largest enlargement of an image, by the length of cars in pixels that it is to have.
 _MAX_ENLARGEMENT = {15.0: 1.5, 28.0: 2.2, 55.0: 1.2}
@@ -76,9 +92,9 @@ class Seen(NamedTuple):
         others: ``[k, 3]`` centres and lengths of objects that are not cars.
     """
 
-    squares: NDArray[np.float64] = np.zeros((0, 4, 2))
-    cars: NDArray[np.float64] = np.zeros((0, 3))
-    others: NDArray[np.float64] = np.zeros((0, 3))
+    squares: Polygons = np.zeros((0, 4, 2))
+    cars: Objects = np.zeros((0, 3))
+    others: Objects = np.zeros((0, 3))
 
 
 class Named(NamedTuple):
@@ -105,7 +121,7 @@ def type_of(body: str, length_m: float) -> int:
     return KINDS.index("saloon")
 
 
-def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float32]:
+def relative(boxes: Boxes, truth: Boxes) -> NDArray[np.float32]:
     """Compute true boxes relative to candidates, ``[n, 5]``; see ``Rows.box``.
 
     Args:
@@ -114,7 +130,8 @@ def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[
     """
     cos = np.cos(boxes[:, 4])
     sin = np.sin(boxes[:, 4])
-    dx, dy = (truth[:, :2] - boxes[:, :2]).T / boxes[:, 2]
+    offsets = truth[:, :2] - boxes[:, :2]
+    dx, dy = offsets.T / boxes[:, 2]
     turn = (truth[:, 4] - boxes[:, 4] + np.pi / 2) % np.pi - np.pi / 2
     log_sizes = np.log(truth[:, 2:4] / boxes[:, 2:3])
     along = cos * dx + sin * dy
@@ -122,9 +139,7 @@ def relative(boxes: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[
     return np.column_stack([along, across, log_sizes, turn]).astype(np.float32)
 
 
-def overlaps(
-    boxes: NDArray[np.float64], labels: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def overlaps(boxes: Boxes, labels: Boxes) -> tuple[Scores, NDArray[np.intp]]:
     """Compute the largest IoU of each box with a label, and that label's index, both ``[n]``."""
     if not len(labels):
         return np.zeros(len(boxes)), np.zeros(len(boxes), np.intp)
@@ -132,7 +147,7 @@ def overlaps(
     return iou.max(axis=1), iou.argmax(axis=1)
 
 
-def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _ignored(boxes: Boxes, polygons: Polygons) -> Flags:
     """Mark boxes whose centre lies in an ignored polygon, or within 0.3 lengths of it."""
     ignored = np.zeros(len(boxes), bool)
     for polygon in polygons:
@@ -147,20 +162,22 @@ def _ignored(boxes: NDArray[np.float64], polygons: NDArray[np.float64]) -> NDArr
     return ignored
 
 
-def _fits_by_eye(boxes: NDArray[np.float64], objects: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _fits_by_eye(boxes: Boxes, objects: Objects) -> Flags:
     """Mark boxes that lie on an object judged by eye, ``[k, 3]``, and are about as long."""
-    gap = np.linalg.norm(boxes[:, None, :2] - objects[None, :, :2], axis=2)
+    offsets = boxes[:, None, :2] - objects[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     is_near = gap < _MAX_GAP * objects[None, :, 2]
     log_ratio = np.abs(np.log(boxes[:, None, 2] / objects[None, :, 2]))
-    return np.asarray((is_near & (log_ratio < _MAX_LOG_LENGTH)).any(axis=1))
+    fits = is_near & (log_ratio < _MAX_LOG_LENGTH)
+    return np.asarray(fits.any(axis=1))
 
 
 def rows_of(
     image: Named,
-    boxes: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    combined: NDArray[np.float64],
-) -> tuple[Rows, NDArray[np.bool_]]:
+    boxes: Boxes,
+    scores: Scores,
+    combined: Scores,
+) -> tuple[Rows, Flags]:
     """Compare boxes with labels and with objects judged by eye.
 
     Returns:
@@ -181,7 +198,8 @@ def rows_of(
         gsd = CAR_M / sample.car_px if sample.car_px else GSD_M_PER_PX.get(sample.set)
         if gsd:
             length_m[hit] = np.log(truth[:, 2] * gsd)
-    kind = np.where((car == 0) & (iou < 0.01), _OTHER, UNKNOWN).astype(np.int8)
+    is_other = (car == 0) & (iou < 0.01)
+    kind = np.where(is_other, _OTHER, UNKNOWN).astype(np.int8)
     if image.label_types is not None:
         kind[hit] = image.label_types[which[hit]]
     cars = (iou < _FITS) & _fits_by_eye(boxes, image.seen.cars)
@@ -202,15 +220,15 @@ def rows_of(
     return rows, is_clear
 
 
-def detect(
-    sample: TrainImage, detector: Detector, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def detect(sample: TrainImage, detector: Detector, rng: Generator) -> tuple[Boxes, Scores, Scores]:
     """Search an image at one or two sizes.
 
     Returns:
         Boxes in image pixels, the detector's scores, and those of the verifier.
     """
-    car_px = float(np.median(sample.boxes[:, 2])) if len(sample.boxes) else sample.car_px or 18.0
+    car_px = sample.car_px or 18.0
+    if len(sample.boxes):
+        car_px = float(np.median(sample.boxes[:, 2]))
     boxes = [np.zeros((0, 5))]
     scores = [np.zeros(0)]
     combined = [np.zeros(0)]
@@ -219,7 +237,8 @@ def detect(
         target_lengths_px.append(float(rng.choice((15.0, 55.0))))
     for target_px in target_lengths_px:
         factor = target_px / car_px
-        if factor > _MAX_ENLARGEMENT[target_px] or min(sample.image.shape[:2]) * factor < 48:
+        shorter_px = min(sample.image.shape[:2]) * factor
+        if factor > _MAX_ENLARGEMENT[target_px] or shorter_px < 48:
             continue
         method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
         resized = cv2.resize(sample.image, None, fx=factor, fy=factor, interpolation=method)
@@ -232,11 +251,12 @@ def detect(
         assert detector.verifier is not None
         boxes.append(vehicles.boxes / (factor, factor, factor, factor, 1))
         scores.append(vehicles.scores)
-        combined.append(detector.verifier.scored(scaled, vehicles).scores)
+        verified = detector.verifier.scored(scaled, vehicles)
+        combined.append(verified.scores)
     return np.concatenate(boxes), np.concatenate(scores), np.concatenate(combined)
 
 
-def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_PX) -> TrainImage:
+def cropped(rng: Generator, sample: TrainImage, side_px: int = _CROP_PX) -> TrainImage:
     """Cut a part of a large image, if possible around a labelled car; cars it cuts are ignored."""
     height, width = sample.image.shape[:2]
     if max(height, width) <= side_px:
@@ -246,20 +266,22 @@ def cropped(rng: np.random.Generator, sample: TrainImage, side_px: int = _CROP_P
         middle = sample.boxes[rng.integers(len(sample.boxes)), :2]
     else:
         middle = rng.uniform(0, 1, 2) * farthest
-    left, top = np.clip(middle - rng.uniform(0.2, 0.8, 2) * side_px, 0, farthest).astype(int)
-    image = np.ascontiguousarray(sample.image[top : top + side_px, left : left + side_px])
+    corner = middle - rng.uniform(0.2, 0.8, 2) * side_px
+    left, top = np.clip(corner, 0, farthest).astype(int)
+    rows = slice(top, top + side_px)
+    columns = slice(left, left + side_px)
+    image = np.ascontiguousarray(sample.image[rows, columns])
     boxes = sample.boxes - (left, top, 0, 0, 0)
     corners = box_corners(boxes)
-    inside = np.all((corners >= 0) & (corners <= np.array(image.shape[1::-1])), axis=2)
+    size = np.array(image.shape[1::-1])
+    inside = np.all((corners >= 0) & (corners <= size), axis=2)
     whole = np.all(inside, axis=1)
     cut = np.any(inside, axis=1) & ~whole
     ignore = np.concatenate([sample.ignore - (left, top), corners[cut]])
     return sample._replace(image=image, boxes=boxes[whole], ignore=ignore)
 
 
-def search(
-    sample: TrainImage, detector: Detector
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def search(sample: TrainImage, detector: Detector) -> tuple[Boxes, Scores, Scores]:
     """Search an image as the library does: boxes, scores, and the same scores again."""
     with open_raster(sample.image) as raster:
         options = Search(min_score=_MIN_SEARCH_SCORE)
@@ -267,7 +289,7 @@ def search(
     return vehicles.boxes, vehicles.scores, vehicles.scores
 
 
-def moved(rng: np.random.Generator, labels: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(rng: Generator, labels: Boxes) -> Boxes:
     """Move boxes until they no longer fit: beside a car, half or twice as long, or across it."""
     out = labels[rng.random(len(labels)) < _MOVED_SHARE].copy()
     for box in out:
@@ -277,7 +299,8 @@ def moved(rng: np.random.Generator, labels: NDArray[np.float64]) -> NDArray[np.f
             reach = rng.uniform(0.4, 1.0) * box[2]
             box[:2] += reach * np.array([np.cos(angle), np.sin(angle)])
         elif how == 1:
-            box[2:4] *= np.exp(rng.choice((-1, 1)) * rng.uniform(0.4, 0.9))
+            log_factor = rng.choice((-1, 1)) * rng.uniform(0.4, 0.9)
+            box[2:4] *= np.exp(log_factor)
             box[:2] += rng.normal(0, 0.12 * box[2], 2)
         else:
             box[4] += rng.uniform(0.6, np.pi - 0.6)
@@ -290,7 +313,9 @@ def add_lorries(image: Named, store: ChipStore) -> None:
         return
     corners = read_labels(image.labels, []).of_class("large-vehicle")
     boxes = boxes_from_corners(corners) if len(corners) else np.zeros((0, 5))
-    boxes = boxes[(boxes[:, 2] > 1.7 * boxes[:, 3]) & (boxes[:, 2] > 1.5 * _MIN_LENGTH_PX)]
+    lengths = boxes[:, 2]
+    is_longish = lengths > 1.7 * boxes[:, 3]
+    boxes = boxes[is_longish & (lengths > 1.5 * _MIN_LENGTH_PX)]
     if not len(boxes):
         return
     rows = Rows.unlabelled(boxes[:, 2], f"lorry_{image.set}", image.file)
@@ -301,7 +326,7 @@ def add_lorries(image: Named, store: ChipStore) -> None:
 
 
 def mined(
-    image: Named, detector: Detector, rng: np.random.Generator, store: ChipStore, *, native: bool
+    image: Named, detector: Detector, rng: Generator, store: ChipStore, *, native: bool
 ) -> None:
     """Add the chips of one image.
 
@@ -324,7 +349,8 @@ def mined(
     boxes = np.concatenate([boxes, labels])
     scores = np.concatenate([scores, np.zeros(len(labels))])
     combined = np.concatenate([combined, np.zeros(len(labels))])
-    inside = (boxes[:, :2] > 0).all(axis=1) & (boxes[:, 0] < width) & (boxes[:, 1] < height)
+    centres = boxes[:, :2]
+    inside = ((centres > 0) & (centres < (width, height))).all(axis=1)
     inside &= boxes[:, 2] >= _MIN_LENGTH_PX
     boxes = boxes[inside]
     scores = scores[inside]
@@ -387,7 +413,7 @@ def chia_images(data: Path) -> Iterator[Named]:
     """Load the crops of ``chia/`` with odd numbers, at 0.018 to 0.043 m/px, and their cars."""
     by_file = _seen_by_eye()
     with (data / "chia" / "crops.csv").open(newline="") as handle:
-        rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 1]
+        rows = [row for row in csv.DictReader(handle) if _number(row["file"]) % 2 == 1]
     for row in rows:
         path = data / "chia" / row["file"]
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
@@ -405,13 +431,20 @@ def chia_images(data: Path) -> Iterator[Named]:
         yield Named(sample, path.name, set="chia", labels=None, seen=seen)
 
 
+def _number(file: str) -> int:
+    """Read the number at the end of a file's name."""
+    return int(Path(file).stem[-4:])
+
+
 def scene_images(folder: Path) -> Iterator[Named]:
     """Load rendered scenes with the types of their vehicles (``render_scenes chips``)."""
     for path, sample in zip(sorted(folder.glob("*.jpg")), load_scenes(folder), strict=True):
         labels = read_labels(path.with_suffix(".txt"))
         assert labels.gsd_m_per_px is not None
-        bodies = np.array(json.loads(path.with_suffix(".bodies.json").read_text()), dtype=object)
-        counted = (np.array(labels.classes) == "small-vehicle") & ~labels.difficult
+        bodies_text = path.with_suffix(".bodies.json").read_text()
+        bodies = np.array(json.loads(bodies_text), dtype=object)
+        is_small = np.array(labels.classes) == "small-vehicle"
+        counted = is_small & ~labels.difficult
         lengths_m = sample.boxes[:, 2] * labels.gsd_m_per_px
         types = [
             type_of(body, length) for body, length in zip(bodies[counted], lengths_m, strict=True)

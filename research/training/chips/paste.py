@@ -10,10 +10,11 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.scenes.fleet import Fleet, VehicleModel
@@ -27,6 +28,12 @@ from research.training.detector.scenery import CAR_M, load_scenery
 from research.training.logistic import weight_of_sets
 from vehanchor.detection.boxes import boxes_from_corners
 from vehanchor.detection.chips import KINDS
+
+Point: TypeAlias = NDArray[np.float64]
+"""Point x, y ``[2]`` in pixels."""
+
+Box: TypeAlias = NDArray[np.float64]
+"""Box ``[5]``: x, y, length, width, angle."""
 
 # Chips are drawn twice as fine as they are stored.
 _CANVAS_PX = 2 * STORED_PX
@@ -65,9 +72,7 @@ class Ground(NamedTuple):
     gsd_m_per_px: float
 
 
-def free_position(
-    rng: np.random.Generator, ground: Ground, reach_m: float
-) -> NDArray[np.float64] | None:
+def free_position(rng: Generator, ground: Ground, reach_m: float) -> Point | None:
     """Draw a position without a labelled car within ``reach_m``; None after six failures.
 
     Most positions are near a labelled car: on a road or a car park.
@@ -83,7 +88,8 @@ def free_position(
         else:
             position = rng.uniform(0, 1, 2) * (width, height)
         margin = 3 / gsd
-        if not ((position > margin) & (position < np.array([width, height]) - margin)).all():
+        far_margin = np.array([width, height]) - margin
+        if not ((position > margin) & (position < far_margin)).all():
             continue
         distances = np.linalg.norm(sample.boxes[:, :2] - position, axis=1)
         if (distances > reach_m / gsd).all():
@@ -91,9 +97,7 @@ def free_position(
     return None
 
 
-def ground_canvas(
-    ground: Ground, position: NDArray[np.float64], turn: float, px_per_m: float
-) -> Canvas:
+def ground_canvas(ground: Ground, position: Point, turn: float, px_per_m: float) -> Canvas:
     """Cut the ground around a position, turned, at the canvas's resolution."""
     # Pixels of the source to one of the canvas.
     step = 1 / (px_per_m * ground.gsd_m_per_px)
@@ -104,7 +108,8 @@ def ground_canvas(
         x0 = max(0, int(position[0] - reach))
         y0 = max(0, int(position[1] - reach))
         part = source[y0 : int(position[1] + reach), x0 : int(position[0] + reach)]
-        size = (max(2, round(part.shape[1] / step)), max(2, round(part.shape[0] / step)))
+        part_h, part_w = part.shape[:2]
+        size = (max(2, round(part_w / step)), max(2, round(part_h / step)))
         source = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
         position = (position - (x0, y0)) / step
         step = 1.0
@@ -124,7 +129,7 @@ def ground_canvas(
 def draw_vehicle(
     canvas: Canvas,
     model: VehicleModel,
-    box: NDArray[np.float64],
+    box: Box,
     px_per_m: float,
     sun: Sun,
     strength: float,
@@ -146,8 +151,9 @@ def draw_vehicle(
     points = (_OUTLINE * (length, width)) @ turn.T + (x, y)
     height = VEHICLE_SHADOW_HEIGHT_M.get(model.body.partition(":")[0], 1.15)
     shade(canvas, points, height_px=height * px_per_m, sun=sun, strength=strength)
+    light = sun.light(angle)
     sprite = vehicle_sprite(
-        model.body, model.length_m, width=model.width_m, px_per_m=px_per_m, light=sun.light(angle)
+        model.body, model.length_m, width=model.width_m, px_per_m=px_per_m, light=light
     )
     rows, columns = sprite.shape[:2]
     pad = 2 * VEHICLE_PAD * length
@@ -156,19 +162,19 @@ def draw_vehicle(
     offset = np.array([columns, rows]) / 2 - matrix @ (x, y)
     full = np.column_stack([matrix, offset + matrix @ (0.5, 0.5) - 0.5])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    patch = cv2.warpAffine(sprite, full, canvas.shape[1::-1], flags=flags, borderValue=(0, 0, 0, 0))
+    size = canvas.shape[1::-1]
+    patch = cv2.warpAffine(sprite, full, size, flags=flags, borderValue=(0, 0, 0, 0))
     cover = patch[:, :, 0, None]
     paint = patch[:, :, 1, None]
     grey = patch[:, :, 2, None]
     red = patch[:, :, 3, None]
     glass = np.array((0.95, 1.0, 1.09), np.float32)
     lamp = np.array((1.0, 0.22, 0.2), np.float32)
-    canvas[:] = (
-        canvas * (1 - cover) + paint * np.array(model.paint, np.float32) + grey * glass + red * lamp
-    )
+    colour = np.array(model.paint, np.float32)
+    canvas[:] = canvas * (1 - cover) + paint * colour + grey * glass + red * lamp
 
 
-def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
+def photographed(rng: Generator, canvas: Canvas, coarse: float) -> NDArray[np.uint8]:
     """Make the stored chip of a canvas, as coarse as its ground.
 
     Args:
@@ -184,9 +190,10 @@ def photographed(rng: np.random.Generator, canvas: Canvas, coarse: float) -> NDA
         method = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
         chip = cv2.resize(small, stored_size, interpolation=method)
     else:
-        soft = cv2.GaussianBlur(pixels, (0, 0), float(rng.uniform(0.5, 1.4)))
+        soft = cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.5, 1.4))
         chip = cv2.resize(soft, stored_size, interpolation=cv2.INTER_AREA)
-    return np.asarray(np.clip(np.asarray(chip, np.float32) + 0.5, 0, 255), np.uint8)
+    levels = np.asarray(chip, np.float32)
+    return np.asarray(np.clip(levels + 0.5, 0, 255), np.uint8)
 
 
 class Pasted(NamedTuple):
@@ -200,7 +207,7 @@ class Pasted(NamedTuple):
     length_px: float
 
 
-def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | None:
+def pasted(rng: Generator, ground: Ground, fleet: Fleet) -> Pasted | None:
     """Draw a vehicle or a look-alike on real ground; None without a free position."""
     draw = rng.random()
     is_car = draw < _CAR_SHARE
@@ -208,8 +215,10 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
     position = free_position(rng, ground, 5.0)
     if position is None:
         return None
-    sun = Sun(float(rng.uniform(0, 2 * np.pi)), math.radians(rng.uniform(25, 75)))
-    strength = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.5, 1.05))
+    azimuth = rng.uniform(0, 2 * np.pi)
+    elevation_deg = rng.uniform(25, 75)
+    sun = Sun(azimuth, math.radians(elevation_deg))
+    strength = 0.0 if rng.random() < 0.2 else rng.uniform(0.5, 1.05)
     if is_vehicle:
         model = fleet.small() if is_car else fleet.large()
         return _pasted_vehicle(
@@ -219,9 +228,9 @@ def pasted(rng: np.random.Generator, ground: Ground, fleet: Fleet) -> Pasted | N
 
 
 def _pasted_vehicle(
-    rng: np.random.Generator,
+    rng: Generator,
     ground: Ground,
-    position: NDArray[np.float64],
+    position: Point,
     *,
     model: VehicleModel,
     fleet: Fleet,
@@ -233,7 +242,7 @@ def _pasted_vehicle(
     wrong = rng.random() < (_WRONG_CAR_SHARE if is_car else _WRONG_LORRY_SHARE)
     candidate, truth = _candidate(rng, model, wrong=wrong)
     px_per_m = 2 * STORED_LENGTH_PX / candidate[2]
-    turn = float(rng.uniform(0, 2 * np.pi))
+    turn = rng.uniform(0, 2 * np.pi)
     canvas = ground_canvas(ground, position, turn=turn, px_per_m=px_per_m)
     if rng.random() < _COMPANY_SHARE:
         _draw_company(
@@ -254,14 +263,12 @@ def _pasted_vehicle(
     )
 
 
-def _pasted_lookalike(
-    rng: np.random.Generator, ground: Ground, position: NDArray[np.float64], sun: Sun
-) -> Pasted:
+def _pasted_lookalike(rng: Generator, ground: Ground, position: Point, sun: Sun) -> Pasted:
     """Draw a look-alike, with a candidate about as long."""
     px_per_m = 2 * STORED_LENGTH_PX / _LOOKALIKE_M
-    turn = float(rng.uniform(0, 2 * np.pi))
+    turn = rng.uniform(0, 2 * np.pi)
     canvas = ground_canvas(ground, position, turn=turn, px_per_m=px_per_m)
-    draw_lookalike = LOOKALIKES[int(rng.integers(len(LOOKALIKES)))]
+    draw_lookalike = LOOKALIKES[rng.integers(len(LOOKALIKES))]
     length, _ = draw_lookalike(rng, canvas, px_per_m, sun)
     # The picture is scaled so that the candidate is about as long as the look-alike.
     factor = _LOOKALIKE_M / length * float(np.exp(rng.normal(0, 0.12)))
@@ -291,7 +298,7 @@ def _source_length_px(coarse: float) -> float:
 
 
 def _candidate(
-    rng: np.random.Generator, model: VehicleModel, *, wrong: bool
+    rng: Generator, model: VehicleModel, *, wrong: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Draw a candidate and the true box beside it, in metres.
 
@@ -322,7 +329,7 @@ def _candidate(
 
 
 def _draw_company(
-    rng: np.random.Generator,
+    rng: Generator,
     canvas: Canvas,
     truth: NDArray[np.float64],
     px_per_m: float,

@@ -14,7 +14,7 @@ import argparse
 import csv
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -33,6 +33,15 @@ from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 from vehanchor_evaluation.dota import read_labels
 
+Upright: TypeAlias = NDArray[np.float64]
+"""Upright boxes ``[n, 4]``: left, top, right, bottom."""
+
+Corners: TypeAlias = NDArray[np.float64]
+"""Corners ``[n, 4, 2]`` of boxes."""
+
+ByEye: TypeAlias = dict[str, list[tuple[str, NDArray[np.float64]]]]
+"""Kind and upright box of the objects judged by eye, by file."""
+
 _FITS = 0.5
 _MISSES = 0.15
 # Least score of the detector.
@@ -47,35 +56,38 @@ class Drawn(NamedTuple):
 
     path: Path
     set: str
-    cars: NDArray[np.float64]
-    doubtful: NDArray[np.float64]
+    cars: Upright
+    doubtful: Upright
 
 
-def upright(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def upright(corners: Corners) -> Upright:
     """Upright boxes ``[n, 4]`` around corners ``[n, 4, 2]``."""
-    return np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).reshape(-1, 4)
+    upper_left = corners.min(axis=1)
+    lower_right = corners.max(axis=1)
+    return np.concatenate([upper_left, lower_right], axis=1).reshape(-1, 4)
 
 
-def overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def overlap(first: Upright, second: Upright) -> NDArray[np.float64]:
     """IoU ``[n, m]`` of upright boxes."""
-    size = np.minimum(first[:, None, 2:], second[None, :, 2:]) - np.maximum(
-        first[:, None, :2], second[None, :, :2]
-    )
+    lower_right = np.minimum(first[:, None, 2:], second[None, :, 2:])
+    upper_left = np.maximum(first[:, None, :2], second[None, :, :2])
+    size = lower_right - upper_left
     both = np.prod(np.clip(size, 0, None), axis=2)
-    areas = [np.prod(boxes[:, 2:] - boxes[:, :2], axis=1) for boxes in (first, second)]
-    return np.asarray(both / np.maximum(areas[0][:, None] + areas[1][None, :] - both, 1e-9))
+    first_areas = np.prod(first[:, 2:] - first[:, :2], axis=1)
+    second_areas = np.prod(second[:, 2:] - second[:, :2], axis=1)
+    either = first_areas[:, None] + second_areas[None, :] - both
+    return np.asarray(both / np.maximum(either, 1e-9))
 
 
-def _looked_at() -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
-    out: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
+def _looked_at() -> ByEye:
+    out: ByEye = {}
     with LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
             x = float(row["x"])
             y = float(row["y"])
             half = 0.35 * float(row["length"])
-            out.setdefault(row["file"], []).append(
-                (row["kind"], np.array([x - half, y - half, x + half, y + half]))
-            )
+            square = np.array([x - half, y - half, x + half, y + half])
+            out.setdefault(row["file"], []).append((row["kind"], square))
     return out
 
 
@@ -84,20 +96,18 @@ def photographs(data: Path) -> Iterator[Drawn]:
     by_eye = _looked_at()
     for folder, sets in (("upright", ("estonia", "crossings")), ("vehicles", ("jekhor",))):
         with (data / folder / "index.csv").open(newline="") as handle:
-            rows = [
-                row
-                for row in csv.DictReader(handle)
-                if row["split"] == "val" and row["set"] in sets
-            ]
+            val = [row for row in csv.DictReader(handle) if row["split"] == "val"]
+        rows = [row for row in val if row["set"] in sets]
         for row in rows:
-            labels = read_labels(data / folder / "labels" / f"{Path(row['file']).stem}.txt")
+            file = Path(row["file"])
+            labels = read_labels(data / folder / "labels" / f"{file.stem}.txt")
             cars = upright(labels.of_class("small-vehicle").reshape(-1, 4, 2))
-            ignored = [labels.of_class(name).reshape(-1, 4, 2) for name in ("ignore",)]
-            more = [box for kind, box in by_eye.get(Path(row["file"]).name, []) if kind != "other"]
-            doubtful = np.concatenate([upright(np.concatenate(ignored)), np.reshape(more, (-1, 4))])
+            ignored = upright(labels.of_class("ignore").reshape(-1, 4, 2))
+            more = [box for kind, box in by_eye.get(file.name, []) if kind != "other"]
+            doubtful = np.concatenate([ignored, np.reshape(more, (-1, 4))])
             yield Drawn(data / folder / row["file"], row["set"], cars=cars, doubtful=doubtful)
     with (data / "chia" / "crops.csv").open(newline="") as handle:
-        rows = [row for row in csv.DictReader(handle) if int(Path(row["file"]).stem[-4:]) % 2 == 0]
+        rows = [row for row in csv.DictReader(handle) if _number(row["file"]) % 2 == 0]
     for row in rows:
         there = by_eye.get(Path(row["file"]).name, [])
         parts = [
@@ -107,30 +117,44 @@ def photographs(data: Path) -> Iterator[Drawn]:
         yield Drawn(data / "chia" / row["file"], "chia", *parts)
 
 
+def _number(file: str) -> int:
+    """Read the number at the end of a file's name."""
+    return int(Path(file).stem[-4:])
+
+
 def judged(boxes: NDArray[np.float64], drawn: Drawn, size: tuple[int, int]) -> NDArray[np.int8]:
     """1 for a car, 0 for none, -1 where it does not count."""
     around = upright(box_corners(boxes))
-    iou = (
-        overlap(around, drawn.cars).max(axis=1, initial=0.0)
-        if len(drawn.cars)
-        else np.zeros(len(boxes))
-    )
-    truth = np.where(iou >= _FITS, 1, np.where(iou < _MISSES, 0, -1)).astype(np.int8)
-    if drawn.set == "chia" and len(drawn.cars):  # squares about the centres of cars
-        gap = np.abs(
-            boxes[:, None, :2] - (drawn.cars[None, :, :2] + drawn.cars[None, :, 2:]) / 2
-        ).max(axis=2)
-        length = (drawn.cars[:, 2] - drawn.cars[:, 0]) / 0.7
-        fits = (gap < 0.2 * length) & (np.abs(np.log(boxes[:, None, 2] / length)) < 0.25)
-        near = gap < _NEAR * length
-        truth = np.where(fits.any(axis=1), 1, np.where(near.any(axis=1), -1, 0)).astype(np.int8)
+    iou = np.zeros(len(boxes))
+    if len(drawn.cars):
+        iou = overlap(around, drawn.cars).max(axis=1, initial=0.0)
+    not_fitting = np.where(iou < _MISSES, 0, -1)
+    truth = np.where(iou >= _FITS, 1, not_fitting).astype(np.int8)
+    # In this set, the boxes are squares about the centres of cars.
+    if drawn.set == "chia" and len(drawn.cars):
+        truth = _judged_by_squares(boxes, drawn.cars)
+    x = boxes[:, 0]
+    y = boxes[:, 1]
     for left, top, right, bottom in drawn.doubtful:
-        x = boxes[:, 0]
-        y = boxes[:, 1]
-        truth[(x > left) & (x < right) & (y > top) & (y < bottom) & (truth == 0)] = -1
-    gap = np.minimum(boxes[:, :2], np.array(size) - boxes[:, :2]).min(axis=1)
-    truth[(gap < _EDGE * boxes[:, 2]) & (truth == 0)] = -1
+        is_inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+        truth[is_inside & (truth == 0)] = -1
+    centres = boxes[:, :2]
+    gap = np.minimum(centres, np.array(size) - centres).min(axis=1)
+    is_at_edge = gap < _EDGE * boxes[:, 2]
+    truth[is_at_edge & (truth == 0)] = -1
     return truth
+
+
+def _judged_by_squares(boxes: NDArray[np.float64], squares: Upright) -> NDArray[np.int8]:
+    """Judge boxes ``[n, 5]`` by squares about the centres of cars; see ``judged``."""
+    centres = (squares[None, :, :2] + squares[None, :, 2:]) / 2
+    gap = np.abs(boxes[:, None, :2] - centres).max(axis=2)
+    length = (squares[:, 2] - squares[:, 0]) / 0.7
+    log_ratio = np.abs(np.log(boxes[:, None, 2] / length))
+    fits = (gap < 0.2 * length) & (log_ratio < 0.25)
+    near = gap < _NEAR * length
+    not_fitting = np.where(near.any(axis=1), -1, 0)
+    return np.where(fits.any(axis=1), 1, not_fitting).astype(np.int8)
 
 
 def main() -> None:

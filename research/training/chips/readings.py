@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import csv
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -19,6 +19,15 @@ from research.training.chips.kinds import kind_index
 from research.training.chips.mine import GSD_M_PER_PX
 from vehanchor.detection.verifier import surroundings
 from vehanchor.storage.atomic import whole_file
+
+Chips: TypeAlias = NDArray[np.uint8]
+"""Chips ``[n, h, w, 3]``."""
+
+Lengths: TypeAlias = NDArray[np.float64]
+"""A length ``[n]`` of each chip."""
+
+Names: TypeAlias = NDArray[np.str_]
+"""A name ``[n]`` of each chip."""
 
 READ_PX = 200
 READ_LENGTH_PX = 60.0
@@ -43,14 +52,14 @@ class Read(NamedTuple):
         check: ``[n]`` whether it is kept back.
     """
 
-    chips: NDArray[np.uint8]
+    chips: Chips
     edges: NDArray[np.float32]
     kind: NDArray[np.int64]
-    length_px: NDArray[np.float64]
-    width_px: NDArray[np.float64]
-    gsd: NDArray[np.float64]
-    place: NDArray[np.str_]
-    source: NDArray[np.str_]
+    length_px: Lengths
+    width_px: Lengths
+    gsd: Lengths
+    place: Names
+    source: Names
     check: NDArray[np.bool_]
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Read:

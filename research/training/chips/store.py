@@ -5,12 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vehanchor.storage.atomic import whole_file
+
+Chips: TypeAlias = NDArray[np.uint8]
+"""Chips ``[n, h, w, 3]``."""
+
+Values: TypeAlias = NDArray[np.float32]
+"""A number ``[n]`` of each chip."""
+
+Types: TypeAlias = NDArray[np.int8]
+"""A class ``[n]`` of each chip; negative if unknown."""
+
+Names: TypeAlias = NDArray[np.str_]
+"""A name ``[n]`` of each chip."""
 
 STORED_PX = 144
 # Length of the candidate on a stored chip, which shows four lengths of context.
@@ -37,15 +49,15 @@ class Rows(NamedTuple):
         files: names of source images.
     """
 
-    car: NDArray[np.int8]
-    type: NDArray[np.int8]
+    car: Types
+    type: Types
     box: NDArray[np.float32]
-    log_length_m: NDArray[np.float32]
-    length_px: NDArray[np.float32]
-    score: NDArray[np.float32]
-    combined: NDArray[np.float32]
-    sets: NDArray[np.str_]
-    files: NDArray[np.str_]
+    log_length_m: Values
+    length_px: Values
+    score: Values
+    combined: Values
+    sets: Names
+    files: Names
 
     def take(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
         """Select rows by a mask or by indices."""
@@ -73,10 +85,10 @@ class Rows(NamedTuple):
 class ChipStore:
     """Chips and their rows while they are collected."""
 
-    chips: list[NDArray[np.uint8]] = field(default_factory=list)
+    chips: list[Chips] = field(default_factory=list)
     rows: list[Rows] = field(default_factory=list)
 
-    def add(self, chips: NDArray[np.uint8], rows: Rows) -> None:
+    def add(self, chips: Chips, rows: Rows) -> None:
         """Add chips ``[n, 144, 144, 3]``."""
         if len(chips):
             self.chips.append(chips)
@@ -97,7 +109,7 @@ class ChipStore:
         return rows
 
 
-def read_store(folder: Path) -> tuple[NDArray[np.uint8], Rows]:
+def read_store(folder: Path) -> tuple[Chips, Rows]:
     """Memory-mapped chips and their rows."""
     with np.load(folder / _TABLE) as table:
         rows = Rows(**{name: table[name] for name in Rows._fields})

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -19,6 +20,15 @@ from research.training.detector.data import photometric
 from research.training.detector.shade import shaded
 from research.training.logistic import weight_of_sets
 from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_LENGTH_PX, CHIP_ROWS, KINDS
+
+Chip: TypeAlias = NDArray[np.uint8]
+"""Chip ``[h, w, 3]``."""
+
+Point: TypeAlias = NDArray[np.float64]
+"""Point or direction ``[2]``."""
+
+Matrix: TypeAlias = NDArray[np.float64]
+"""Matrix ``[2, 2]``."""
 
 # Standard deviations of a candidate's shift in lengths, log scale, and turn in radians.
 _SHIFT = 0.06
@@ -81,23 +91,24 @@ class Move(NamedTuple):
     ``stored = shift + scale * rotation(turn) @ (flip * chip)``.
     """
 
-    shift: NDArray[np.float64]
+    shift: Point
     scale: float
     turn: float
-    flip: NDArray[np.float64]
+    flip: Point
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Matrix:
         """Matrix ``[2, 2]`` from the chip to the stored chip."""
         cos = np.cos(self.turn)
         sin = np.sin(self.turn)
-        return np.asarray(self.scale * np.array([[cos, -sin], [sin, cos]]) * self.flip[None])
+        rotation = np.array([[cos, -sin], [sin, cos]])
+        return np.asarray(self.scale * rotation * self.flip[None])
 
 
 STILL = Move(np.zeros(2), 1.0, turn=0.0, flip=np.ones(2))
 
 
-def draw_move(rng: np.random.Generator) -> Move:
+def draw_move(rng: Generator) -> Move:
     """Draw a small displacement of a candidate, mirrored at random."""
     shift = np.clip(rng.normal(0, 1, 2), -_MAX_SD, _MAX_SD)
     scale = np.clip(rng.normal(0, 1, 1), -_MAX_SD, _MAX_SD)
@@ -110,7 +121,7 @@ def draw_move(rng: np.random.Generator) -> Move:
     )
 
 
-def cut(stored: NDArray[np.uint8], length_px: float, move: Move = STILL) -> NDArray[np.uint8]:
+def cut(stored: Chip, length_px: float, move: Move = STILL) -> Chip:
     """Cut a chip ``[64, 96, 3]`` from a stored square whose candidate is ``length_px`` long."""
     matrix = move.matrix * (length_px / CHIP_LENGTH_PX)
     middle = np.array([CHIP_COLUMNS, CHIP_ROWS]) / 2
@@ -131,7 +142,9 @@ def moved_edges(
 
     The first end is the left one, and the first side is the upper one.
     """
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    axes = np.array([[cos, sin], [-sin, cos]])
     moved = np.empty(4, np.float32)
     moved_axes = axes @ move.matrix / move.scale
     for k in range(2):
@@ -157,14 +170,13 @@ def edges_of_box(box: NDArray[np.floating]) -> NDArray[np.float64]:
     )
 
 
-def coarsened(
-    rng: np.random.Generator, chip: NDArray[np.uint8], length_px: float
-) -> NDArray[np.uint8]:
+def coarsened(rng: Generator, chip: Chip, length_px: float) -> Chip:
     """Simulate a coarser image, in some of the cases."""
     finest = min(length_px, CHIP_LENGTH_PX)
     if rng.random() >= _COARSE_SHARE or finest <= _COARSEST_PX:
         return chip
-    factor = float(np.exp(rng.uniform(np.log(_COARSEST_PX), np.log(finest)))) / CHIP_LENGTH_PX
+    log_length = rng.uniform(np.log(_COARSEST_PX), np.log(finest))
+    factor = float(np.exp(log_length)) / CHIP_LENGTH_PX
     small = (max(8, round(CHIP_COLUMNS * factor)), max(6, round(CHIP_ROWS * factor)))
     if small[0] >= CHIP_COLUMNS:
         return chip
@@ -261,7 +273,8 @@ def target_of_reading(read: Read, bodies: Bodies, k: int) -> Target:
     car = np.nan
     if kind != UNKNOWN or not np.isnan(edges).all():
         car = float(kind == UNKNOWN or KINDS[kind] in CARS)
-    sizes = np.array([edges[1] - edges[0], edges[3] - edges[2]]) * read.length_px[k] * gsd
+    relative = np.array([edges[1] - edges[0], edges[3] - edges[2]])
+    sizes = relative * read.length_px[k] * gsd
     weights = np.ones(2)
     if np.isnan(edges).all() and car == 1:
         sizes = np.exp(bodies.log_metres[k].astype(np.float64))

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -18,8 +18,12 @@ from research.training.detector.places import is_held_out, places
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
     from torch import Tensor
+
+    Pixels: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
 
 SIDE_PX = 96
 # Range of the crops' metres per pixel.
@@ -55,13 +59,13 @@ class Picture(NamedTuple):
         sure: whether these are all.
     """
 
-    pixels: NDArray[np.uint8]
+    pixels: Pixels
     gsd_m_per_px: float
     courts: tuple[Court, ...]
     sure: bool
 
 
-def _read(path: Path) -> NDArray[np.uint8]:
+def _read(path: Path) -> Pixels:
     image = cv2.imread(str(path))
     if image is None:
         raise FileNotFoundError(path)
@@ -146,17 +150,18 @@ class CropStream:
         )
 
 
-def _crop(
-    picture: Picture, gsd: float, rng: np.random.Generator
-) -> tuple[NDArray[np.uint8], list[Court]]:
+def _crop(picture: Picture, gsd: float, rng: Generator) -> tuple[Pixels, list[Court]]:
     """Cut a crop at a scale, turned at random and mirrored, and its courts in pixels."""
     factor = picture.gsd_m_per_px / gsd
     method = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     reduced = cv2.resize(picture.pixels, None, fx=factor, fy=factor, interpolation=method)
-    turn = rng.uniform(0, 2 * math.pi) if rng.random() < 0.5 else math.pi / 2 * int(rng.integers(4))
+    if rng.random() < 0.5:
+        turn = rng.uniform(0, 2 * math.pi)
+    else:
+        turn = math.pi / 2 * int(rng.integers(4))
     centre = rng.uniform((0, 0), (reduced.shape[1], reduced.shape[0]))
     if picture.courts:
-        court = picture.courts[int(rng.integers(len(picture.courts)))]
+        court = picture.courts[rng.integers(len(picture.courts))]
         centre = np.array([court.x, court.y]) * factor + rng.uniform(-32, 32, 2)
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     cos = math.cos(turn)
@@ -185,7 +190,8 @@ def _targets(
     for x, y, angle, which in courts:
         u = x / CELL_PX - 0.5
         v = y / CELL_PX - 0.5
-        heat = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * _SPREAD_CELLS**2))
+        squared_distance = (columns - u) ** 2 + (rows - v) ** 2
+        heat = np.exp(-squared_distance / (2 * _SPREAD_CELLS**2))
         targets[which] = np.maximum(targets[which], heat)
         length = (BASKETBALL_M if which else TENNIS_M) / gsd
         pose = math.cos(2 * angle), math.sin(2 * angle), math.log(length / LENGTH_PX)
@@ -197,7 +203,7 @@ def _targets(
     return targets, weights
 
 
-def _recoloured(pixels: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.float32]:
+def _recoloured(pixels: Pixels, rng: Generator) -> NDArray[np.float32]:
     """Change saturation, order of channels, gain, gamma, sharpness and noise at random."""
     values = pixels.astype(np.float32) / 255.0
     grey = values.mean(axis=2, keepdims=True)

@@ -28,7 +28,7 @@ import json
 from itertools import chain, pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -49,6 +49,9 @@ from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.dota import read_labels
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.table import survey_table
+
+Boxes: TypeAlias = NDArray[np.float64]
+"""Boxes ``[n, 5]``: x, y, length, width, angle."""
 
 NAME = "vehicles"
 REGION_OF_SET = {
@@ -112,13 +115,12 @@ def mean_error(searched: list[SearchedImage], min_score: float) -> float:
     return float(np.mean(errors + [1.0] * n_without))
 
 
-def matched_lengths(
-    boxes: NDArray[np.float64], labels: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def matched_lengths(boxes: Boxes, labels: Boxes) -> tuple[Boxes, Boxes]:
     """Match the lengths of detections and of labels whose centres are a fifth of a length apart."""
     if not len(boxes) or not len(labels):
         return np.zeros(0), np.zeros(0)
-    gap = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2)
+    offsets = boxes[:, None, :2] - labels[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     nearest = gap.argmin(axis=1)
     close = gap[np.arange(len(boxes)), nearest] < 0.2 * labels[nearest, 2]
     return boxes[close, 2], labels[nearest[close], 2]
@@ -200,7 +202,9 @@ def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
     names, sets = np.unique(pairs.set[usable], return_inverse=True)
     n_bins = len(_CORRECTION_BINS_PX) - 1
     # The first set is the base, so it has no column.
-    design = np.column_stack([np.eye(n_bins)[bins], np.eye(len(names))[sets][:, 1:]])
+    bin_columns = np.eye(n_bins)[bins]
+    set_columns = np.eye(len(names))[sets]
+    design = np.column_stack([bin_columns, set_columns[:, 1:]])
     fitted = np.linalg.lstsq(design, error[usable])[0]
     common = np.median(np.append(0.0, fitted[n_bins:])[sets])
     return [

@@ -6,7 +6,7 @@ import csv
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -21,7 +21,29 @@ from vehanchor_evaluation.dota import read_labels
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+    Polygons: TypeAlias = NDArray[np.float64]
+    """Corners ``[n, 4, 2]`` of areas."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]``."""
+
+    Mask: TypeAlias = NDArray[np.bool_]
+    """Pixels ``[h, w]``."""
+
+    Point: TypeAlias = NDArray[np.float64]
+    """Point x, y ``[2]`` in pixels."""
+
+    Affine: TypeAlias = NDArray[np.float64]
+    """Affine map ``[2, 3]``."""
 
 CROP_PX = 320
 # Crops are scaled so that the length of cars is log-uniform in this range.
@@ -60,10 +82,10 @@ class TrainImage(NamedTuple):
     """
 
     set: str
-    image: NDArray[np.uint8]
-    boxes: NDArray[np.float64]
-    ignore: NDArray[np.float64]
-    clutter: NDArray[np.float64]
+    image: Picture
+    boxes: Boxes
+    ignore: Polygons
+    clutter: Points
     car_px: float | None = None
 
 
@@ -133,13 +155,14 @@ def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainIma
     Cars are added; doubtful places and labels without a visible car are ignored.
     """
 
-    def of(*kinds: str) -> NDArray[np.float64]:
+    def of(*kinds: str) -> Polygons:
         return np.asarray([c.box for c in corrections if c.kind in kinds], np.float64).reshape(
             -1, 5
         )
 
     unseen = of("unseen")
-    gap = np.linalg.norm(sample.boxes[:, None, :2] - unseen[None, :, :2], axis=2)
+    offsets = sample.boxes[:, None, :2] - unseen[None, :, :2]
+    gap = np.linalg.norm(offsets, axis=2)
     return sample._replace(
         boxes=np.concatenate([sample.boxes[~(gap < 1.0).any(axis=1)], of("car")]),
         ignore=np.concatenate([sample.ignore, box_corners(of("ignore", "unseen"))]),
@@ -178,13 +201,13 @@ class Crop(NamedTuple):
         covered: ``[CROP_PX, CROP_PX]`` pixels that the source image covers.
     """
 
-    image: NDArray[np.uint8]
-    boxes: NDArray[np.float64]
-    ignore: NDArray[np.float64]
-    covered: NDArray[np.bool_]
+    image: Picture
+    boxes: Boxes
+    ignore: Polygons
+    covered: Mask
 
 
-def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
+def draw_crop(rng: Generator, sample: TrainImage) -> Crop:
     """Cut a rotated, flipped, rescaled crop.
 
     Cars at the crop's edge or outside the range of lengths are ignored.
@@ -202,37 +225,40 @@ def draw_crop(rng: np.random.Generator, sample: TrainImage) -> Crop:
     # Continuous coordinates have pixel centres at +0.5; warpAffine works on pixel indices.
     matrix = _compose(forward, _invert(to_source))
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
-    fill = source[::16, ::16].reshape(-1, 3).mean(axis=0) if rng.random() < 0.5 else np.zeros(3)
+    fill = np.zeros(3)
+    if rng.random() < 0.5:
+        fill = source[::16, ::16].reshape(-1, 3).mean(axis=0)
     interpolation = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
     size = (CROP_PX, CROP_PX)
     warped = cv2.warpAffine(source, matrix, size, flags=interpolation, borderValue=fill.tolist())
-    image: NDArray[np.uint8] = np.asarray(warped, dtype=np.uint8)
+    image: Picture = np.asarray(warped, dtype=np.uint8)
     everywhere = np.ones(source.shape[:2], np.uint8)
     covered = cv2.warpAffine(everywhere, matrix, size, flags=cv2.INTER_NEAREST).astype(bool)
 
-    def moved(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def moved(points: Points) -> Points:
         return np.asarray(points @ forward[:, :2].T + forward[:, 2])
 
-    boxes, undecided = _judged(boxes_from_corners(moved(box_corners(sample.boxes))))
+    corners = moved(box_corners(sample.boxes))
+    boxes, undecided = _judged(boxes_from_corners(corners))
     ignore = np.concatenate([moved(sample.ignore), undecided])
     return Crop(image, boxes, ignore=ignore, covered=covered)
 
 
-def _drawn_scale(rng: np.random.Generator, sample: TrainImage) -> float:
+def _drawn_scale(rng: Generator, sample: TrainImage) -> float:
     """Draw crop pixels per image pixel: the cars' length is log-uniform in its range."""
     if len(sample.boxes):
         car_px = float(np.median(sample.boxes[:, 2]))
     else:
-        car_px = sample.car_px or float(rng.uniform(14, 40))
+        car_px = sample.car_px or rng.uniform(14, 40)
     log_target = rng.uniform(*np.log(LENGTH_RANGE_PX))
     if car_px > LENGTH_RANGE_PX[1] and rng.random() < _FINER_SHARE:
         longest = min(_FINEST_PX, 1.3 * car_px)
         log_target = rng.uniform(np.log(LENGTH_RANGE_PX[1]), np.log(longest))
     target = float(np.exp(log_target))
-    return min(target / car_px, _MAX_ENLARGEMENT * float(rng.uniform(0.6, 1.0)))
+    return min(target / car_px, _MAX_ENLARGEMENT * rng.uniform(0.6, 1.0))
 
 
-def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> NDArray[np.float64]:
+def _drawn_focus(rng: Generator, sample: TrainImage, scale: float) -> Point:
     """Draw the image point in the middle of the crop: near clutter, near a car, or anywhere."""
     height, width = sample.image.shape[:2]
     if len(sample.clutter) and rng.random() < _CLUTTER_SHARE:
@@ -247,9 +273,7 @@ def _drawn_focus(rng: np.random.Generator, sample: TrainImage, scale: float) -> 
     return np.asarray(np.clip(focus, margin, (width, height) - margin))
 
 
-def _reduced(
-    image: NDArray[np.uint8], focus: NDArray[np.float64], scale: float
-) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def _reduced(image: Picture, focus: Point, scale: float) -> tuple[Picture, Affine]:
     """Cut the part around the focus, reduced by averaging; return it with its affine map."""
     height, width = image.shape[:2]
     reduce = min(1.0, scale * 1.15)
@@ -262,29 +286,35 @@ def _reduced(
     x1 = int(min(width, focus[0] + half))
     y1 = int(min(height, focus[1] + half))
     part = image[y0 : max(y1, y0 + 8), x0 : max(x1, x0 + 8)]
-    size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
-    small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+    part_h, part_w = part.shape[:2]
+    small_w = max(4, round(part_w * reduce))
+    small_h = max(4, round(part_h * reduce))
+    small = cv2.resize(part, (small_w, small_h), interpolation=cv2.INTER_AREA)
     to_source = np.array(
         [
-            [small.shape[1] / part.shape[1], 0, -x0 * small.shape[1] / part.shape[1]],
-            [0, small.shape[0] / part.shape[0], -y0 * small.shape[0] / part.shape[0]],
+            [small_w / part_w, 0, -x0 * small_w / part_w],
+            [0, small_h / part_h, -y0 * small_h / part_h],
         ]
     )
     return np.asarray(small, dtype=np.uint8), to_source
 
 
-def _judged(boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _judged(boxes: Boxes) -> tuple[Boxes, Polygons]:
     """Select the boxes that a crop shows whole and at a length to learn, and corners to ignore."""
     corners = box_corners(boxes)
-    near = np.any(np.all((corners > -4) & (corners < CROP_PX + 4), axis=2), axis=1)
+    is_near = (corners > -4) & (corners < CROP_PX + 4)
+    near = np.any(np.all(is_near, axis=2), axis=1)
     boxes = boxes[near]
     corners = corners[near]
-    inside = ((boxes[:, :2] > 1) & (boxes[:, :2] < CROP_PX - 1)).all(axis=1)
+    centres = boxes[:, :2]
+    lengths = boxes[:, 2]
+    inside = ((centres > 1) & (centres < CROP_PX - 1)).all(axis=1)
     border = 0.15 * boxes[:, 2, None, None]
     whole = ((corners > -border) & (corners < CROP_PX + border)).all(axis=(1, 2))
-    sized = (boxes[:, 2] > 0.8 * LENGTH_RANGE_PX[0]) & (boxes[:, 2] < 1.3 * LENGTH_RANGE_PX[1])
+    shortest, longest = LENGTH_RANGE_PX
+    sized = (lengths > 0.8 * shortest) & (lengths < 1.3 * longest)
     good = inside & whole & sized
-    undecided = ~good & (boxes[:, 2] < _UNSEEN_PX)
+    undecided = ~good & (lengths < _UNSEEN_PX)
     return boxes[good], corners[undecided]
 
 
@@ -300,13 +330,13 @@ def lay_over(top: Crop, bottom: Crop) -> Crop:
     )
 
 
-def distracted(rng: np.random.Generator, crop: Crop) -> Crop:
+def distracted(rng: Generator, crop: Crop) -> Crop:
     """Draw striped or gridded objects over a part of a crop."""
     image, hides = draw_distractors(rng, crop.image)
     return _hidden_by(hides, crop)._replace(image=image)
 
 
-def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
+def _hidden_by(cover: Mask, crop: Crop) -> Crop:
     """Select the boxes that ``cover`` does not hide; boxes that it cuts are ignored."""
     corners = box_corners(crop.boxes)
     probe = np.concatenate([corners, crop.boxes[:, None, :2]], axis=1)
@@ -318,16 +348,18 @@ def _hidden_by(cover: NDArray[np.bool_], crop: Crop) -> Crop:
     return crop._replace(boxes=crop.boxes[clear], ignore=ignore)
 
 
-def _compose(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.column_stack([a[:, :2] @ b[:, :2], a[:, :2] @ b[:, 2] + a[:, 2]])
+def _compose(a: Affine, b: Affine) -> Affine:
+    matrix = a[:, :2] @ b[:, :2]
+    shift = a[:, :2] @ b[:, 2] + a[:, 2]
+    return np.column_stack([matrix, shift])
 
 
-def _invert(a: NDArray[np.float64]) -> NDArray[np.float64]:
+def _invert(a: Affine) -> Affine:
     inverse = np.linalg.inv(a[:, :2])
     return np.column_stack([inverse, -inverse @ a[:, 2]])
 
 
-def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def photometric(rng: Generator, image: Picture) -> Picture:
     """Change exposure, colour, sharpness, noise and compression strongly at random."""
     x = image.astype(np.float32) / 255.0
     if rng.random() < 0.12:
@@ -352,14 +384,17 @@ def photometric(rng: np.random.Generator, image: NDArray[np.uint8]) -> NDArray[n
         x = x * (1 + 0.3 * field[:, :, None])
     draw = rng.random()
     if draw < 0.35:
-        x = cv2.GaussianBlur(x, (0, 0), float(rng.uniform(0.3, 1.1)))
+        x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.3, 1.1))
     elif draw < 0.5:
-        x = x + np.float32(rng.uniform(0.3, 1.0)) * (x - cv2.GaussianBlur(x, (0, 0), 1.2))
+        amount = np.float32(rng.uniform(0.3, 1.0))
+        x = x + amount * (x - cv2.GaussianBlur(x, (0, 0), 1.2))
     if rng.random() < 0.4:
-        x = x + rng.normal(0, rng.uniform(0.005, 0.04), x.shape).astype(np.float32)
-    out: NDArray[np.uint8] = np.clip(x * 255.0 + 0.5, 0, 255).astype(np.uint8)
+        noise = rng.normal(0, rng.uniform(0.005, 0.04), x.shape)
+        x = x + noise.astype(np.float32)
+    out: Picture = np.clip(x * 255.0 + 0.5, 0, 255).astype(np.uint8)
     if rng.random() < 0.5:
-        ok, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 96))])
+        quality = int(rng.integers(35, 96))
+        ok, coded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, quality])
         if ok:
             out = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
     return out
@@ -374,13 +409,14 @@ class Target(NamedTuple):
     weight: torch.Tensor  # [1, h, w] of the shape loss
 
 
-def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Target:
+def dense_target(boxes: Boxes, ignore: Polygons) -> Target:
     """Draw oriented Gaussians at the centres, and spread each box's numbers over near cells."""
     side = CROP_PX // STRIDE_PX
     heat = np.zeros((side, side), np.float32)
     care = np.ones((side, side), np.uint8)
     for polygon in ignore:
-        cv2.fillPoly(care, [np.round(polygon / STRIDE_PX - 0.5).astype(np.int32)], 0)
+        cells = np.round(polygon / STRIDE_PX - 0.5).astype(np.int32)
+        cv2.fillPoly(care, [cells], 0)
     shape = np.zeros((6, side, side), np.float32)
     weight = np.zeros((side, side), np.float32)
     rows, cols = np.mgrid[0:side, 0:side].astype(np.float32) + 0.5
@@ -398,7 +434,8 @@ def dense_target(boxes: NDArray[np.float64], ignore: NDArray[np.float64]) -> Tar
         across = -dx * np.sin(angle) + dy * np.cos(angle)
         sigma_l = max(0.55, 0.11 * length / STRIDE_PX)
         sigma_w = max(0.5, 0.13 * width / STRIDE_PX)
-        blob = np.exp(-0.5 * ((along / sigma_l) ** 2 + (across / sigma_w) ** 2)).astype(np.float32)
+        squared_distance = (along / sigma_l) ** 2 + (across / sigma_w) ** 2
+        blob = np.exp(-0.5 * squared_distance).astype(np.float32)
         heat[r0:r1, c0:c1] = np.maximum(heat[r0:r1, c0:c1], blob)
         closer = blob > np.maximum(weight[r0:r1, c0:c1], 0.2)
         weight[r0:r1, c0:c1][closer] = blob[closer]

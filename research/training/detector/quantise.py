@@ -43,8 +43,10 @@ def crops(vehicles: Path, count: int, seed: int = 0) -> Iterator[NDArray[np.floa
     rng = np.random.default_rng(seed)
     for _ in range(count):
         files = by_set[sets[rng.choice(len(sets), p=share / share.sum())]]
-        image = np.asarray(cv2.imread(str(vehicles / files[rng.integers(len(files))])), np.uint8)
-        factor = min(float(np.exp(rng.uniform(0, np.log(4)))), min(image.shape[:2]) / _CROP_PX)
+        file = vehicles / files[rng.integers(len(files))]
+        image = np.asarray(cv2.imread(str(file)), np.uint8)
+        drawn_factor = float(np.exp(rng.uniform(0, np.log(4))))
+        factor = min(drawn_factor, min(image.shape[:2]) / _CROP_PX)
         if factor > 1:
             image = np.asarray(
                 cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)

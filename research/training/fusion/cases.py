@@ -178,7 +178,7 @@ def rendered(split: str, folder: Path) -> Iterator[Picture]:
         gsd = float(np.exp(rng.uniform(*np.log(_RENDERED_M_PER_PX))))
         cars = 0 if rng.random() < _NO_CARS_SHARE else int(rng.integers(1, 7))
         side = int(rng.integers(384, 768))
-        length = float(rng.uniform(3.7, 5.2))
+        length = rng.uniform(3.7, 5.2)
         file = folder / f"rendered_{seed}.jpg"
         if not file.exists():
             render_scene(

@@ -12,7 +12,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -25,7 +25,11 @@ from vehanchor_evaluation.dota import read_labels
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
 
 TILE_PX = 160
 FINEST_M_PER_PX = 0.0135
@@ -77,7 +81,7 @@ class ScaledImage(NamedTuple):
 
     set: str
     name: str
-    pixels: NDArray[np.uint8]  # [h, w, 3] RGB
+    pixels: Picture  # [h, w, 3] RGB
     gsd_m_per_px: float
     label_spread: float  # log standard deviation of gsd_m_per_px
     finest_m_per_px: float
@@ -195,32 +199,32 @@ def _cars_as_rulers(data: Path) -> list[Source]:
         stem = Path(row["file"]).stem
         if row["set"] != "jekhor" or row["split"] != "train" or _CHECK_ONLY.search(stem):
             continue
-        corners = read_labels(data / "vehicles" / "labels" / f"{stem}.txt", []).of_class(
-            "small-vehicle"
-        )
-        lengths = np.linalg.norm(np.diff(corners[:, :3], axis=1), axis=2).max(axis=1)
+        labels = read_labels(data / "vehicles" / "labels" / f"{stem}.txt", [])
+        corners = labels.of_class("small-vehicle")
+        # Two adjacent sides of each box.
+        sides = np.diff(corners[:, :3], axis=1)
+        lengths = np.linalg.norm(sides, axis=2).max(axis=1)
         if len(lengths) >= _MIN_CARS:
             kind = "minsk" if "DJI" in stem else "munich"
             path = (data / "vehicles" / row["file"]).resolve()
-            out.append(
-                Source(path, kind, _CAR_M / float(np.median(lengths)), _CAR_SPREAD, held_out=False)
-            )
+            gsd = _CAR_M / float(np.median(lengths))
+            out.append(Source(path, kind, gsd, _CAR_SPREAD, held_out=False))
     return out
 
 
 def _photographs(data: Path) -> list[Source]:
     out = []
     for flight, gsd in _FLIGHT_GSD.items():
-        files = sorted(
-            row["file"] for row in _rows(data / "flights" / "table.csv") if row["flight"] == flight
-        )
+        rows = _rows(data / "flights" / "table.csv")
+        files = sorted(row["file"] for row in rows if row["flight"] == flight)
         first_held_out = len(files) - _HELD_OUT_PHOTOGRAPHS
         for number in (
             *range(0, first_held_out - 1, _EVERY_PHOTOGRAPH),
             *range(first_held_out + 1, len(files)),
         ):
             path = (data / "flights" / files[number]).resolve()
-            out.append(Source(path, flight, gsd, _FLIGHT_SPREAD, held_out=number >= first_held_out))
+            held_out = number >= first_held_out
+            out.append(Source(path, flight, gsd, _FLIGHT_SPREAD, held_out=held_out))
     return out
 
 
@@ -229,11 +233,13 @@ def chia_photographs(data: Path, *, odd: bool = True) -> list[Source]:
     out = []
     for table in ("chia/table.csv", "chia/crops.csv"):
         for row in _rows(data / table):
-            if row["gsd_m_per_px"] and (int(Path(row["file"]).stem.split("_")[1]) % 2 == 1) == odd:
+            if not row["gsd_m_per_px"]:
+                continue
+            number = int(Path(row["file"]).stem.split("_")[1])
+            if (number % 2 == 1) == odd:
                 path = (data / "chia" / row["file"]).resolve()
-                out.append(
-                    Source(path, "chia", float(row["gsd_m_per_px"]), _HEIGHT_SPREAD, held_out=False)
-                )
+                gsd = float(row["gsd_m_per_px"])
+                out.append(Source(path, "chia", gsd, _HEIGHT_SPREAD, held_out=False))
     return out
 
 
@@ -254,12 +260,11 @@ def _load(source: Source) -> ScaledImage:
 
 def coarsest_m_per_px(image: ScaledImage) -> float:
     """Compute the scale at which a whole tile is the largest square of an image."""
-    return min(COARSEST_M_PER_PX, image.gsd_m_per_px * float(min(image.pixels.shape[:2])) / TILE_PX)
+    shorter_px = float(min(image.pixels.shape[:2]))
+    return min(COARSEST_M_PER_PX, image.gsd_m_per_px * shorter_px / TILE_PX)
 
 
-def draw_crop(
-    rng: np.random.Generator, image: ScaledImage, gsd_m_per_px: float
-) -> NDArray[np.uint8]:
+def draw_crop(rng: Generator, image: ScaledImage, gsd_m_per_px: float) -> Picture:
     """Cut a square of ``TILE_PX`` pixels, averaged over areas, turned and flipped at random.
 
     Returns:
@@ -267,8 +272,9 @@ def draw_crop(
     """
     height, width = image.pixels.shape[:2]
     side = TILE_PX * gsd_m_per_px / image.gsd_m_per_px  # of the square in the source, px
-    angle = float(rng.uniform(0, 45)) if rng.random() < _TURNED_SHARE else 0.0
-    around = math.cos(math.radians(angle)) + math.sin(math.radians(angle))
+    angle = rng.uniform(0, 45) if rng.random() < _TURNED_SHARE else 0.0
+    turn = math.radians(angle)
+    around = math.cos(turn) + math.sin(turn)
     if side * around > min(height, width):
         angle = 0.0
         around = 1.0
@@ -291,7 +297,7 @@ def draw_crop(
     return np.ascontiguousarray(part[:, ::-1] if rng.random() < 0.5 else part)
 
 
-def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def retouched(rng: Generator, crop: Picture) -> Picture:
     """Change colours, tones and compression, but not sharpness."""
     x = crop.astype(np.float32) / 255.0
     grey = x.mean(axis=2, keepdims=True)
@@ -310,7 +316,7 @@ def retouched(rng: np.random.Generator, crop: NDArray[np.uint8]) -> NDArray[np.u
     return out
 
 
-def featureless(rng: np.random.Generator) -> NDArray[np.uint8]:
+def featureless(rng: Generator) -> Picture:
     """Draw noise of any roughness in any colour, ``[TILE_PX, TILE_PX, 3]``: water, sand, cloud."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
     roughness = rng.uniform(0.2, 1.2)
@@ -359,7 +365,7 @@ class CropStream:
             crop = draw_crop(rng, image, gsd)
             lost = 0.0
             if rng.random() < _BLURRED_SHARE:
-                blur = float(rng.uniform(*_BLUR_PX))
+                blur = rng.uniform(*_BLUR_PX)
                 crop = np.asarray(cv2.GaussianBlur(crop, (0, 0), blur), np.uint8)
                 lost = (blur - _BLUR_PX[0]) / (_BLUR_PX[1] - _BLUR_PX[0])
             target = soft_target(gsd, image.label_spread, lost)
@@ -367,7 +373,7 @@ class CropStream:
         pixels = changed(rng, crop).transpose(2, 0, 1)
         return torch.from_numpy(np.ascontiguousarray(pixels)), torch.from_numpy(target)
 
-    def _draw(self, rng: np.random.Generator) -> tuple[ScaledImage, float]:
+    def _draw(self, rng: Generator) -> tuple[ScaledImage, float]:
         gsd = float(np.exp(rng.uniform(*self._within)))
         able = (self._range[:, 0] <= gsd) & (gsd <= self._range[:, 1])
         names = np.unique(self._set[able])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -27,7 +27,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
+    Coverage: TypeAlias = NDArray[np.float32]
+    """Coverage ``[h, w]`` in 0..1."""
+
+    Box: TypeAlias = NDArray[np.float64]
+    """Box x0, y0, x1, y1."""
 
 # Smaller objects teach nothing.
 LEAST_SIDE_PX = 10
@@ -67,7 +77,7 @@ class MaskImage(NamedTuple):
     source: str
     category: str
     group: str
-    image: NDArray[np.uint8]
+    image: Picture
     mask: NDArray[np.uint16]
 
 
@@ -87,7 +97,7 @@ def is_dev(group: str) -> bool:
     return zlib.crc32(group.encode()) % _DEV_SHARE == HELD_OUT
 
 
-def _read(path: Path, flags: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def _read(path: Path, flags: int) -> Picture | NDArray[np.uint16]:
     array = cv2.imread(str(path), flags)
     if array is None:
         raise FileNotFoundError(path)
@@ -143,7 +153,8 @@ def is_sound(sample: MaskImage, item: MaskObject) -> bool:
     """
     if sample.category != "swimming-pool" or sample.source != "real":
         return True
-    inside = (sample.mask[item.y0 : item.y1, item.x0 : item.x1] == item.id).astype(np.uint8)
+    ids = sample.mask[item.y0 : item.y1, item.x0 : item.x1]
+    inside = (ids == item.id).astype(np.uint8)
     outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     hull = cv2.convexHull(np.concatenate(outlines))
     # Contours run through pixel centres, so half a pixel around them is missing.
@@ -155,19 +166,19 @@ def is_sound(sample: MaskImage, item: MaskObject) -> bool:
 class Example(NamedTuple):
     """Training crop: ``image`` ``[s, s, 3]``, and coverage ``mask`` ``[s, s]`` in 0..1."""
 
-    image: NDArray[np.uint8]
-    mask: NDArray[np.float32]
+    image: Picture
+    mask: Coverage
 
 
-def _turn(rng: np.random.Generator) -> float:
+def _turn(rng: Generator) -> float:
     """Draw any angle, or nearly a multiple of a right angle, at which users' boxes fit."""
     if rng.random() < 0.5:
-        return float(rng.uniform(0, 2 * np.pi))
-    return float(rng.integers(4)) * np.pi / 2 + float(rng.normal(0, 0.08))
+        return rng.uniform(0, 2 * np.pi)
+    return float(rng.integers(4)) * np.pi / 2 + rng.normal(0, 0.08)
 
 
 def cut(
-    rng: np.random.Generator,
+    rng: Generator,
     sample: MaskImage,
     side: int,
     scale: float,
@@ -191,9 +202,12 @@ def cut(
     sx = 1.0
     sy = 1.0
     if reduce < 0.9:
-        size = (max(4, round(part.shape[1] * reduce)), max(4, round(part.shape[0] * reduce)))
-        sx = size[0] / part.shape[1]
-        sy = size[1] / part.shape[0]
+        part_h, part_w = part.shape[:2]
+        small_w = max(4, round(part_w * reduce))
+        small_h = max(4, round(part_h * reduce))
+        size = (small_w, small_h)
+        sx = small_w / part_w
+        sy = small_h / part_h
         part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         small_mask = cv2.resize(part_mask, size, interpolation=cv2.INTER_AREA)
         part_mask = np.asarray(small_mask, dtype=np.uint8)
@@ -213,23 +227,26 @@ def cut(
     method = cv2.INTER_CUBIC if rng.random() < 0.5 else cv2.INTER_LINEAR
     image = cv2.warpAffine(part, matrix, (side, side), flags=method, borderValue=fill)
     mask = cv2.warpAffine(part_mask, matrix, (side, side), flags=cv2.INTER_LINEAR)
-    return Example(np.asarray(image, np.uint8), np.asarray(mask, np.float32) / np.float32(255.0))
+    coverage = np.asarray(mask, np.float32) / np.float32(255.0)
+    return Example(np.asarray(image, np.uint8), coverage)
 
 
-def box_of(mask: NDArray[np.float32]) -> NDArray[np.float64] | None:
+def box_of(mask: Coverage) -> Box | None:
     """Compute x0, y0, x1, y1 of the pixels that are more than half covered; None for too few."""
     x, y, w, h = cv2.boundingRect((mask > 0.5).astype(np.uint8))
-    return np.array([x, y, x + w, y + h], float) if min(w, h) >= 4 else None
+    if min(w, h) < 4:
+        return None
+    return np.array([x, y, x + w, y + h], float)
 
 
-def jitter(rng: np.random.Generator, box: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+def jitter(rng: Generator, box: Box, share: float) -> Box:
     """Move each side by up to ``share`` of the box's extent that way."""
     extent = np.tile(box[2:] - box[:2], 2)
     return box + rng.uniform(-share, share, 4) * extent
 
 
 def draw_prompt(
-    rng: np.random.Generator, mask: NDArray[np.float32], box: NDArray[np.float64]
+    rng: Generator, mask: Coverage, box: Box
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Draw SAM points ``[6, 2]`` and labels ``[6]``: mostly a box, else points, or both."""
     points = np.zeros((MAX_POINTS, 2), np.float32)
@@ -237,13 +254,15 @@ def draw_prompt(
     side = mask.shape[0]
     draw = rng.random()
     if draw < 0.84:
-        shaken = np.clip(jitter(rng, box, float(rng.choice([0.04, 0.10]))), 0, side)
+        share = float(rng.choice([0.04, 0.10]))
+        shaken = np.clip(jitter(rng, box, share), 0, side)
         points[:2] = shaken.reshape(2, 2)
         labels[:2] = TOP_LEFT, BOTTOM_RIGHT
     if draw < 0.72:
         return points, labels
     inside = (mask > 0.5).astype(np.uint8)
-    depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    padded_depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)
+    depth = padded_depth[1:-1, 1:-1]
     deep = np.argwhere(depth >= min(2.0, float(depth.max())))
     window = np.zeros_like(inside)
     # Negative points lie near the box, but clearly outside the object.
@@ -271,11 +290,12 @@ def draw_prompt(
     return points, labels
 
 
-def draw_prior(rng: np.random.Generator, coverage: NDArray[np.float32]) -> NDArray[np.float32]:
+def draw_prior(rng: Generator, coverage: Coverage) -> NDArray[np.float32]:
     """Draw logits of a worse mask of the same object: shifted, blurred, grown or shrunk."""
     moved = np.roll(coverage, rng.integers(-2, 3, 2), axis=(0, 1))
-    soft = cv2.GaussianBlur(moved, (0, 0), float(rng.uniform(0.8, 3.0)))
-    return ((soft - rng.uniform(0.3, 0.7)) * rng.uniform(6, 16)).astype(np.float32)
+    soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.8, 3.0))
+    centred = soft - rng.uniform(0.3, 0.7)
+    return (centred * rng.uniform(6, 16)).astype(np.float32)
 
 
 class Batch(NamedTuple):
@@ -335,11 +355,11 @@ class BatchStream:
         shares = np.array([size.share for size in CROP_SIZES])
         return self.batch(rng, CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())])
 
-    def batch(self, rng: np.random.Generator, size: CropSize) -> Batch:
+    def batch(self, rng: Generator, size: CropSize) -> Batch:
         """Make one batch."""
         names = [name for name in _SOURCE_WEIGHT if name == "shape" or name in self._objects]
         weight = np.array([_SOURCE_WEIGHT[name] for name in names])
-        images: list[NDArray[np.uint8]] = []
+        images: list[Picture] = []
         targets = []
         points = []
         labels = []
@@ -370,14 +390,15 @@ class BatchStream:
             torch.from_numpy(np.stack(images)), prompt, torch.from_numpy(np.stack(targets))
         )
 
-    def _draw(self, rng: np.random.Generator, name: str, size: CropSize) -> Example:
+    def _draw(self, rng: Generator, name: str, size: CropSize) -> Example:
         length = float(np.exp(rng.uniform(*np.log(size.length_px))))
         if name == "shape":
             return self._shape(rng, size, length)
         items = self._objects[name]
         item = items[rng.integers(len(items))]
         sample = self.images[item.image]
-        scale = min(length / max(item.x1 - item.x0, item.y1 - item.y0), _MAX_ENLARGEMENT)
+        item_px = max(item.x1 - item.x0, item.y1 - item.y0)
+        scale = min(length / item_px, _MAX_ENLARGEMENT)
         wander = (
             rng.uniform(-1, 1, 2)
             * max(0.04, 0.5 - 0.75 * length / size.side_px)
@@ -386,25 +407,24 @@ class BatchStream:
             * 0.7
         )
         height, width = sample.image.shape[:2]
-        reach = np.minimum(0.45 * size.side_px / scale, (width / 2, height / 2)) * float(
-            rng.random() < 0.7
-        )
-        middle = np.clip(
-            (0.5 * (item.x0 + item.x1), 0.5 * (item.y0 + item.y1)), reach, (width, height) - reach
-        )
-        limit = 0.5 * max(0.0, 0.95 * size.side_px - length) / scale  # the object stays inside
         centre = (0.5 * (item.x0 + item.x1), 0.5 * (item.y0 + item.y1))
-        middle = np.clip(middle + wander, np.subtract(centre, limit), np.add(centre, limit))
-        return cut(rng, sample, size.side_px, scale, (float(middle[0]), float(middle[1])), item.id)
+        reach = np.minimum(0.45 * size.side_px / scale, (width / 2, height / 2))
+        reach = reach * float(rng.random() < 0.7)
+        middle = np.clip(centre, reach, (width, height) - reach)
+        # The object stays inside.
+        limit = 0.5 * max(0.0, 0.95 * size.side_px - length) / scale
+        lowest = np.subtract(centre, limit)
+        highest = np.add(centre, limit)
+        x, y = np.clip(middle + wander, lowest, highest).tolist()
+        return cut(rng, sample, size.side_px, scale=scale, focus=(x, y), number=item.id)
 
-    def _shape(self, rng: np.random.Generator, size: CropSize, length: float) -> Example:
-        def patch() -> NDArray[np.uint8]:
+    def _shape(self, rng: Generator, size: CropSize, length: float) -> Example:
+        def patch() -> Picture:
             sample = self.images[rng.integers(len(self.images))]
             height, width = sample.image.shape[:2]
-            scale = max(
-                float(np.exp(rng.uniform(-0.5, 0.9))), 1.1 * size.side_px / min(height, width)
-            )
-            focus = (float(rng.uniform(0.3, 0.7)) * width, float(rng.uniform(0.3, 0.7)) * height)
+            drawn_scale = float(np.exp(rng.uniform(-0.5, 0.9)))
+            scale = max(drawn_scale, 1.1 * size.side_px / min(height, width))
+            focus = (rng.uniform(0.3, 0.7) * width, rng.uniform(0.3, 0.7) * height)
             return cut(rng, sample, size.side_px, scale, focus, None).image
 
         room = max(0.02, 0.5 - 0.6 * length / size.side_px) * size.side_px

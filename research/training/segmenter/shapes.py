@@ -7,7 +7,7 @@ and look-alikes around them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -15,7 +15,29 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
+
+    Picture: TypeAlias = NDArray[np.uint8]
+    """RGB picture ``[h, w, 3]``."""
+
+    Polygon: TypeAlias = NDArray[np.float64]
+    """Corners x, y ``[n, 2]`` in pixels."""
+
+    Point: TypeAlias = NDArray[np.float64]
+    """Point x, y ``[2]`` in pixels."""
+
+    Coverage: TypeAlias = NDArray[np.float32]
+    """Coverage ``[h, w]`` in 0..1."""
+
+    Surface: TypeAlias = NDArray[np.float32]
+    """Colours ``[h, w, 3]`` in 0..255."""
+
+    Colour: TypeAlias = NDArray[np.float32]
+    """Colour ``[3]`` in 0..255."""
+
+    Coordinates: TypeAlias = NDArray[np.float64]
+    """Coordinate ``[h, w]`` of each pixel."""
 
 # Outlines are drawn at twice the resolution and reduced, which makes their edges soft.
 _FINE = 2
@@ -25,19 +47,19 @@ _SHIFT = 4
 _MIN_CONTRAST = 14.0
 
 
-def _turned(points: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def _turned(points: Polygon, rng: Generator) -> Polygon:
     angle = rng.uniform(0, 2 * np.pi)
     cos = np.cos(angle)
     sin = np.sin(angle)
-    out: NDArray[np.float64] = points @ np.array([[cos, -sin], [sin, cos]])
+    out: Polygon = points @ np.array([[cos, -sin], [sin, cos]])
     return out
 
 
-def _rectangle(wide: float, high: float) -> NDArray[np.float64]:
+def _rectangle(wide: float, high: float) -> Polygon:
     return np.array([[-wide, -high], [wide, -high], [wide, high], [-wide, high]])
 
 
-def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64]:
+def _ellipse(wide: float, high: float, power: float = 2.0) -> Polygon:
     t = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     cos = np.cos(t)
     sin = np.sin(t)
@@ -47,25 +69,30 @@ def _ellipse(wide: float, high: float, power: float = 2.0) -> NDArray[np.float64
     return np.column_stack([x, y])
 
 
-def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
+def _outline(rng: Generator) -> list[Polygon]:
     """Draw polygons, whose union is the shape, of about unit half size, not yet turned."""
     kind = rng.choice(7, p=(0.22, 0.14, 0.16, 0.12, 0.12, 0.12, 0.12))
-    ratio = float(rng.uniform(0.3, 1.0))
+    ratio = rng.uniform(0.3, 1.0)
     if kind == 0:
         # Wings of a building.
         parts = [_rectangle(1.0, ratio)]
         for _ in range(rng.integers(0, 3)):
-            wing = _rectangle(float(rng.uniform(0.2, 0.6)), float(rng.uniform(0.2, 0.6)))
-            parts.append(wing + np.array([rng.uniform(-0.8, 0.8), rng.choice([-1, 1]) * ratio]))
+            wing = _rectangle(rng.uniform(0.2, 0.6), rng.uniform(0.2, 0.6))
+            wing_x = rng.uniform(-0.8, 0.8)
+            wing_y = rng.choice([-1, 1]) * ratio
+            parts.append(wing + np.array([wing_x, wing_y]))
         return parts
     if kind == 1:
         # A blob: a circle with random harmonics.
         t = np.linspace(0, 2 * np.pi, 72, endpoint=False)
         radius = np.ones_like(t)
         for order in range(2, 6):
-            radius += rng.normal(0, 0.32 / order) * np.cos(order * t + rng.uniform(0, 2 * np.pi))
+            amplitude = rng.normal(0, 0.32 / order)
+            radius += amplitude * np.cos(order * t + rng.uniform(0, 2 * np.pi))
         radius = np.maximum(radius, 0.25)
-        return [np.column_stack([radius * np.cos(t), ratio * radius * np.sin(t)])]
+        x = radius * np.cos(t)
+        y = ratio * radius * np.sin(t)
+        return [np.column_stack([x, y])]
     if kind == 2:
         # A tank or roundabout.
         return [_ellipse(1.0, 1.0)]
@@ -75,11 +102,8 @@ def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
     if kind == 4:
         # A running track.
         shift = np.array([1.0 - ratio, 0.0])
-        return [
-            _rectangle(1.0 - ratio, ratio),
-            _ellipse(ratio, ratio) + shift,
-            _ellipse(ratio, ratio) - shift,
-        ]
+        end = _ellipse(ratio, ratio)
+        return [_rectangle(1.0 - ratio, ratio), end + shift, end - shift]
     if kind == 5:
         # Any convex polygon of four to seven corners.
         t = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(4, 8)))
@@ -87,25 +111,23 @@ def _outline(rng: np.random.Generator) -> list[NDArray[np.float64]]:
     return [_rectangle(1.0, ratio)]
 
 
-def _filled(polygons: list[NDArray[np.float64]], side: int) -> NDArray[np.float32]:
+def _filled(polygons: list[Polygon], side: int) -> Coverage:
     fine = np.zeros((side * _FINE, side * _FINE), np.uint8)
     for polygon in polygons:
-        scaled = np.round((polygon * _FINE - 0.5) * 2**_SHIFT).astype(np.int32)
-        cv2.fillPoly(fine, [scaled], 255, shift=_SHIFT)
+        scaled = np.round((polygon * _FINE - 0.5) * 2**_SHIFT)
+        cv2.fillPoly(fine, [scaled.astype(np.int32)], 255, shift=_SHIFT)
     coarse = cv2.resize(fine, (side, side), interpolation=cv2.INTER_AREA)
-    out: NDArray[np.float32] = np.divide(coarse, 255.0, dtype=np.float32)
+    out: Coverage = np.divide(coarse, 255.0, dtype=np.float32)
     return out
 
 
-def _colour(rng: np.random.Generator) -> NDArray[np.float32]:
+def _colour(rng: Generator) -> Colour:
     level = rng.uniform(15, 240)
     colour: NDArray[np.float64] = level + rng.normal(0, 1, 3) * rng.choice([8.0, 45.0])
     return np.clip(colour, 0, 255).astype(np.float32)
 
 
-def _surface(
-    rng: np.random.Generator, texture: NDArray[np.uint8], polygons: list[NDArray[np.float64]]
-) -> NDArray[np.float32]:
+def _surface(rng: Generator, texture: Picture, polygons: list[Polygon]) -> Surface:
     """Draw a shape's surface: a colour or real texture, then ridges, a grid, rings or stripes."""
     side = texture.shape[0]
     surface: NDArray[np.floating] = _base(rng, texture)
@@ -122,7 +144,8 @@ def _surface(
         joint_u = (u % pitch_u) < rng.uniform(0.8, 1.8)
         joint_v = (v % pitch_v) < rng.uniform(0.8, 1.8)
         step = np.float32(rng.uniform(-50, 70))
-        surface = np.where((joint_u | joint_v)[:, :, None], surface + step, surface)
+        is_joint = joint_u | joint_v
+        surface = np.where(is_joint[:, :, None], surface + step, surface)
     elif draw < 0.37:
         # Corrugation or markings.
         height = np.float32(rng.uniform(5, 30))
@@ -140,7 +163,7 @@ def _surface(
     return surface.astype(np.float32)
 
 
-def _base(rng: np.random.Generator, texture: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _base(rng: Generator, texture: Picture) -> Surface:
     """Draw a real texture of another brightness, or a colour with a little texture."""
     grain = texture.astype(np.float32)
     if rng.random() < 0.35:
@@ -151,8 +174,8 @@ def _base(rng: np.random.Generator, texture: NDArray[np.uint8]) -> NDArray[np.fl
 
 
 def _own_axes(
-    rng: np.random.Generator, side: int, polygons: list[NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], float, NDArray[np.float64], NDArray[np.float64]]:
+    rng: Generator, side: int, polygons: list[Polygon]
+) -> tuple[Point, float, Coordinates, Coordinates]:
     """Compute a shape's centre and size, and each pixel's coordinates along and across it.
 
     The axis follows the first edge of a polygon; a curve has none, so its axis is random.
@@ -161,16 +184,17 @@ def _own_axes(
     corners = np.concatenate(polygons)
     centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     size = float(np.ptp(corners, axis=0).max())
-    edge = polygons[0][1] - polygons[0][0] if len(polygons[0]) < 10 else rng.normal(0, 1, 2)
+    first = polygons[0]
+    edge = first[1] - first[0] if len(first) < 10 else rng.normal(0, 1, 2)
     along = edge / max(1e-6, float(np.hypot(*edge)))
-    u = (columns - centre[0]) * along[0] + (rows - centre[1]) * along[1]
-    v = -(columns - centre[0]) * along[1] + (rows - centre[1]) * along[0]
+    x = columns - centre[0]
+    y = rows - centre[1]
+    u = x * along[0] + y * along[1]
+    v = -x * along[1] + y * along[0]
     return centre, size, u, v
 
 
-def _placed(
-    rng: np.random.Generator, length_px: float, focus: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
+def _placed(rng: Generator, length_px: float, focus: Point) -> list[Polygon]:
     """Draw an outline, turned, at its size and position."""
     outline = _outline(rng)
     turned = _turned(np.concatenate(outline), rng)
@@ -182,12 +206,12 @@ def _placed(
 
 
 def composite(
-    rng: np.random.Generator,
-    background: NDArray[np.uint8],
-    texture: Callable[[], NDArray[np.uint8]],
+    rng: Generator,
+    background: Picture,
+    texture: Callable[[], Picture],
     length_px: float,
-    focus: NDArray[np.float64],
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    focus: Point,
+) -> tuple[Picture, Coverage]:
     """Paste a shape whose longer side is about ``length_px`` at ``focus``, with company.
 
     Args:
@@ -206,16 +230,15 @@ def composite(
     mask = _filled(placed, side)
     shadow = rng.uniform(-0.12, 0.12, 2) * length_px
     dark = np.float32(rng.uniform(0.35, 0.75))
-    soft = float(rng.uniform(0.4, 1.2))
+    soft = rng.uniform(0.4, 1.2)
 
-    def paste(
-        polygons: list[NDArray[np.float64]], cover: NDArray[np.float32], *, has_shadow: bool
-    ) -> None:
+    def paste(polygons: list[Polygon], cover: Coverage, *, has_shadow: bool) -> None:
         nonlocal image
         if has_shadow:
             shaded = _filled([polygon + shadow for polygon in polygons], side)
             image = image * (1 - shaded[:, :, None] * (1 - dark))
-        surface = _with_contrast(_surface(rng, texture(), polygons), cover, image)
+        drawn = _surface(rng, texture(), polygons)
+        surface = _with_contrast(drawn, cover, image)
         edge = cv2.GaussianBlur(cover, (0, 0), soft)[:, :, None]
         image = image + edge * (surface - image)
 
@@ -240,21 +263,21 @@ def composite(
     paste(placed, mask, has_shadow=rng.random() < 0.6)
     # The shadow of something else across the shape.
     if rng.random() < 0.25:
-        half_width = float(rng.uniform(0.1, 0.4)) * length_px
+        half_width = rng.uniform(0.1, 0.4) * length_px
         strip = _turned(_rectangle(length_px, half_width), rng)
         moved = strip + focus + rng.uniform(-0.6, 0.6, 2) * length_px
-        across = cv2.GaussianBlur(_filled([moved], side), (0, 0), 1.0)
+        strip_cover = _filled([moved], side)
+        across = cv2.GaussianBlur(strip_cover, (0, 0), 1.0)
         image = image * (1 - across[:, :, None] * (1 - dark))
     return np.clip(image + 0.5, 0, 255).astype(np.uint8), mask
 
 
-def _with_contrast(
-    surface: NDArray[np.float32], cover: NDArray[np.float32], image: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _with_contrast(surface: Surface, cover: Coverage, image: Surface) -> Surface:
     """Brighten or darken a surface that is hardly visible against its surroundings."""
     inside = cover > 0.5
-    grown = cv2.dilate(inside.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
-    ring = grown & ~inside
+    square = np.ones((7, 7), np.uint8)
+    grown = cv2.dilate(inside.astype(np.uint8), square)
+    ring = grown.astype(bool) & ~inside
     if not inside.any() or not ring.any():
         return surface
     gap = surface[inside].mean(axis=0) - image[ring].mean(axis=0)

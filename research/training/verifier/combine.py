@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import shutil
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import onnxruntime
@@ -23,6 +24,9 @@ from research.training.logistic import logistic, weight_of_sets
 from research.training.onnx_file import LICENCE, write_metadata
 from research.training.verifier.data import Candidates, load, middle
 from vehanchor.detection.verifier import Weights
+
+Logits: TypeAlias = NDArray[np.float64]
+"""Logits of the candidates."""
 
 # Chance from which a candidate is a car: a missed car costs less than a false one.
 _CHANCE = 0.65
@@ -38,7 +42,7 @@ def _logit(chance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.log(inside / (1 - inside)))
 
 
-def fitted(logits: NDArray[np.float64], candidates: Candidates) -> Weights:
+def fitted(logits: Logits, candidates: Candidates) -> Weights:
     """Fit the weights by logistic regression: the score is the chance of a car.
 
     Args:
@@ -50,7 +54,7 @@ def fitted(logits: NDArray[np.float64], candidates: Candidates) -> Weights:
     return Weights(*(float(value) for value in theta))
 
 
-def rescaled(weights: Weights, logits: NDArray[np.float64], candidates: Candidates) -> Weights:
+def rescaled(weights: Weights, logits: Logits, candidates: Candidates) -> Weights:
     """Rescale scores so that 0.5 and the median of the hits stay where they were, in order."""
     total = _logit(weights.score(candidates.scores, logits))
     limit = float(np.log(_CHANCE / (1 - _CHANCE)))

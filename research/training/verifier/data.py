@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 import torch
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from research.training.detector.data import TrainImage, photometric
@@ -19,6 +20,15 @@ from vehanchor.detection.boxes import oriented_nms
 from vehanchor.detection.detector import Detector
 from vehanchor.detection.verifier import CHIP_LENGTH_PX, CHIP_PX, surroundings
 from vehanchor.storage.atomic import whole_file
+
+Chips: TypeAlias = NDArray[np.uint8]
+"""Chips ``[..., h, w, 3]``."""
+
+Boxes: TypeAlias = NDArray[np.float64]
+"""Boxes ``[n, 5]``: x, y, length, width, angle."""
+
+Polygons: TypeAlias = NDArray[np.float64]
+"""Corners ``[n, 4, 2]`` of areas."""
 
 # Side of a stored chip, with room for jitter and turns around a chip of 48.
 STORED_PX = 72
@@ -57,15 +67,13 @@ class Candidates(NamedTuple):
         sets: ``[n]`` names.
     """
 
-    chips: NDArray[np.uint8]
+    chips: Chips
     car: NDArray[np.bool_]
     scores: NDArray[np.float64]
     sets: NDArray[np.str_]
 
 
-def truth_of(
-    boxes: NDArray[np.float64], labels: NDArray[np.float64], ignore: NDArray[np.float64]
-) -> NDArray[np.int8]:
+def truth_of(boxes: Boxes, labels: Boxes, ignore: Polygons) -> NDArray[np.int8]:
     """Label candidates: 1 hit, 0 false alarm, -1 ignored (on an ignored place or beside a car).
 
     Args:
@@ -149,7 +157,7 @@ def load(path: Path) -> Candidates:
         return Candidates(**{name: stored[name] for name in Candidates._fields})
 
 
-def middle(chips: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def middle(chips: Chips) -> Chips:
     """Cut chips of ``CHIP_PX`` from the middle of stored ones, ``[n, 48, 48, 3]``."""
     margin = (chips.shape[1] - CHIP_PX) // 2
     return chips[:, margin : margin + CHIP_PX, margin : margin + CHIP_PX]
@@ -185,7 +193,7 @@ class ChipStream:
         )
 
 
-def varied(rng: np.random.Generator, stored: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def varied(rng: Generator, stored: Chips) -> Chips:
     """Cut a chip of a box a little off, mirrored at random, sometimes of a coarser image."""
     scale = np.exp(rng.normal(0, _JITTER))
     turn = rng.normal(0, _TURN)

@@ -38,7 +38,8 @@ def distracted_crops(images: Sequence[TrainImage], count: int, seed: int = 0) ->
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(count):
-        crop = distracted(rng, draw_crop(rng, images[int(rng.integers(len(images)))]))
+        image = images[int(rng.integers(len(images)))]
+        crop = distracted(rng, draw_crop(rng, image))
         out.append(
             TrainImage(
                 "distracted",

@@ -125,7 +125,8 @@ def evaluate_gsd(request: ScaleRequest, parsed: ParsedOptions) -> None:
     rows = [row.model_dump() for row in report.rows]
     written = write_results(request.out, "gsd", record=report, rows=rows, markdown=text)
     written.append(write_trials(request.out / "images.csv", benchmark))
-    written.append(write_issues(request.out / "issues.csv", benchmark.issues))
+    issues_file = write_issues(request.out / "issues.csv", benchmark.issues)
+    written.append(issues_file)
     _print_written(written)
 
 
@@ -199,17 +200,18 @@ def evaluate_figures(request: ScaleRequest, parsed: ParsedOptions) -> None:
         [figures.sheet_cell(trial) for trial in row]
         for row in figures.sheet_trials(trials).values()
     ]
+    out = request.out
     try:
-        request.out.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(
-            f"cannot create the folder {str(request.out)!r}: {error.strerror or error}"
+            f"cannot create the folder {str(out)!r}: {error.strerror or error}"
         ) from error
     written = [
-        write_plot(request.out / "predicted.png", figures.plot_predicted(trials)),
-        write_plot(request.out / "cumulative.png", figures.plot_cumulative_error(curves)),
-        write_plot(request.out / "calibration.png", figures.plot_calibration(trials)),
-        write_picture(request.out / "sheet.png", figures.draw_sheet(rows)),
+        write_plot(out / "predicted.png", figures.plot_predicted(trials)),
+        write_plot(out / "cumulative.png", figures.plot_cumulative_error(curves)),
+        write_plot(out / "calibration.png", figures.plot_calibration(trials)),
+        write_picture(out / "sheet.png", figures.draw_sheet(rows)),
     ]
     _print_written(written)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -42,6 +42,15 @@ if TYPE_CHECKING:
     from vehanchor_flight.live.frames import Frame
     from vehanchor_flight.matching import Match
 
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
+
+    Corner: TypeAlias = NDArray[np.intp]
+    """Corner x, y ``[2]`` of a window in pixels."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the points have a property."""
+
 HOLD_S = Limits(above=0, most=3600)
 """Limits of the seconds without vehicles after which there is no scale."""
 
@@ -73,7 +82,8 @@ class LiveEstimator:
 
     def __init__(self, detector: Detector, options: ScaleOptions, *, hold_s: float = 10.0) -> None:
         options.check_for_several_images()
-        rulers = replace(options.rulers, rulers=(Vehicles.kind, SceneScale.kind), metadata=False)
+        kinds = (Vehicles.kind, SceneScale.kind)
+        rulers = replace(options.rulers, rulers=kinds, metadata=False)
         self._options = replace(options, rulers=rulers)
         self._detector = checked_detector(detector, self._options)
         self._hold_s = HOLD_S.check("hold", hold_s)
@@ -88,7 +98,7 @@ class LiveEstimator:
         self._prior_moved = math.inf
         self._stretch: float | None = None
         # Centres of the cars of the last frames, in pixels of the current one.
-        self._cars: NDArray[np.float64] = np.zeros((0, 2))
+        self._cars: Points = np.zeros((0, 2))
 
     def estimate(self, frame: Frame) -> LiveScale:
         """Estimate the scale of the next frame."""
@@ -112,12 +122,13 @@ class LiveEstimator:
         features = find_features(raster, _FEATURES_SIDE_PX)
         last_features = self._features
         self._features = features
-        matched = None if last_features is None else match(last_features, features)
-        motion = None if matched is None else _motion(matched, raster.width_px, raster.height_px)
-        if self._state is not None:
-            self._state = predicted(self._state, seconds, motion)
-        if self._state is not None and self._state.silent_s > self._hold_s:
-            self._state = None
+        matched = None
+        motion = None
+        if last_features is not None:
+            matched = match(last_features, features)
+        if matched is not None:
+            motion = _motion(matched, raster.width_px, raster.height_px)
+        self._predict_state(seconds, motion)
         if matched is None or motion is None:
             # The frame may show other ground.
             self._prior_moved = math.inf
@@ -125,19 +136,31 @@ class LiveEstimator:
             return False
         self._prior_moved += motion.moved
         if self._prior is not None:
-            self._prior = self._prior.scaled(math.exp(motion.log_ratio))
-        cars = self._cars @ matched.turn[:, :2].T + matched.turn[:, 2]
-        size = (raster.width_px, raster.height_px)
-        is_in_frame = np.all((cars >= 0) & (cars < size), axis=1)
-        self._cars = cars[is_in_frame]
+            ratio = math.exp(motion.log_ratio)
+            self._prior = self._prior.scaled(ratio)
+        rotation = matched.turn[:, :2]
+        shift = matched.turn[:, 2]
+        cars = self._cars @ rotation.T + shift
+        is_shown = _is_in_frame(cars, raster.width_px, raster.height_px)
+        self._cars = cars[is_shown]
         return True
+
+    def _predict_state(self, seconds: float, motion: Motion | None) -> None:
+        """Predict the state of this frame; a state without vehicles for too long ends."""
+        state = self._state
+        if state is not None:
+            state = predicted(state, seconds, motion)
+        if state is not None and state.silent_s > self._hold_s:
+            state = None
+        self._state = state
 
     def _search(self, raster: Raster) -> ScaleAnalysis:
         """Search one window of the frame, and correct the state by its vehicles."""
         if self._prior_moved >= _PRIOR_FRAMES:
             self._prior = self._network.predict(raster)
             self._prior_moved = 0.0
-        factor = reduction_factor(self._expected_gsd(), raster.width_px, raster.height_px)
+        expected_gsd = self._expected_gsd()
+        factor = reduction_factor(expected_gsd, raster.width_px, raster.height_px)
         window = next_window(
             raster.width_px,
             raster.height_px,
@@ -160,7 +183,9 @@ class LiveEstimator:
             window: in pixels of the reduced frame.
             factor: reduction of the frame.
         """
-        prior = None if self._prior is None else self._prior.scaled(factor)
+        prior = self._prior
+        if prior is not None:
+            prior = prior.scaled(factor)
         check_stretch = self._stretch is None or self._n_frames % _STRETCH_PERIOD == 0
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             view = search_raster(
@@ -198,7 +223,8 @@ class LiveEstimator:
         new_cars = np.zeros((0, 2))
         if analysis.vehicles is not None:
             new_cars = analysis.vehicles.fleet.centres * factor + low * factor
-        self._cars = np.concatenate([self._cars[~is_inside], new_cars])
+        other_cars = self._cars[~is_inside]
+        self._cars = np.concatenate([other_cars, new_cars])
 
     def _record(self, frame: Frame, window: GsdEstimate, *, linked: bool) -> LiveScale:
         """Make the record of a frame from the filter and the estimate of the searched window."""
@@ -264,9 +290,7 @@ def reduction_factor(gsd_m_per_px: float | None, width_px: int, height_px: int) 
     return factor
 
 
-def next_window(
-    width_px: int, height_px: int, factor: int, turn: int, cars: NDArray[np.float64]
-) -> Window:
+def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: Points) -> Window:
     """Choose the window to search in a frame.
 
     Args:
@@ -299,8 +323,10 @@ def _window_sides(width: int, height: int) -> tuple[int, int]:
 def _all_windows(width: int, height: int) -> list[Window]:
     """List windows that cover a reduced frame, row by row, with even overlaps."""
     window_width, window_height = _window_sides(width, height)
-    lefts = np.linspace(0, width - window_width, math.ceil(width / window_width))
-    tops = np.linspace(0, height - window_height, math.ceil(height / window_height))
+    n_columns = math.ceil(width / window_width)
+    n_rows = math.ceil(height / window_height)
+    lefts = np.linspace(0, width - window_width, n_columns)
+    tops = np.linspace(0, height - window_height, n_rows)
     return [
         Window(left, top, window_width, window_height)
         for top in tops.astype(int).tolist()
@@ -308,7 +334,7 @@ def _all_windows(width: int, height: int) -> list[Window]:
     ]
 
 
-def _fullest_window(width: int, height: int, cars: NDArray[np.float64]) -> Window:
+def _fullest_window(width: int, height: int, cars: Points) -> Window:
     """Choose the window around a car that holds the most cars.
 
     Args:
@@ -322,22 +348,34 @@ def _fullest_window(width: int, height: int, cars: NDArray[np.float64]) -> Windo
     # Each car is in the middle of a window, unless this would leave the frame.
     corners = np.rint(cars - window_size / 2)
     corners = np.clip(corners, 0, frame_size - window_size)
-    windows = [Window(int(left), int(top), window_width, window_height) for left, top in corners]
-    n_cars = [int(_is_inside(cars, *_corners(window)).sum()) for window in windows]
+    windows = []
+    n_cars = []
+    for left, top in corners:
+        window = Window(int(left), int(top), width_px=window_width, height_px=window_height)
+        low, high = _corners(window)
+        windows.append(window)
+        n_cars.append(int(_is_inside(cars, low, high).sum()))
     return windows[int(np.argmax(n_cars))]
 
 
-def _corners(window: Window) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _corners(window: Window) -> tuple[Corner, Corner]:
     """Return the upper left and the lower right corner of a window, ``[2]`` each."""
     low = np.array([window.x_px, window.y_px])
-    return low, low + np.array([window.width_px, window.height_px])
+    size = np.array([window.width_px, window.height_px])
+    return low, low + size
 
 
-def _is_inside(
-    points: NDArray[np.float64], low: NDArray[np.intp], high: NDArray[np.intp]
-) -> NDArray[np.bool_]:
+def _is_inside(points: Points, low: Corner, high: Corner) -> Flags:
     """Find the points ``[n, 2]`` between two corners."""
-    return np.asarray(np.all((points >= low) & (points < high), axis=1))
+    is_between = (points >= low) & (points < high)
+    return np.asarray(is_between.all(axis=1))
+
+
+def _is_in_frame(points: Points, width_px: int, height_px: int) -> Flags:
+    """Find the points ``[n, 2]`` inside a frame."""
+    low = np.zeros(2, np.intp)
+    high = np.array([width_px, height_px])
+    return _is_inside(points, low, high)
 
 
 def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
@@ -354,15 +392,17 @@ def measurement(analysis: ScaleAnalysis, factor: int) -> Measurement | None:
     vehicles = analysis.vehicles
     low = estimate.gsd_ci95_low_m_per_px
     high = estimate.gsd_ci95_high_m_per_px
-    if estimate.gsd_m_per_px is None or vehicles is None or not low or not high:
+    if estimate.gsd_m_per_px is None or vehicles is None:
+        return None
+    if not low or not high:
         return None
     # The interval holds the error of the reference length, too, which all cars of the flight share.
     log_sd = math.log(high / low) / (2 * Z95)
     common_log_sd = min(log_sd, vehicles.reference.log_sd)
-    own_log_sd = math.sqrt(max(log_sd**2 - common_log_sd**2, 0.0))
+    own_variance = max(log_sd**2 - common_log_sd**2, 0.0)
     return Measurement(
         math.log(estimate.gsd_m_per_px / factor),
-        own_log_sd,
+        math.sqrt(own_variance),
         common_log_sd=common_log_sd,
         chance=estimate.confidence,
     )
@@ -372,10 +412,13 @@ def _motion(matched: Match, width_px: int, height_px: int) -> Motion:
     """Describe the change from the first frame to the second."""
     # Count the points of a grid in the second frame that the first one shows, too.
     steps = np.arange(_GRID_POINTS) + 0.5
-    across, down = np.meshgrid(steps * width_px / _GRID_POINTS, steps * height_px / _GRID_POINTS)
+    x = steps * width_px / _GRID_POINTS
+    y = steps * height_px / _GRID_POINTS
+    across, down = np.meshgrid(x, y)
     points = np.column_stack([across.ravel(), down.ravel()])
+    rotation = matched.turn[:, :2]
     shifted = points - matched.turn[:, 2]
-    earlier = np.linalg.solve(matched.turn[:, :2], shifted.T).T
-    is_shared = np.all((earlier >= 0) & (earlier < (width_px, height_px)), axis=1)
+    earlier = np.asarray(np.linalg.solve(rotation, shifted.T), dtype=np.float64)
+    is_shared = _is_in_frame(earlier.T, width_px, height_px)
     moved = 1.0 - float(is_shared.mean())
     return Motion(-matched.log_ratio, matched.log_sd, moved)

@@ -96,13 +96,16 @@ class FilterState(NamedTuple):
     def interval(self) -> Interval:
         """95 % interval, metres per pixel."""
         reach = Z95 * self.log_sd
-        return Interval(math.exp(self.log_gsd - reach), math.exp(self.log_gsd + reach))
+        low = math.exp(self.log_gsd - reach)
+        high = math.exp(self.log_gsd + reach)
+        return Interval(low, high)
 
     @property
     def chance(self) -> float:
         """Probability of an error below 20 %."""
         # The scale is right if the vehicles are cars and the normal error of the log is small.
-        within = math.erf(math.log1p(TOLERANCE) / (self.log_sd * math.sqrt(2)))
+        tolerance = math.log1p(TOLERANCE)
+        within = math.erf(tolerance / (self.log_sd * math.sqrt(2)))
         chance = within / (1 + math.exp(-self.log_odds))
         return chance * _CONTRADICTION_FACTOR**self.contradictions
 
@@ -170,7 +173,8 @@ def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
         return started(measured)
     variance = _own_variance(measured)
     innovation = measured.log_gsd - state.log_gsd
-    if abs(innovation) > _GATE_SDS * math.sqrt(state.variance + variance):
+    innovation_sd = math.sqrt(state.variance + variance)
+    if abs(innovation) > _GATE_SDS * innovation_sd:
         return _contradicted(state, measured)
     # Over new ground, the whole measurement counts. Over the ground of the last measurement, its
     # error repeats, and only what it knows beyond the last one counts.
@@ -178,7 +182,8 @@ def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
     additional = max(0.0, 1 / variance - state.information)
     information = new_share / variance + (1 - new_share) * additional
     # Kalman gain, in terms of information.
-    gain = state.variance * information / (1 + state.variance * information)
+    ratio = state.variance * information
+    gain = ratio / (1 + ratio)
     # Cars over new ground confirm those before, and a single sure frame is enough.
     own_log_odds = _log_odds(measured.chance)
     log_odds = max(state.log_odds + new_share * own_log_odds, own_log_odds)
@@ -208,4 +213,5 @@ def _own_variance(measured: Measurement) -> float:
 def _log_odds(chance: float) -> float:
     """Convert a chance to log odds, within limits."""
     inside = min(max(chance, _MIN_CHANCE), 1 - _MIN_CHANCE)
-    return min(math.log(inside / (1 - inside)), _MAX_LOG_ODDS)
+    log_odds = math.log(inside / (1 - inside))
+    return min(log_odds, _MAX_LOG_ODDS)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,6 +21,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points ``[n, 3]`` in model units."""
+
+    Lenses: TypeAlias = dict[int, Lens]
+    """Lenses by the camera's id."""
+
+    FindStarts: TypeAlias = Callable[[bytearray], Iterator[int]]
+    """Yields the position of each entry of a binary file."""
 
 _FILES = ("cameras", "images", "points3D")
 _MAX_BYTES = 8 << 30
@@ -105,26 +114,30 @@ def _is_text(folder: Path) -> bool:
     return (folder / "images.txt").is_file()
 
 
-def _read_text(folder: Path) -> tuple[tuple[Shot, ...], NDArray[np.float64]]:
+def _read_text(folder: Path) -> tuple[tuple[Shot, ...], Points]:
     """Read the shots and the positions of the points from text."""
-    lenses = dict(_text_camera(row) for row in _rows(folder / "cameras.txt"))
+    cameras = _rows(folder / "cameras.txt")
+    lenses = dict(_text_camera(row) for row in cameras)
     # An image has two rows: its pose, and its points, which may be none.
-    poses = list(_rows(folder / "images.txt", keep_empty=True))[::2]
+    image_rows = list(_rows(folder / "images.txt", keep_empty=True))
+    poses = image_rows[::2]
     shots = tuple(_text_shot(row, lenses) for row in poses if row.strip())
-    positions = [
-        row.split()[_POSITION_COLUMN : _POSITION_COLUMN + 3]
-        for row in _rows(folder / "points3D.txt")
-    ]
+    columns = slice(_POSITION_COLUMN, _POSITION_COLUMN + 3)
+    points = _rows(folder / "points3D.txt")
+    positions = [row.split()[columns] for row in points]
     return shots, np.array(positions, np.float64)
 
 
-def _read_binary(folder: Path) -> tuple[tuple[Shot, ...], NDArray[np.float64]]:
+def _read_binary(folder: Path) -> tuple[tuple[Shot, ...], Points]:
     """Read the shots and the positions of the points from binary files."""
     lenses = _binary_cameras(_read_bytes(folder / "cameras.bin"))
     images = _read_bytes(folder / "images.bin")
     shots = tuple(_binary_shot(images, start, lenses) for start in _image_starts(images))
     points = _read_bytes(folder / "points3D.bin")
-    positions = [_POINT.unpack_from(points, start)[1:4] for start in _point_starts(points)]
+    positions = []
+    for start in _point_starts(points):
+        _, x, y, z, *_ = _POINT.unpack_from(points, start)
+        positions.append((x, y, z))
     return shots, np.array(positions, np.float64)
 
 
@@ -147,8 +160,10 @@ def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
     cameras, images, points = (folder / f"{name}{suffix}" for name in _FILES)
     _write(target / cameras.name, _read_bytes(cameras))
     if is_text:
-        _write(target / images.name, _scaled_text(images, _TRANSLATION_COLUMN, factor, every=2))
-        _write(target / points.name, _scaled_text(points, _POSITION_COLUMN, factor))
+        scaled_images = _scaled_text(images, _TRANSLATION_COLUMN, factor, every=2)
+        _write(target / images.name, scaled_images)
+        scaled_points = _scaled_text(points, _POSITION_COLUMN, factor)
+        _write(target / points.name, scaled_points)
         return target
     scaled = _scaled_binary(images, _image_starts, _TRANSLATION_OFFSET, factor=factor)
     _write(target / images.name, scaled)
@@ -189,10 +204,11 @@ def _text_camera(row: str) -> tuple[int, Lens]:
     """Read the id and the lens of a camera."""
     number, kind, width, height, *cells = row.split()
     parameters = [float(cell) for cell in cells]
-    return int(number), _lens(kind, float(width), float(height), parameters)
+    lens = _lens(kind, float(width), float(height), parameters)
+    return int(number), lens
 
 
-def _text_shot(row: str, lenses: dict[int, Lens]) -> Shot:
+def _text_shot(row: str, lenses: Lenses) -> Shot:
     """Read a shot; its name comes last, and may have blanks."""
     cells = row.split(maxsplit=9)
     pose = [float(cell) for cell in cells[1:8]]
@@ -200,7 +216,7 @@ def _text_shot(row: str, lenses: dict[int, Lens]) -> Shot:
     return _shot(cells[9], lenses[camera], pose)
 
 
-def _binary_cameras(content: bytearray) -> dict[int, Lens]:
+def _binary_cameras(content: bytearray) -> Lenses:
     """Read the lenses of all cameras, by id."""
     (n_cameras,) = _COUNT.unpack_from(content)
     position = _COUNT.size
@@ -210,7 +226,8 @@ def _binary_cameras(content: bytearray) -> dict[int, Lens]:
         position += _CAMERA.size
         kind = _MODEL_NAMES.get(model_number, f"number {model_number}")
         layout = struct.Struct(f"<{_supported(kind).n_parameters}d")
-        lenses[number] = _lens(kind, width, height, layout.unpack_from(content, position))
+        parameters = layout.unpack_from(content, position)
+        lenses[number] = _lens(kind, width, height, parameters)
         position += layout.size
     return lenses
 
@@ -236,7 +253,8 @@ def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -
         ReconstructionError: the camera model is not supported.
     """
     _, n_focals, n_parameters = _supported(kind)
-    is_valid = len(parameters) == n_parameters and all(np.isfinite(parameters))
+    is_complete = len(parameters) == n_parameters
+    is_valid = is_complete and all(np.isfinite(parameters))
     if not is_valid or min(parameters[:n_focals]) <= 0:
         raise ValueError(f"parameters of a camera {kind}: {parameters}")
     # One focal length holds in both directions.
@@ -272,7 +290,7 @@ def _image_starts(content: bytearray) -> Iterator[int]:
     _check_end(content, position)
 
 
-def _binary_shot(content: bytearray, start: int, lenses: dict[int, Lens]) -> Shot:
+def _binary_shot(content: bytearray, start: int, lenses: Lenses) -> Shot:
     """Read the shot of the image that begins at ``start``."""
     _, *pose, camera = _POSE.unpack_from(content, start)
     name_start = start + _POSE.size
@@ -310,10 +328,11 @@ def _shot(name: str, lens: Lens, pose: Sequence[float]) -> Shot:
     if not np.isfinite(pose).all():
         raise ValueError(f"the pose of {name!r} is {pose}")
     w, x, y, z, *translation = pose
+    rotation = Rotation.from_quat([x, y, z, w])
     return Shot(
         name,
         lens,
-        rotation=Rotation.from_quat([x, y, z, w]).as_matrix(),
+        rotation=rotation.as_matrix(),
         translation=np.array(translation, dtype=np.float64),
     )
 
@@ -348,13 +367,12 @@ def _scaled_row(row: str, first: int, factor: float) -> str:
     """Scale three columns of a row; what follows them stays as it is."""
     end = first + 3
     cells = row.split(maxsplit=end)
-    cells[first:end] = [repr(float(cell) * factor) for cell in cells[first:end]]
+    scaled = [float(cell) * factor for cell in cells[first:end]]
+    cells[first:end] = [repr(number) for number in scaled]
     return " ".join(cells)
 
 
-def _scaled_binary(
-    path: Path, find_starts: Callable[[bytearray], Iterator[int]], offset: int, factor: float
-) -> bytearray:
+def _scaled_binary(path: Path, find_starts: FindStarts, offset: int, factor: float) -> bytearray:
     """Scale three numbers of every entry of a binary file.
 
     Args:
@@ -368,6 +386,7 @@ def _scaled_binary(
     """
     content = _read_bytes(path)
     for start in find_starts(content):
-        x, y, z = _POSITION.unpack_from(content, start + offset)
-        _POSITION.pack_into(content, start + offset, factor * x, factor * y, factor * z)
+        numbers = _POSITION.unpack_from(content, start + offset)
+        scaled = [factor * number for number in numbers]
+        _POSITION.pack_into(content, start + offset, *scaled)
     return content

@@ -70,7 +70,8 @@ def conclude_model(
     reference = reference_member(members)
     # The model knows the ratios of the scales: the photographs pool like those of a flight.
     model_gsds = [photograph.gsd for photograph in searched]
-    pooled = pool(members, np.log(model_gsds), reference).estimate
+    analysis = pool(members, np.log(model_gsds), reference)
+    pooled = analysis.estimate
     factor = _factor(pooled, model_gsds[reference])
     photographs = []
     for result in results:
@@ -135,7 +136,8 @@ def search_model(
     """
     files = photograph_files(model, images)
     report_progress = detector.runtime.report_progress
-    silent_detector = detector.under(replace(detector.runtime, progress=None))
+    silent_runtime = replace(detector.runtime, progress=None)
+    silent_detector = detector.under(silent_runtime)
     report_progress(0, len(files))
     whole_plane = model_plane(model)
     results: list[SearchedPhotograph | Failure] = []
@@ -194,7 +196,8 @@ def _inside(name: str) -> str:
         ReconstructionError: it does not.
     """
     path = PurePosixPath(name)
-    is_relative = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+    is_inside = bool(path.parts) and ".." not in path.parts
+    is_relative = is_inside and not path.is_absolute()
     if not is_relative or "\\" in name or "\0" in name:
         raise ReconstructionError(
             f"the model names a photograph {name!r}: names must be relative to one folder"

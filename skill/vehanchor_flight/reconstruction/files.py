@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -20,6 +20,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor_flight.reconstruction.model import Reconstruction
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points ``[n, 3]``, in metres or on Earth."""
+
+    Angles: TypeAlias = NDArray[np.float64]
+    """Latitudes ``[n]`` in radians."""
+
+    Origin: TypeAlias = tuple[float, float, float]
+    """Latitude, longitude (degrees) and altitude (metres) of a model's origin."""
 
 # Where the files of a project lie, relative to its folder, in the order of the search.
 _OPENSFM_FILES = ("reconstruction.json", "opensfm/reconstruction.json")
@@ -55,7 +64,8 @@ def read_model(path: str | os.PathLike[str]) -> Reconstruction:
 
 def _find_model(path: Path) -> Path | None:
     """Find the file of OpenSfM, or else the folder of COLMAP; None if there is neither."""
-    for file in (path, *(path / name for name in _OPENSFM_FILES)):
+    project_files = [path / name for name in _OPENSFM_FILES]
+    for file in (path, *project_files):
         if _is_json(file) and file.is_file():
             return file
     for folder in (path / name for name in _COLMAP_FOLDERS):
@@ -76,7 +86,8 @@ def images_of(model: Reconstruction) -> Path:
     """
     base = model.path if model.path.is_dir() else model.path.parent
     for folder in (base / name for name in _IMAGE_FOLDERS):
-        if any((folder / shot.name).is_file() for shot in model.shots):
+        photographs = (folder / shot.name for shot in model.shots)
+        if any(photograph.is_file() for photograph in photographs):
             return folder
     raise ReconstructionError(
         f"no photograph of the model, such as {model.shots[0].name!r}, is near {str(base)!r}: name "
@@ -113,7 +124,8 @@ def check_project_path(target: Path) -> None:
     Raises:
         OutputError: the folder is not empty, or the one above it does not exist.
     """
-    if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
+    is_file = target.exists() and not target.is_dir()
+    if is_file or not target.parent.is_dir():
         raise OutputError(
             f"cannot write a project to {str(target)!r}: name a new folder in a folder that exists"
         )
@@ -145,17 +157,17 @@ def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
             )
     centres = np.array([shot.centre for shot in model.shots])
     mean = centres.mean(axis=0)
-    positions = on_earth(mean + factor * (centres - mean), model.origin)
+    scaled = mean + factor * (centres - mean)
+    positions = on_earth(scaled, model.origin)
     rows = ["EPSG:4326"]
-    for shot, (north, east, up) in zip(model.shots, positions.tolist(), strict=True):
-        rows.append(f"{shot.name} {east:.9f} {north:.9f} {up:.4f}")
+    for shot, position in zip(model.shots, positions.tolist(), strict=True):
+        latitude, longitude, altitude = position
+        rows.append(f"{shot.name} {longitude:.9f} {latitude:.9f} {altitude:.4f}")
     with whole_file(path) as partial:
         partial.write_text("\n".join([*rows, ""]), encoding="utf-8")
 
 
-def on_earth(
-    points: NDArray[np.float64], origin: tuple[float, float, float]
-) -> NDArray[np.float64]:
+def on_earth(points: Points, origin: Origin) -> Points:
     """Convert local metres to latitude, longitude and altitude on WGS 84.
 
     Args:
@@ -165,44 +177,55 @@ def on_earth(
     Returns:
         ``[n, 3]`` degrees, degrees and metres.
     """
-    x, y, z = _geocentric(np.asarray(points), origin).T
+    geocentric = _geocentric(np.asarray(points), origin)
+    x, y, z = geocentric.T
     # Geodetic latitude: iterate tan(latitude) = (z + e^2 N sin(latitude)) / distance from the axis,
     # in which e is the eccentricity, and N the radius of curvature in the prime vertical.
     axis_distance = np.hypot(x, y)
-    latitude = np.full(len(x), math.radians(origin[0]))
+    origin_latitude_deg, _, _ = origin
+    latitude = np.full(len(x), math.radians(origin_latitude_deg))
     for _ in range(_N_LATITUDE_STEPS):
-        raised_z = z + _SQUARED_ECCENTRICITY * _prime_radius(latitude) * np.sin(latitude)
+        radius = _prime_radius(latitude)
+        raised_z = z + _SQUARED_ECCENTRICITY * radius * np.sin(latitude)
         latitude = np.arctan2(raised_z, axis_distance)
     radius = _prime_radius(latitude)
-    raised_z = z + _SQUARED_ECCENTRICITY * radius * np.sin(latitude)
-    altitude = axis_distance * np.cos(latitude) + raised_z * np.sin(latitude) - radius
+    sine = np.sin(latitude)
+    cosine = np.cos(latitude)
+    raised_z = z + _SQUARED_ECCENTRICITY * radius * sine
+    altitude = axis_distance * cosine + raised_z * sine - radius
     longitude = np.arctan2(y, x)
-    return np.column_stack([np.degrees(latitude), np.degrees(longitude), altitude])
+    latitude_deg = np.degrees(latitude)
+    longitude_deg = np.degrees(longitude)
+    return np.column_stack([latitude_deg, longitude_deg, altitude])
 
 
-def _geocentric(
-    points: NDArray[np.float64], origin: tuple[float, float, float]
-) -> NDArray[np.float64]:
+def _geocentric(points: Points, origin: Origin) -> Points:
     """Convert local metres to geocentric coordinates; arguments as in ``on_earth``.
 
     Returns:
         ``[n, 3]`` metres: z along the axis of the Earth, x towards the meridian of Greenwich.
     """
-    latitude = math.radians(origin[0])
-    longitude = math.radians(origin[1])
+    latitude_deg, longitude_deg, altitude_m = origin
+    latitude = math.radians(latitude_deg)
+    longitude = math.radians(longitude_deg)
     sine = math.sin(latitude)
     cosine = math.cos(latitude)
-    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
-    up = np.array([cosine * math.cos(longitude), cosine * math.sin(longitude), sine])
+    sine_east = math.sin(longitude)
+    cosine_east = math.cos(longitude)
+    east = np.array([-sine_east, cosine_east, 0.0])
+    up = np.array([cosine * cosine_east, cosine * sine_east, sine])
     north = np.cross(up, east)
-    radius = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - _SQUARED_ECCENTRICITY * sine**2)
+    root = math.sqrt(1 - _SQUARED_ECCENTRICITY * sine**2)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / root
     # The normal of the ellipsoid meets the axis below the equatorial plane.
-    below_equator = np.array([0, 0, _SQUARED_ECCENTRICITY * radius * sine])
-    geocentric_origin = (radius + origin[2]) * up - below_equator
-    return np.asarray(geocentric_origin + points @ np.array([east, north, up]))
+    depth = _SQUARED_ECCENTRICITY * radius * sine
+    below_equator = np.array([0, 0, depth])
+    geocentric_origin = (radius + altitude_m) * up - below_equator
+    axes = np.array([east, north, up])
+    return np.asarray(geocentric_origin + points @ axes)
 
 
-def _prime_radius(latitude: NDArray[np.float64]) -> NDArray[np.float64]:
+def _prime_radius(latitude: Angles) -> NDArray[np.float64]:
     """Compute the ellipsoid's radius of curvature in the prime vertical, ``[n]`` metres."""
     squares = 1 - _SQUARED_ECCENTRICITY * np.sin(latitude) ** 2
     return np.asarray(WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(squares))

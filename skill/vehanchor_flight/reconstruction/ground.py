@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor_flight.reconstruction.model import Reconstruction, Shot
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points ``[n, 3]`` in model units."""
+
+    Vector: TypeAlias = NDArray[np.float64]
+    """Point or direction ``[3]``."""
+
+    Heights: TypeAlias = NDArray[np.float64]
+    """Heights ``[n]`` above a plane, model units."""
 
 _MIN_POINTS = 20
 _MAX_POINTS = 4000  # For a fit.
@@ -46,23 +55,26 @@ class Plane:
         offset: distance from the model's origin.
     """
 
-    normal: NDArray[np.float64]
+    normal: Vector
     offset: float
 
-    def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def heights(self, points: Points) -> Heights:
         """Compute the heights ``[n]`` of points ``[n, 3]`` above the plane."""
-        return np.asarray(points @ self.normal - self.offset)
+        distances = points @ self.normal
+        return np.asarray(distances - self.offset)
 
-    def below(self, point: NDArray[np.float64], whole_plane: Plane) -> float:
+    def below(self, point: Vector, whole_plane: Plane) -> float:
         """Compute how far the plane lies below a point.
 
         Args:
             point: ``[3]``.
             whole_plane: plane of the model; the distance is along its normal.
         """
-        return float((point @ self.normal - self.offset) / (self.normal @ whole_plane.normal))
+        height = point @ self.normal - self.offset
+        cosine = self.normal @ whole_plane.normal
+        return float(height / cosine)
 
-    def height(self, point: NDArray[np.float64]) -> float:
+    def height(self, point: Vector) -> float:
         """Compute the height of a point ``[3]`` above the plane."""
         return float(self.heights(point[None])[0])
 
@@ -74,20 +86,21 @@ def model_plane(model: Reconstruction) -> Plane:
         ReconstructionError: the model has too few points.
     """
     centres = np.array([shot.centre for shot in model.shots])
-    points = _thinned(model.points[np.isfinite(model.points).all(axis=1)])
+    is_finite = np.isfinite(model.points).all(axis=1)
+    points = _thinned(model.points[is_finite])
     if len(points) < _MIN_POINTS:
         raise ReconstructionError(
             f"the model has {count(len(points), 'point')}, too few for its ground: give the "
             "whole project"
         )
     camera = np.median(centres, axis=0)
-    distance = float(np.median(np.linalg.norm(points - camera, axis=1)))
-    thickness = _THICKNESS * distance
+    distances = np.linalg.norm(points - camera, axis=1)
+    thickness = _THICKNESS * float(np.median(distances))
     plane = _facing(_most_common(points, thickness), camera)
     return _lowest(plane, points, thickness=thickness, whole_plane=plane)
 
 
-def plane_below(shot: Shot, points: NDArray[np.float64], whole_plane: Plane) -> Plane:
+def plane_below(shot: Shot, points: Points, whole_plane: Plane) -> Plane:
     """Fit the ground in the picture of a shot.
 
     Args:
@@ -120,9 +133,7 @@ def plane_below(shot: Shot, points: NDArray[np.float64], whole_plane: Plane) -> 
     return whole_plane if n_whole >= _MIN_WHOLE_SHARE * n_fitted else fitted
 
 
-def local_heights(
-    places: NDArray[np.float64], points: NDArray[np.float64], plane: Plane, camera_height: float
-) -> NDArray[np.float64]:
+def local_heights(places: Points, points: Points, plane: Plane, camera_height: float) -> Heights:
     """Measure the ground around objects, above the plane.
 
     Args:
@@ -139,18 +150,18 @@ def local_heights(
         return heights
     # Neighbours are those whose feet on the plane are near: a roof beside a car is far above it.
     point_heights = plane.heights(points)
+    place_heights = plane.heights(places)
     point_feet = points - point_heights[:, None] * plane.normal
-    place_feet = places - plane.heights(places)[:, None] * plane.normal
-    distances, neighbours = cKDTree(point_feet).query(place_feet, k=_N_NEIGHBOURS)
+    place_feet = places - place_heights[:, None] * plane.normal
+    tree = cKDTree(point_feet)
+    distances, neighbours = tree.query(place_feet, k=_N_NEIGHBOURS)
     is_close = distances[:, -1] <= _MAX_NEIGHBOUR_DISTANCE * camera_height
     neighbour_heights = point_heights[neighbours[is_close]]
     heights[is_close] = np.quantile(neighbour_heights, _GROUND_QUANTILE, axis=1)
     return heights
 
 
-def _lowest(
-    plane: Plane, points: NDArray[np.float64], thickness: float, whole_plane: Plane
-) -> Plane:
+def _lowest(plane: Plane, points: Points, thickness: float, whole_plane: Plane) -> Plane:
     """Descend from a plane of roofs to the ground: the lowest plane with enough points.
 
     Args:
@@ -165,7 +176,8 @@ def _lowest(
     # turns for ever, because each has points below the other.
     middle = np.median(points, axis=0)
     for _ in range(_MAX_DESCENTS):
-        points = points[plane.heights(points) < -2 * thickness]
+        is_below = plane.heights(points) < -2 * thickness
+        points = points[is_below]
         if len(points) < n_needed:
             break
         lower = _most_common(points, thickness, whole_plane)
@@ -177,26 +189,25 @@ def _lowest(
     return plane
 
 
-def _n_points_in(plane: Plane, points: NDArray[np.float64], thickness: float) -> int:
-    return int((np.abs(plane.heights(points)) <= thickness).sum())
+def _n_points_in(plane: Plane, points: Points, thickness: float) -> int:
+    distances = np.abs(plane.heights(points))
+    return int((distances <= thickness).sum())
 
 
-def _facing(plane: Plane, point: NDArray[np.float64]) -> Plane:
+def _facing(plane: Plane, point: Vector) -> Plane:
     """Turn the normal of a plane to the side of a point ``[3]``."""
     if plane.height(point) >= 0:
         return plane
     return Plane(-plane.normal, -plane.offset)
 
 
-def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _thinned(points: Points) -> Points:
     """Take every k-th point, so that no more than a fit needs remain."""
     step = max(1, math.ceil(len(points) / _MAX_POINTS))
     return points[::step]
 
 
-def _most_common(
-    points: NDArray[np.float64], thickness: float, whole_plane: Plane | None = None
-) -> Plane:
+def _most_common(points: Points, thickness: float, whole_plane: Plane | None = None) -> Plane:
     """Find the plane with most points within its thickness; a least-squares fit to them follows.
 
     Args:
@@ -208,12 +219,15 @@ def _most_common(
     sample = _best_sample(points, thickness, whole_plane)
     if sample is None and whole_plane is not None:
         # No slope fits: as steep as the model, at the middle height.
-        height = float(np.median(whole_plane.heights(points)))
-        return Plane(whole_plane.normal, whole_plane.offset + height)
-    inside = np.ones(len(points), dtype=bool) if sample is None else sample.is_inside
-    centre = points[inside].mean(axis=0)
+        middle = float(np.median(whole_plane.heights(points)))
+        return Plane(whole_plane.normal, whole_plane.offset + middle)
+    inside = np.ones(len(points), dtype=bool)
+    if sample is not None:
+        inside = sample.is_inside
+    inner = points[inside]
+    centre = inner.mean(axis=0)
     # The normal of the least-squares plane is the direction in which the points vary least.
-    _, _, directions = np.linalg.svd(points[inside] - centre, full_matrices=False)
+    _, _, directions = np.linalg.svd(inner - centre, full_matrices=False)
     normal = directions[2]
     if sample is not None and whole_plane is not None:
         if abs(normal @ whole_plane.normal) < _MIN_COSINE:
@@ -231,13 +245,11 @@ class _Sample(NamedTuple):
         is_inside: ``[n]``, points within the thickness.
     """
 
-    normal: NDArray[np.float64]
+    normal: Vector
     is_inside: NDArray[np.bool_]
 
 
-def _best_sample(
-    points: NDArray[np.float64], thickness: float, whole_plane: Plane | None
-) -> _Sample | None:
+def _best_sample(points: Points, thickness: float, whole_plane: Plane | None) -> _Sample | None:
     """Try planes through random points (RANSAC); arguments as in ``_most_common``.
 
     Returns:
@@ -247,15 +259,19 @@ def _best_sample(
     best: _Sample | None = None
     most_inside = 0
     for _ in range(_N_TRIALS):
-        a, b, c = points[rng.choice(len(points), 3, replace=False)]
+        three = rng.choice(len(points), 3, replace=False)
+        a, b, c = points[three]
         normal = np.cross(b - a, c - a)
         length = float(np.linalg.norm(normal))
         if length < _MIN_CROSS_PRODUCT:
             continue
-        if whole_plane is not None and abs(normal @ whole_plane.normal) < _MIN_COSINE * length:
-            continue
+        if whole_plane is not None:
+            cosine_times_length = abs(normal @ whole_plane.normal)
+            if cosine_times_length < _MIN_COSINE * length:
+                continue
         normal /= length
-        is_inside = np.abs((points - a) @ normal) <= thickness
+        distances = np.abs((points - a) @ normal)
+        is_inside = distances <= thickness
         n_inside = int(is_inside.sum())
         if n_inside > most_inside:
             best = _Sample(normal, is_inside)

@@ -8,7 +8,7 @@ the upper left corner of the image.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -21,6 +21,21 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor_flight.records import ModelSource
+
+    Pixels: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
+
+    Rays: TypeAlias = NDArray[np.float64]
+    """Directions ``[n, 3]``."""
+
+    Vector: TypeAlias = NDArray[np.float64]
+    """Point or direction ``[3]``."""
+
+    Matrix: TypeAlias = NDArray[np.float64]
+    """Rotation ``[3, 3]``."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points ``[n, 3]`` in model units."""
 
 _ASPECT_TOLERANCE = 0.01
 _MIN_COEFFICIENTS = 4  # OpenCV takes no fewer coefficients of distortion.
@@ -80,7 +95,7 @@ class Lens:
             centre_y_px=self.centre_y_px * down,
         )
 
-    def directions(self, points: ArrayLike) -> NDArray[np.float64]:
+    def directions(self, points: ArrayLike) -> Rays:
         """Compute the rays of pixels.
 
         Args:
@@ -94,12 +109,13 @@ class Lens:
         focals = [self.focal_x_px, self.focal_y_px]
         centre = np.array([self.centre_x_px, self.centre_y_px], np.float64)
         # The pinhole of an ideal lens: x / z and y / z of the ray.
-        slopes: NDArray[np.float64] = (pixels - centre) / focals
-        if len(pixels) and (self.fisheye or any(self.distortion)):
+        slopes: Pixels = (pixels - centre) / focals
+        is_distorted = self.fisheye or any(self.distortion)
+        if is_distorted and len(pixels):
             slopes = self._undistorted(pixels)
         return np.column_stack([slopes, np.ones(len(slopes))])
 
-    def _undistorted(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _undistorted(self, pixels: Pixels) -> Pixels:
         """Invert the distortion of the lens.
 
         Args:
@@ -117,12 +133,13 @@ class Lens:
             np.float64,
         )
         n_missing = _MIN_COEFFICIENTS - len(self.distortion)
-        coefficients = np.array(self.distortion + (0.0,) * n_missing)
+        padding = (0.0,) * n_missing
+        coefficients = np.array(self.distortion + padding)
         undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
         slopes = undistort(pixels[:, None], matrix, coefficients)
         return np.asarray(slopes, np.float64).reshape(-1, 2)
 
-    def ideal(self, points: ArrayLike) -> NDArray[np.float64]:
+    def ideal(self, points: ArrayLike) -> Pixels:
         """Convert pixels to those of a pinhole camera of the same size and focal length.
 
         Args:
@@ -149,15 +166,15 @@ class Shot:
 
     name: str
     lens: Lens
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    rotation: Matrix
+    translation: Vector
 
     @property
-    def centre(self) -> NDArray[np.float64]:
+    def centre(self) -> Vector:
         """``[3]`` position of the camera, model units."""
         return np.asarray(-self.rotation.T @ self.translation)
 
-    def rays(self, points: ArrayLike) -> NDArray[np.float64]:
+    def rays(self, points: ArrayLike) -> Rays:
         """Compute the rays of pixels.
 
         Args:
@@ -166,9 +183,10 @@ class Shot:
         Returns:
             ``[n, 3]`` in the model's frame, one unit along the camera's axis.
         """
-        return np.asarray(self.lens.directions(points) @ self.rotation)
+        directions = self.lens.directions(points)
+        return np.asarray(directions @ self.rotation)
 
-    def sees(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def sees(self, points: Points) -> NDArray[np.bool_]:
         """Find the points that lie in the picture; the distortion of the lens is ignored.
 
         Args:
@@ -177,13 +195,15 @@ class Shot:
         Returns:
             ``[n]`` bool.
         """
-        x, y, z = (points @ self.rotation.T + self.translation).T
+        lens = self.lens
+        camera_points = points @ self.rotation.T + self.translation
+        x, y, z = camera_points.T
         is_ahead = z > 0
         depth = np.where(is_ahead, z, 1.0)
-        across = self.lens.focal_x_px * x / depth + self.lens.centre_x_px
-        down = self.lens.focal_y_px * y / depth + self.lens.centre_y_px
-        is_in_width = (across >= 0) & (across <= self.lens.width_px)
-        is_in_height = (down >= 0) & (down <= self.lens.height_px)
+        across = lens.focal_x_px * x / depth + lens.centre_x_px
+        down = lens.focal_y_px * y / depth + lens.centre_y_px
+        is_in_width = (across >= 0) & (across <= lens.width_px)
+        is_in_height = (down >= 0) & (down <= lens.height_px)
         return np.asarray(is_ahead & is_in_width & is_in_height)
 
 
@@ -204,6 +224,6 @@ class Reconstruction:
     kind: ModelSource
     path: Path
     shots: tuple[Shot, ...]
-    points: NDArray[np.float64]
+    points: Points
     n_parts: int = 1
     origin: tuple[float, float, float] | None = None

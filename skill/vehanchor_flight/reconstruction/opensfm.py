@@ -13,7 +13,7 @@ from vehanchor.storage.atomic import whole_file
 from vehanchor_flight.reconstruction.model import Lens, Reconstruction, Shot
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -51,7 +51,7 @@ def read_opensfm(path: Path) -> Reconstruction:
             )
             for name, shot in part["shots"].items()
         )
-        coordinates = [point["coordinates"] for point in part.get("points", {}).values()]
+        coordinates = [point["coordinates"] for point in _entries(part, "points")]
         points = np.array(coordinates, np.float64)
         origin = _origin(part)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -71,6 +71,12 @@ def read_opensfm(path: Path) -> Reconstruction:
 def _largest(parts: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the part with the most shots; the first of equals."""
     return max(parts, key=lambda part: len(part["shots"]))
+
+
+def _entries(part: Mapping[str, Any], name: str) -> Collection[Any]:
+    """List the entries of a section of a part; none if it lacks the section."""
+    section: Mapping[str, Any] = part.get(name, {})
+    return section.values()
 
 
 def _origin(part: Mapping[str, Any]) -> tuple[float, float, float] | None:
@@ -100,12 +106,12 @@ def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:
     part = _largest(_parts(source))
     for shot in part["shots"].values():
         shot["translation"] = _scaled(shot["translation"], factor)
-    for point in part.get("points", {}).values():
+    for point in _entries(part, "points"):
         point["coordinates"] = _scaled(point["coordinates"], factor)
     # A rig of several cameras repeats the poses of its shots, and has offsets between its cameras.
-    for instance in part.get("rig_instances", {}).values():
+    for instance in _entries(part, "rig_instances"):
         instance["translation"] = _scaled(instance["translation"], factor)
-    for camera in part.get("rig_cameras", {}).values():
+    for camera in _entries(part, "rig_cameras"):
         camera["translation"] = _scaled(camera["translation"], factor)
     scaled_file = target / source.name
     with whole_file(scaled_file) as partial:
@@ -131,10 +137,11 @@ def _parts(path: Path) -> list[dict[str, Any]]:
         raise ReconstructionError(
             f"{str(path)!r} is not a reconstruction of OpenSfM, which is a list of its parts"
         )
-    if not all(isinstance(part, dict) and isinstance(part.get("shots"), dict) for part in parts):
-        raise ReconstructionError(
-            f"{str(path)!r} is not a reconstruction of OpenSfM: a part has no shots"
-        )
+    for part in parts:
+        if not isinstance(part, dict) or not isinstance(part.get("shots"), dict):
+            raise ReconstructionError(
+                f"{str(path)!r} is not a reconstruction of OpenSfM: a part has no shots"
+            )
     return parts
 
 
@@ -151,18 +158,22 @@ def _lens(camera: Mapping[str, Any]) -> Lens:
     width = float(camera["width"])
     height = float(camera["height"])
     side = max(width, height)
-    focal_x = float(camera.get("focal_x", camera.get("focal", 0)))
+    focal = camera.get("focal", 0)
+    focal_x = float(camera.get("focal_x", focal))
     focal_y = float(camera.get("focal_y", focal_x))
     if not focal_x > 0 or not focal_y > 0:
         raise ReconstructionError(f"a camera has the focal length {focal_x:g}: it must be above 0")
+    offset_x = float(camera.get("c_x", 0))
+    offset_y = float(camera.get("c_y", 0))
+    distortion = [float(camera.get(name, 0)) for name in _DISTORTIONS[kind]]
     return Lens(
         width,
         height,
         focal_x_px=focal_x * side,
         focal_y_px=focal_y * side,
-        centre_x_px=width / 2 + float(camera.get("c_x", 0)) * side,
-        centre_y_px=height / 2 + float(camera.get("c_y", 0)) * side,
-        distortion=tuple(float(camera.get(name, 0)) for name in _DISTORTIONS[kind]),
+        centre_x_px=width / 2 + offset_x * side,
+        centre_y_px=height / 2 + offset_y * side,
+        distortion=tuple(distortion),
         fisheye=kind.startswith("fisheye"),
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -37,11 +37,25 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
-    from vehanchor.detection.detector_errors import DetectorErrors
     from vehanchor.options import KnownLength, ScaleOptions
     from vehanchor.scale.posterior import Witness
     from vehanchor_flight.reconstruction.ground import Plane
     from vehanchor_flight.reconstruction.model import Shot
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points ``[n, 3]`` in model units."""
+
+    Pixels: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """Lengths ``[n]``, or their natural logs."""
+
+    Shares: TypeAlias = NDArray[np.float64]
+    """Scores of boxes, or parts of rays."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the boxes or points have a property."""
 
 _N_DESCENTS = 3  # Steps in which a ray meets the ground around its foot.
 _MAX_RELIEF = 0.3  # Of the camera's height.
@@ -66,7 +80,7 @@ class ShotAboveGround(NamedTuple):
 
     @classmethod
     def of(
-        cls, shot: Shot, points: NDArray[np.float64], whole_plane: Plane, size: tuple[int, int]
+        cls, shot: Shot, points: Points, whole_plane: Plane, size: tuple[int, int]
     ) -> ShotAboveGround:
         """Fit the plane below a shot.
 
@@ -81,17 +95,21 @@ class ShotAboveGround(NamedTuple):
                 the ground.
         """
         width_px, height_px = size
-        shot = replace(shot, lens=shot.lens.of_size(width_px, height_px))
+        lens = shot.lens.of_size(width_px, height_px)
+        shot = replace(shot, lens=lens)
         plane = plane_below(shot, points, whole_plane)
         # Straight down, in the camera's frame: z along its axis, y to the lower side of the image.
-        right, down, ahead = (-shot.rotation @ plane.normal).tolist()
+        straight_down = -shot.rotation @ plane.normal
+        right, down, ahead = straight_down.tolist()
+        cosine = min(1.0, max(-1.0, ahead))
         tilt = CameraTilt(
-            math.degrees(math.acos(min(1.0, max(-1.0, ahead)))),
+            math.degrees(math.acos(cosine)),
             math.degrees(math.atan2(-right, down)) % 360,
-            focal_length_px=shot.lens.focal_px,
+            focal_length_px=lens.focal_px,
             source="the reconstruction",
         )
-        return cls(shot, plane, height=plane.height(shot.centre), tilt=tilt)
+        height = plane.height(shot.centre)
+        return cls(shot, plane, height=height, tilt=tilt)
 
     @property
     def tilted(self) -> bool:
@@ -101,12 +119,11 @@ class ShotAboveGround(NamedTuple):
     @property
     def gsd(self) -> float:
         """Model units per pixel at the centre of the ideal photograph."""
-        cosine = max(math.cos(math.radians(self.tilt.tilt_deg)), MIN_DESCENT)
+        tilt = math.radians(self.tilt.tilt_deg)
+        cosine = max(math.cos(tilt), MIN_DESCENT)
         return float(self.height / self.shot.lens.focal_px / cosine**1.5)
 
-    def on_ground(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def on_ground(self, points: Pixels) -> tuple[Points, Flags]:
         """Project pixels to the plane.
 
         Args:
@@ -117,10 +134,12 @@ class ShotAboveGround(NamedTuple):
         """
         rays = self.shot.rays(points)
         descents = -rays @ self.plane.normal
-        is_steep = descents >= MIN_DESCENT * np.linalg.norm(rays, axis=1)
+        lengths = np.linalg.norm(rays, axis=1)
+        is_steep = descents >= MIN_DESCENT * lengths
         # Multiples of the rays that end on the plane; of flat rays they have no meaning.
         reach = self.height / np.where(is_steep, descents, 1.0)
-        return self.shot.centre + reach[:, None] * rays, is_steep
+        feet = self.shot.centre + reach[:, None] * rays
+        return feet, is_steep
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +159,7 @@ class SearchedPhotograph:
     view: View
     others: tuple[Witness, ...]
     above_ground: ShotAboveGround
-    places: NDArray[np.float64]
+    places: Points
 
     @property
     def gsd(self) -> float:
@@ -153,7 +172,7 @@ class SearchedPhotograph:
         stored: StoredPhotograph,
         shot: Shot,
         *,
-        points: NDArray[np.float64],
+        points: Points,
         whole_plane: Plane,
         card: DetectorCard,
         options: ScaleOptions,
@@ -177,16 +196,16 @@ class SearchedPhotograph:
             measure_detail_share=constant_detail_share(stored.detail_share),
             prior=stored.prior,
         )
-        return cls(
-            shot.name, view, others=stored.others or (), above_ground=above_ground, places=places
-        )
+        others = stored.others or ()
+        return cls(shot.name, view, others=others, above_ground=above_ground, places=places)
 
     def alone(self) -> Photograph:
         """Analyse the photograph by itself."""
         boxes = self.view.detections.boxes
-        return self.photograph(np.ones(len(boxes), dtype=bool), boxes[:, 2])
+        kept = np.ones(len(boxes), dtype=bool)
+        return self.photograph(kept, boxes[:, 2])
 
-    def photograph(self, kept: NDArray[np.bool_], lengths: NDArray[np.float64]) -> Photograph:
+    def photograph(self, kept: Flags, lengths: Lengths) -> Photograph:
         """Analyse a choice of the boxes.
 
         Args:
@@ -203,7 +222,7 @@ def search_photograph(
     image: Path,
     shot: Shot,
     *,
-    points: NDArray[np.float64],
+    points: Points,
     whole_plane: Plane,
     detector: Detector,
     options: ScaleOptions,
@@ -236,9 +255,13 @@ def search_photograph(
             # The scene-scale prior holds for nadir images.
             view = replace(view, tilt=above_ground.tilt, prior=None)
         others = _measure_on_ground(view, above_ground)
-        detail_share = Vehicles().measure(view.at_nadir()).detail_share
+        vehicles = Vehicles().measure(view.at_nadir())
     return StoredPhotograph(
-        view.image, view.detections, detail_share=detail_share, others=others, prior=view.prior
+        view.image,
+        view.detections,
+        detail_share=vehicles.detail_share,
+        others=others,
+        prior=view.prior,
     )
 
 
@@ -252,26 +275,24 @@ def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:
         return []
     detections = [photograph.view.detections for photograph in photographs]
     n_boxes = [len(photograph.places) for photograph in photographs]
-    gsds = np.repeat([photograph.gsd for photograph in photographs], n_boxes)
+    photograph_gsds = [photograph.gsd for photograph in photographs]
+    gsds = np.repeat(photograph_gsds, n_boxes)
     lengths = np.concatenate([part.boxes[:, 2] for part in detections])
     scores = np.concatenate([part.scores for part in detections])
     places = np.concatenate([photograph.places for photograph in photographs])
-    kept, log_lengths = _distinct_cars(places, np.log(lengths * gsds), scores)
-    mean_lengths = np.exp(log_lengths) / gsds
+    log_lengths = np.log(lengths * gsds)
+    kept, mean_log_lengths = _distinct_cars(places, log_lengths, scores)
+    mean_lengths = np.exp(mean_log_lengths) / gsds
     ends = np.cumsum(n_boxes)[:-1]
     kept_parts = np.split(kept, ends)
     length_parts = np.split(mean_lengths, ends)
+    parts = zip(photographs, kept_parts, length_parts, strict=True)
     return [
-        photograph.photograph(own_kept, own_lengths)
-        for photograph, own_kept, own_lengths in zip(
-            photographs, kept_parts, length_parts, strict=True
-        )
+        photograph.photograph(own_kept, own_lengths) for photograph, own_kept, own_lengths in parts
     ]
 
 
-def _distinct_cars(
-    places: NDArray[np.float64], log_lengths: NDArray[np.float64], scores: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+def _distinct_cars(places: Points, log_lengths: Lengths, scores: Shares) -> tuple[Flags, Lengths]:
     """Find the boxes that show one car: those around its box with the best score.
 
     Args:
@@ -292,8 +313,11 @@ def _distinct_cars(
             continue
         reach = _SAME_CAR_DISTANCE * math.exp(log_lengths[best])
         # Boxes in a cube first, which is faster than distances to all.
-        is_same = is_left & (np.abs(places - places[best]).max(axis=1) <= reach)
-        is_same[is_same] = np.linalg.norm(places[is_same] - places[best], axis=1) <= reach
+        place = places[best]
+        offsets = np.abs(places - place)
+        is_same = is_left & (offsets.max(axis=1) <= reach)
+        distances = np.linalg.norm(places[is_same] - place, axis=1)
+        is_same[is_same] = distances <= reach
         is_left[is_same] = False
         kept[best] = True
         weights = np.maximum(scores[is_same], _MIN_WEIGHT)
@@ -305,7 +329,8 @@ def _measure_on_ground(view: View, above_ground: ShotAboveGround) -> tuple[Witne
     """Measure with the rulers that use no vehicles; in a tilted view, only with the plane."""
     ruler_options = view.options.rulers
     lines = tuple(_undistorted_line(line, above_ground) for line in ruler_options.known_lengths)
-    options = replace(view.options, rulers=replace(ruler_options, known_lengths=lines))
+    ground_rulers = replace(ruler_options, known_lengths=lines)
+    options = replace(view.options, rulers=ground_rulers)
     ground_view = replace(view, tilt=above_ground.tilt, options=options)
     witnesses = []
     for ruler in active_rulers(ruler_options):
@@ -321,9 +346,9 @@ def _project_boxes(
     detections: Detections,
     above_ground: ShotAboveGround,
     *,
-    points: NDArray[np.float64],
+    points: Points,
     errors: DetectorErrors,
-) -> tuple[Detections, NDArray[np.float64]]:
+) -> tuple[Detections, Points]:
     """Project boxes to the ground; boxes whose rays are too flat are left out.
 
     Args:
@@ -345,24 +370,26 @@ def _project_boxes(
         sides.append(np.linalg.norm(first - second, axis=1))
         kept &= is_first_steep & is_second_steep
     lengths, widths = sides
-    is_finite = np.isfinite(np.column_stack([places, lengths, widths])).all(axis=1)
+    positions_and_sizes = np.column_stack([places, lengths, widths])
+    is_finite = np.isfinite(positions_and_sizes).all(axis=1)
     kept &= is_finite & (lengths > 0) & (widths > 0)
     lengths = lengths[kept]
     widths = widths[kept]
     if above_ground.tilted:
-        proportions = errors.length_over_width(of_bodies=detections.appearance is not None)
+        has_bodies = detections.appearance is not None
+        proportions = errors.length_over_width(of_bodies=has_bodies)
         lengths = length_off_nadir(lengths, widths, length_over_width=proportions)
     rays = places[kept] - above_ground.shot.centre
     nearness = _nearness(rays, above_ground, points)
+    sizes = np.column_stack([lengths, widths])
     measured = boxes.copy()
-    measured[kept, 2:4] = np.column_stack([lengths, widths]) * nearness / above_ground.gsd
-    selected = _select_boxes(replace(detections, boxes=measured), kept, measured[:, 2])
+    measured[kept, 2:4] = sizes * nearness / above_ground.gsd
+    measured_detections = replace(detections, boxes=measured)
+    selected = _select_boxes(measured_detections, kept, measured[:, 2])
     return selected, above_ground.shot.centre + nearness * rays
 
 
-def _nearness(
-    rays: NDArray[np.float64], above_ground: ShotAboveGround, points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _nearness(rays: Points, above_ground: ShotAboveGround, points: Points) -> Shares:
     """Compute the parts of rays down to the plane at which these meet the real ground.
 
     Ground above the plane is nearer to the camera, so that things on it look larger.
@@ -389,9 +416,7 @@ def _nearness(
     return nearness
 
 
-def _select_boxes(
-    detections: Detections, kept: NDArray[np.bool_], lengths: NDArray[np.float64]
-) -> Detections:
+def _select_boxes(detections: Detections, kept: Flags, lengths: Lengths) -> Detections:
     """Select boxes ``[n]`` and replace their lengths."""
     boxes = detections.boxes.copy()
     boxes[:, 2] = lengths
@@ -413,6 +438,8 @@ def _select_boxes(
 
 def _undistorted_line(line: KnownLength, above_ground: ShotAboveGround) -> KnownLength:
     """Convert a line to pixels of a pinhole camera, which the ground plane assumes."""
-    ends = [(line.x1, line.y1), (line.x2, line.y2)]
-    (x1, y1), (x2, y2) = above_ground.shot.lens.ideal(ends).tolist()
+    start = (line.x1, line.y1)
+    end = (line.x2, line.y2)
+    ideal_ends = above_ground.shot.lens.ideal([start, end])
+    (x1, y1), (x2, y2) = ideal_ends.tolist()
     return replace(line, x1=x1, y1=y1, x2=x2, y2=y2)
