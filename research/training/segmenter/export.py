@@ -87,8 +87,11 @@ class DecoderGraph(nn.Module):
         large = large[:, :, : used[0], : used[1]]
         whole = orig_im_size.to(torch.int64)
         masks = functional.interpolate(
-            large, [whole[0], whole[1]], mode="bilinear", align_corners=False
-        )  # type: ignore[list-item]  # traced
+            large,
+            [whole[0], whole[1]],  # type: ignore[list-item]  # traced
+            mode="bilinear",
+            align_corners=False,
+        )
         return masks, found.iou, logits
 
 
