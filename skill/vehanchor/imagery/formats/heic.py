@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import struct
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -93,8 +94,9 @@ def _without_metadata(data: bytes) -> bytes:
     pi-heif 1.4 crashes on metadata whose type is not UTF-8.
     """
     changed = bytearray(data)
-    # Lengths that make no sense end the loop; libheif cannot read beyond them, either.
-    with suppress(ImageError):
+    # Lengths that make no sense, or are cut off, end the loop; libheif cannot read beyond them,
+    # either.
+    with suppress(ImageError, struct.error):
         for box in boxes(in_memory(data)):
             if box.kind == b"meta":
                 content = changed[box.start : box.end]
