@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +37,7 @@ from tests.skill.imagery.files import (
 from tests.skill.imagery.formats import test_windowed as jpeg2000
 from tests.skill.imagery.samples import SAMPLES
 from vehanchor.errors import ImageDecodeError, VehAnchorError
-from vehanchor.imagery.formats.header import SUFFIXES
+from vehanchor.imagery.formats.header import IMAGE_FORMATS, SUFFIXES
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 from vehanchor_server.errors import CallError
@@ -273,18 +274,27 @@ def test_every_door_refuses_the_same_files_for_the_same_reason(
 
 
 @contextmanager
-def _without_libheif() -> Iterator[None]:
+def _without(modules: tuple[str, ...]) -> Iterator[None]:
+    """Hide modules as if they were not installed."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("pi_heif", "pillow_heif"):
+        for name in modules:
             patch.setitem(sys.modules, name, None)
         yield
+
+
+_OF_EXTRAS = [
+    (name, partial(_without, image_format.extra.modules), image_format.extra.name)
+    for name, image_format in IMAGE_FORMATS.items()
+    if image_format.extra is not None
+]
+"""Formats that need an extra, how to hide their decoders, and the names of their extras."""
 
 
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize(
     ("name", "without", "extra"),
     [
-        ("HEIC", _without_libheif, "heic"),
+        *_OF_EXTRAS,
         ("GeoTIFF", without_rasterio, "geo"),
         ("JPEG 2000", without_rasterio, "geo"),
     ],
