@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from vehanchor.imagery.formats.header import IMAGE_FORMATS
+
 _FRAME = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 64, 64, 3) + bytes(9)
 """Frame header of a JPEG of 64 x 64 px."""
 
@@ -332,15 +334,18 @@ def _encoded(
 
 _FAST_AVIF = (cv2.IMWRITE_AVIF_SPEED, 10)
 _DEEP_AVIF = (*_FAST_AVIF, cv2.IMWRITE_AVIF_DEPTH, 10)
+_PLAIN_FORMATS = {
+    name: _encoded(image_format.suffixes[0], 3)
+    for name, image_format in IMAGE_FORMATS.items()
+    if image_format.opencv
+}
 FORMATS: dict[str, Callable[[int], bytes]] = {
-    "JPEG": _encoded(".jpg", 3),
+    **_PLAIN_FORMATS,
     "JPEG, grey": _encoded(".jpg", 1),
     "JPEG, progressive": _encoded(".jpg", 3, "uint8", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
-    "PNG": _encoded(".png", 3),
     "PNG with alpha": _encoded(".png", 4),
     "PNG, grey": _encoded(".png", 1),
     "PNG, 16 bits": _encoded(".png", 3, "uint16"),
-    "WebP": _encoded(".webp", 3, "uint8", cv2.IMWRITE_WEBP_QUALITY, 60),
     "WebP, lossless": _encoded(".webp", 3, "uint8", cv2.IMWRITE_WEBP_QUALITY, 101),
     "WebP with alpha": _encoded(".webp", 4, "uint8", cv2.IMWRITE_WEBP_QUALITY, 60),
     "AVIF": _encoded(".avif", 3, "uint8", *_FAST_AVIF),
@@ -348,9 +353,7 @@ FORMATS: dict[str, Callable[[int], bytes]] = {
     "AVIF with alpha": _encoded(".avif", 4, "uint8", *_FAST_AVIF),
     "AVIF, 10 bits": _encoded(".avif", 3, "uint16", *_DEEP_AVIF),
     "AVIF with alpha, 10 bits": _encoded(".avif", 4, "uint16", *_DEEP_AVIF),
-    "BMP": _encoded(".bmp", 3),
     "BMP with alpha": _encoded(".bmp", 4),
-    "TIFF in strips": _encoded(".tif", 3),
     "TIFF in strips, 16 bits": _encoded(".tif", 3, "uint16"),
     "TIFF in strips, floats": _encoded(".tif", 3, "float32"),
     "TIFF of one strip": lambda side_px: one_strip_tiff(_noise(side_px, 3)),

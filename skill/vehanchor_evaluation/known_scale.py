@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError, VehAnchorError
-from vehanchor.imagery.sources.files import SUFFIXES
+from vehanchor.imagery.formats.header import SUFFIXES
 from vehanchor.options import ImageLimits, Reading
 
 if TYPE_CHECKING:

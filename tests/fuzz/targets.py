@@ -32,6 +32,7 @@ from research.scenes import render_scene
 from tests import bombs
 from tests.skill.cut_off import CALIBRATION
 from tests.skill.imagery import files as blocks
+from tests.skill.imagery.samples import SAMPLES
 from vehanchor import estimate_gsd
 from vehanchor.detection.card import ChipCard, VerifierCard, read_card, read_detector_card
 from vehanchor.errors import VehAnchorError
@@ -210,16 +211,12 @@ def _memory() -> str | None:
     return "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
-_ENCODINGS: list[tuple[str, list[int]]] = [
-    (".jpg", []),
+_OTHER_ENCODINGS: list[tuple[str, list[int]]] = [
     (".jpg", [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]),
-    (".png", []),
     (".webp", [cv2.IMWRITE_WEBP_QUALITY, 60]),
     (".webp", [cv2.IMWRITE_WEBP_QUALITY, 101]),
-    (".avif", [cv2.IMWRITE_AVIF_QUALITY, 60]),
-    (".bmp", []),
-    (".tif", []),
 ]
+"""Encodings besides the usual one of each format, by suffix and parameters of OpenCV."""
 
 
 def _encoded(suffix: str, pixels: NDArray[Any], parameters: Sequence[int] = ()) -> bytes:
@@ -234,9 +231,9 @@ def _images() -> list[bytes]:
     green = np.tile(ramp[:, None], (1, _SIDE_PX))
     blue = np.full((_SIDE_PX, _SIDE_PX), 90, np.uint8)
     rgb = np.dstack([red, green, blue])
-    images = [_encoded(suffix, rgb, parameters) for suffix, parameters in _ENCODINGS]
-    jpeg = images[0]
-    images.append(blocks.after_start(jpeg, blocks.segment(_EXIF)))
+    images = list(SAMPLES.values())
+    images += [_encoded(suffix, rgb, parameters) for suffix, parameters in _OTHER_ENCODINGS]
+    images.append(blocks.after_start(SAMPLES["JPEG"], blocks.segment(_EXIF)))
     images.append(_encoded(".png", rgb.astype(np.uint16) * 200))
     for dtype, bands in (("float64", 4), ("uint16", 3), ("uint8", 1)):
         images.append(bombs.zero_tiff(_SIDE_PX, dtype, bands=bands, rows=16))
@@ -245,7 +242,6 @@ def _images() -> list[bytes]:
     images += _geotiffs(rgb)
     images += _images_with_holes(rgb)
     images += _raw_files()
-    images.append(blocks.HEIC)
     return images
 
 

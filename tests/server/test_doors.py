@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,16 +24,20 @@ from tests.bombs import zero_tiff
 from tests.server.app_page.viewing import viewing
 from tests.skill.imagery.files import (
     HEIC,
+    HEIGHT_PX,
     NOISE,
+    WIDTH_PX,
     encoded,
     geotiff,
+    header_of,
     pillow,
     png_header,
     without_rasterio,
 )
-from tests.skill.imagery.formats import test_avif as avif
 from tests.skill.imagery.formats import test_windowed as jpeg2000
-from vehanchor.errors import VehAnchorError
+from tests.skill.imagery.samples import SAMPLES
+from vehanchor.errors import ImageDecodeError, VehAnchorError
+from vehanchor.imagery.formats.header import IMAGE_FORMATS, SUFFIXES
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
 from vehanchor_server.errors import CallError
@@ -50,6 +55,19 @@ LIMITS = ImageLimits(
 """Limits so small that files of a few kilobytes exceed them."""
 
 READING = Reading(limits=LIMITS)
+
+
+def _seems_whole(data: bytes) -> bool:
+    """Test whether the header of a file is whole, and does not show that the end is missing."""
+    try:
+        return header_of(data).complete
+    except ImageDecodeError:
+        return False
+
+
+_PARTS = {f"truncated {name}": data[:-20] for name, data in SAMPLES.items()}
+TRUNCATED = {name: data for name, data in _PARTS.items() if not _seems_whole(data)}
+"""Files that end too early, of those formats whose headers show it."""
 
 
 class Answer(NamedTuple):
@@ -164,8 +182,7 @@ def doors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Doors]:
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The files by name."""
     folder = tmp_path_factory.mktemp("files")
-    png = encoded(".png")
-    jp2 = jpeg2000.encoded()
+    jp2 = SAMPLES["JPEG 2000"]
     wide = np.zeros((100, 200, 3), np.uint8)
     tiles: dict[str, Any] = {
         "tiled": True,
@@ -174,24 +191,14 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
         "compress": "deflate",
     }
     return {
-        "PNG": png,
-        "JPEG": encoded(".jpg"),
-        "WebP": encoded(".webp"),
-        "AVIF": avif.encoded(),
-        "BMP": encoded(".bmp"),
-        "HEIC": HEIC,
-        "JPEG 2000": jp2,
-        "TIFF": encoded(".tif"),
+        **SAMPLES,
         "GeoTIFF": geotiff(folder / "geo.tif", NOISE).read_bytes(),
         "large TIFF": geotiff(folder / "large.tif", wide, **tiles).read_bytes(),
         "empty": b"",
         "text": b"no image at all",
         "GIF": pillow("GIF", "P"),
         "video": b"\0\0\0\x18ftypmp42" + bytes(100),
-        "truncated PNG": png[:-20],
-        "truncated WebP": encoded(".webp")[:-20],
-        "truncated AVIF": avif.encoded()[:-20],
-        "truncated HEIC": HEIC[:-20],
+        **TRUNCATED,
         "small PNG": png_header(15, 500),
         "PNG of many pixels": png_header(200, 100),
         "HEIC of many pixels": _heic_of(200, 100),
@@ -217,14 +224,8 @@ def _tiff_of_a_large_tile(path: Path) -> bytes:
 
 
 ACCEPTED = {
-    "PNG": (60, 40),
-    "JPEG": (60, 40),
-    "WebP": (60, 40),
-    "AVIF": (128, 96),
-    "BMP": (60, 40),
+    **dict.fromkeys(SAMPLES, (WIDTH_PX, HEIGHT_PX)),
     "HEIC": (48, 64),
-    "JPEG 2000": (130, 90),
-    "TIFF": (60, 40),
     "GeoTIFF": (130, 90),
     "large TIFF": (200, 100),
 }
@@ -235,10 +236,7 @@ REFUSED = {
     "text": "image_undecodable",
     "GIF": "image_undecodable",
     "video": "image_undecodable",
-    "truncated PNG": "image_undecodable",
-    "truncated WebP": "image_undecodable",
-    "truncated AVIF": "image_undecodable",
-    "truncated HEIC": "image_undecodable",
+    **dict.fromkeys(TRUNCATED, "image_undecodable"),
     "small PNG": "image_unsupported",
     "PNG of many pixels": "image_too_large",
     "HEIC of many pixels": "image_too_large",
@@ -276,18 +274,27 @@ def test_every_door_refuses_the_same_files_for_the_same_reason(
 
 
 @contextmanager
-def _without_libheif() -> Iterator[None]:
+def _without(modules: tuple[str, ...]) -> Iterator[None]:
+    """Hide modules as if they were not installed."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("pi_heif", "pillow_heif"):
+        for name in modules:
             patch.setitem(sys.modules, name, None)
         yield
+
+
+_OF_EXTRAS = [
+    (name, partial(_without, image_format.extra.modules), image_format.extra.name)
+    for name, image_format in IMAGE_FORMATS.items()
+    if image_format.extra is not None
+]
+"""Formats that need an extra, how to hide their decoders, and the names of their extras."""
 
 
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize(
     ("name", "without", "extra"),
     [
-        ("HEIC", _without_libheif, "heic"),
+        *_OF_EXTRAS,
         ("GeoTIFF", without_rasterio, "geo"),
         ("JPEG 2000", without_rasterio, "geo"),
     ],
@@ -319,7 +326,7 @@ def test_a_file_on_disk_may_have_more_bytes_if_it_is_read_by_windows(
 
 def test_the_page_offers_the_suffixes_of_all_formats(doors: Doors) -> None:
     page = httpx.get(doors.page.url()).text
-    for suffix in (".jpeg", ".avif", ".tif", ".tiff", ".jp2", ".heic"):
+    for suffix in SUFFIXES:
         assert f"{suffix}," in page or f'{suffix}"' in page
 
 

@@ -9,10 +9,9 @@ import base64
 import hashlib
 from functools import cache
 from importlib.resources import files
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.imagery.formats.header import IMAGE_FORMATS
+from vehanchor.imagery.formats.header import SUFFIXES
 from vehanchor.options import declared_options
 from vehanchor.rulers.standards import standards
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
@@ -106,8 +105,7 @@ def _options(names: Iterable[str]) -> str:
 
 def _accepted_files() -> str:
     """Return what the browser's dialog offers: all images, and those that it may not know."""
-    suffixes = chain.from_iterable(IMAGE_FORMATS.values())
-    return ",".join(["image/*", *suffixes])
+    return ",".join(["image/*", *SUFFIXES])
 
 
 def _assembled(

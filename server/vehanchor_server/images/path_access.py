@@ -289,7 +289,8 @@ def _images_below(root: Path, check_stop: Callable[[], None] | None = None) -> I
 
     The walk uses descriptors where the system has them, so that it follows no link.
     """
-    from vehanchor.imagery.sources.files import SUFFIXES, holds_photographs
+    from vehanchor.imagery.formats.header import SUFFIXES
+    from vehanchor.imagery.sources.files import holds_photographs
 
     walk: Iterator[tuple[Any, ...]]
     walk = os.fwalk(root) if hasattr(os, "fwalk") else os.walk(root)

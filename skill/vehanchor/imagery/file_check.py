@@ -7,7 +7,7 @@ so that a file has the same answer at all of them. Three differences are intende
 * **Windows**: only a file on disk may have more bytes than ``ImageLimits.max_bytes``, and only if
   it is read by windows. All other doors hold the whole file in memory. A door that receives a file
   in parts calls ``check_bytes`` for each of them.
-* **Lists go by suffix**: a folder lists the files with a suffix in ``IMAGE_FORMATS``, because
+* **Lists go by suffix**: a folder lists the files with a suffix of ``IMAGE_FORMATS``, because
   opening every file of a folder would be slow. A file that is opened goes by its content alone.
 * **The decoder has the last word**: the pixels can still be damaged, and a TIFF's single strip or a
   HEVC frame can still be too large. Their decoders check them again.
@@ -21,12 +21,13 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageFormatError, MissingExtraError
-from vehanchor.imagery.formats.header import read_header
+from vehanchor.imagery.formats.header import IMAGE_FORMATS, read_header
 from vehanchor.imagery.formats.tiff import decoded_by_opencv
 from vehanchor.imagery.limits import check_block, check_bytes, check_header
 
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
+    from vehanchor.imagery.formats.image_format import DecoderExtra
     from vehanchor.imagery.formats.image_header import ImageHeader, TiffLayout
     from vehanchor.options import ImageLimits
 
@@ -66,7 +67,7 @@ def check_file(
         ImageTooLargeError: it has too many bytes or pixels, decoding it takes too much memory, or
             one of its blocks is too large.
         ImageFormatError: it is too small to measure, a raw file, or has unsupported colours.
-        MissingExtraError: it needs rasterio or libheif, which is not installed.
+        MissingExtraError: it needs rasterio or the decoder of an extra, which is not installed.
     """
     if n_bytes == 0:
         raise ImageDecodeError(f"the image ({source}) is empty: 0 bytes")
@@ -88,7 +89,8 @@ def check_file(
 def _needs_windows(header: ImageHeader, n_bytes: int, limits: ImageLimits) -> bool:
     """Test whether an image must be read by windows instead of being decoded whole."""
     if header.tiff is None:
-        return header.format == "JPEG 2000"
+        image_format = IMAGE_FORMATS[header.format]
+        return image_format.gdal_driver is not None and not image_format.opencv
     has_too_many_bytes = n_bytes > limits.max_bytes
     has_too_many_pixels = header.width_px * header.height_px > limits.max_pixels
     takes_too_much_memory = header.decoding_bytes > limits.max_decoded_bytes
@@ -146,8 +148,9 @@ def _check_extra(header: ImageHeader, source: str, *, by_windows: bool) -> None:
     Raises:
         MissingExtraError: it is not.
     """
-    if header.format == "HEIC" and not (_is_installed("pillow_heif") or _is_installed("pi_heif")):
-        raise missing_heif(source)
+    image_format = IMAGE_FORMATS[header.format]
+    if image_format.extra is not None and not any(map(_is_installed, image_format.extra.modules)):
+        raise missing_decoder(image_format.name, image_format.extra, source)
     if by_windows and not _is_installed("rasterio"):
         raise missing_rasterio(header, source)
 
@@ -156,11 +159,17 @@ def _is_installed(package: str) -> bool:
     return find_spec(package) is not None
 
 
-def missing_heif(source: str) -> MissingExtraError:
-    """Make the error for a HEIC that cannot be read without an extra."""
+def missing_decoder(name: str, extra: DecoderExtra, source: str) -> MissingExtraError:
+    """Make the error for a file whose decoder is not installed.
+
+    Args:
+        name: name of the format.
+        extra: extra with its decoder.
+        source: name of the image in the message.
+    """
     return MissingExtraError(
-        f"reading a HEIC ({source}) needs pi-heif: pip install 'vehanchor[heic]', or convert it to "
-        "JPEG"
+        f"reading a {name} ({source}) needs {extra.package}: pip install "
+        f"'vehanchor[{extra.name}]', or convert it to JPEG"
     )
 
 

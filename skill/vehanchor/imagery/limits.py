@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageFormatError, ImageTooLargeError
+from vehanchor.imagery.formats.header import IMAGE_FORMATS
 
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.image_header import ImageHeader
@@ -19,9 +20,6 @@ MIN_SIDE_PX = 16
 
 A 5 m car is 17 px long at 0.3 m/px, the coarsest usable GSD.
 """
-
-WINDOWED_FORMATS = ("TIFF", "JPEG 2000")
-"""Formats that can be read by windows."""
 
 _BLOCK_COPIES = 2
 """Times that a decoder holds a strip or tile: in one buffer, and in one for each band."""
@@ -147,7 +145,7 @@ def check_header(header: ImageHeader, limits: ImageLimits) -> None:
     name = header.format
     width = header.width_px
     height = header.height_px
-    if name not in WINDOWED_FORMATS:
+    if IMAGE_FORMATS[name].gdal_driver is None:
         check_whole_size(name, width, height_px=height, limits=limits)
         size = f"{width} x {height} px"
         check_decoding_memory(name, header.decoding_bytes, size=size, limits=limits)

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageError, ImageNotFoundError, InvalidParameterError
-from vehanchor.imagery.sources.files import SUFFIXES
+from vehanchor.imagery.formats.header import SUFFIXES
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.option import Limits
 from vehanchor_flight.video import is_video, sample_video

@@ -178,7 +178,7 @@ def test_facts_hold_for_all_photographs_corrections_for_one(person: Person) -> N
     assert not numbers.first.is_visible()
     person.presses("Boxes", "Distance")
     person.drags((100, 300), (300, 300))
-    person.reads("ol.measured .number", "31.4 m")
+    person.reads("ol.measured .number", "31.5 m")
     person.presses("Drop")
     first = numbers.first.bounding_box()
     person.tab.mouse.click(first["x"] + first["width"] / 2, first["y"] + first["height"] / 2)

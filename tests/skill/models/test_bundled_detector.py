@@ -17,8 +17,8 @@ from vehanchor.detection.detector import Detector
 from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import (
+    BUNDLED_MODELS,
     DEFAULT_DETECTOR,
-    auxiliary_model,
     resolve_model,
 )
 from vehanchor.records import GsdEstimate
@@ -28,6 +28,7 @@ from vehanchor_evaluation.table import survey_table
 
 _FLEET_M = 4.6
 _GSD = 0.12
+_BUNDLED = resolve_model().parent
 
 
 @pytest.fixture(scope="module")
@@ -110,17 +111,21 @@ def _sha256(path: Path) -> str:
 def test_the_bundled_detector_is_the_measured_one() -> None:
     path = resolve_model(DEFAULT_DETECTOR)
     assert _sha256(path) in (ROOT / "research/results/scale.json").read_text(encoding="utf-8")
-    assert _sha256(path) in path.with_suffix(".md").read_text(encoding="utf-8")
 
 
 def test_the_bundled_detector_is_small() -> None:
     assert resolve_model(DEFAULT_DETECTOR).stat().st_size <= 8_000_000
 
 
-def test_the_bundled_chip_network_is_the_documented_one() -> None:
-    chips = auxiliary_model(resolve_model(DEFAULT_DETECTOR), "chips")
-    assert chips is not None
-    assert _sha256(chips) in chips.with_suffix(".md").read_text(encoding="utf-8")
+def test_the_listed_checksums_are_those_of_the_bundled_networks() -> None:
+    """If this fails, run ``sha256sum *.onnx > SHA256SUMS`` in the folder of bundled models."""
+    lines = [f"{_sha256(path)}  {path.name}" for path in sorted(_BUNDLED.glob("*.onnx"))]
+    assert (_BUNDLED / "SHA256SUMS").read_text(encoding="utf-8").splitlines() == lines
+
+
+def test_every_bundled_network_is_in_a_model_card() -> None:
+    cards = "".join(path.read_text(encoding="utf-8") for path in _BUNDLED.glob("*.md"))
+    assert [model.file for model in BUNDLED_MODELS if f"`{model.file}`" not in cards] == []
 
 
 def test_the_bundled_detector_has_its_name_and_licence(detector: Detector) -> None:

@@ -10,6 +10,7 @@ import struct
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.imagery.formats.boxes import still_format
 from vehanchor.imagery.formats.heif import (
     Bits,
     ItemLimits,
@@ -19,6 +20,7 @@ from vehanchor.imagery.formats.heif import (
     read_image_properties,
     read_meta,
 )
+from vehanchor.imagery.formats.image_format import ImageFormat
 from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
@@ -253,3 +255,16 @@ def _skip_timing(read_bits: Bits) -> int:
     delay_bits = read_bits(5) + 1
     read_bits(42)
     return delay_bits
+
+
+def _is_avif(start: bytes) -> bool:
+    return still_format(start) == "AVIF"
+
+
+AVIF = ImageFormat(
+    name="AVIF",
+    suffixes=(".avif",),
+    recognises=_is_avif,
+    read_header=read_avif,
+    has_alpha=True,
+)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import ImageDecodeError, OutOfMemoryError
-from vehanchor.imagery.formats.header import without_ancillary_chunks
+from vehanchor.imagery.formats.png import without_ancillary_chunks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

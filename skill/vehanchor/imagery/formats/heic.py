@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import io
+import struct
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vehanchor.errors import ImageDecodeError, ImageError, OutOfMemoryError, VehAnchorError
-from vehanchor.imagery.file_check import missing_heif
+from vehanchor.imagery.file_check import missing_decoder
 from vehanchor.imagery.formats.boxes import boxes
-from vehanchor.imagery.formats.heif import HEIC_PIXEL_BYTES
+from vehanchor.imagery.formats.heif import HEIC, HEIC_PIXEL_BYTES
 from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.formats.image_header import ImageHeader
 from vehanchor.imagery.limits import check_header
@@ -72,19 +74,18 @@ def open_heic(data: bytes, source: str, *, bands: BandChoice, limits: ImageLimit
 
 
 def _import_heif(source: str) -> Any:
-    """Import pillow-heif, or pi-heif, which has the same names but no encoder.
+    """Import the first of the modules that can decode a HEIC; all have the same names.
 
     Raises:
-        MissingExtraError: neither is installed.
+        MissingExtraError: none is installed.
     """
-    try:
-        import pillow_heif as heif
-    except ImportError:
+    assert HEIC.extra is not None
+    for module in HEIC.extra.modules:
         try:
-            import pi_heif as heif
+            return importlib.import_module(module)
         except ImportError:
-            raise missing_heif(source) from None
-    return heif
+            continue
+    raise missing_decoder(HEIC.name, HEIC.extra, source)
 
 
 def _without_metadata(data: bytes) -> bytes:
@@ -93,8 +94,9 @@ def _without_metadata(data: bytes) -> bytes:
     pi-heif 1.4 crashes on metadata whose type is not UTF-8.
     """
     changed = bytearray(data)
-    # Lengths that make no sense end the loop; libheif cannot read beyond them, either.
-    with suppress(ImageError):
+    # Lengths that make no sense, or are cut off, end the loop; libheif cannot read beyond them,
+    # either.
+    with suppress(ImageError, struct.error):
         for box in boxes(in_memory(data)):
             if box.kind == b"meta":
                 content = changed[box.start : box.end]

@@ -12,7 +12,8 @@ from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
-from vehanchor.imagery.formats.boxes import boxes
+from vehanchor.imagery.formats.boxes import boxes, still_format
+from vehanchor.imagery.formats.image_format import DecoderExtra, ImageFormat
 from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
@@ -226,3 +227,18 @@ class Bits:
         if len(digits) < n:
             raise struct.error
         return int(digits or "0", 2)
+
+
+def _is_heic(start: bytes) -> bool:
+    return still_format(start) == "HEIC"
+
+
+HEIC = ImageFormat(
+    name="HEIC",
+    suffixes=(".heic",),
+    recognises=_is_heic,
+    read_header=read_heic,
+    opencv=False,
+    # pi-heif has the names of pillow-heif, but no encoder.
+    extra=DecoderExtra(name="heic", package="pi-heif", modules=("pillow_heif", "pi_heif")),
+)

@@ -20,6 +20,9 @@ ReadAt = Callable[[int, int], bytes]
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of a classic TIFF and a BigTIFF, in either byte order."""
 
+MAX_EXIF_BYTES = 1 << 16
+"""Bytes of an EXIF block to read: JPEG allows no more, and the orientation is at the start."""
+
 _BIGTIFF = 43
 TAG_ORIENTATION = 274
 _INTEGER_CODES = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}

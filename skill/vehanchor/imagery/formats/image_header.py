@@ -53,7 +53,7 @@ class ImageHeader:
         width_px: declared width as stored, before the orientation is applied.
         height_px: declared height as stored.
         orientation: EXIF orientation, 1 to 8; 1 if it is absent or invalid.
-        complete: False if the file ends too early (known for JPEG, PNG, WebP, AVIF, HEIC).
+        complete: False if the file ends too early (not every format shows it).
         tiff: layout of a TIFF; None for other formats.
         decoding_bytes: memory to decode it whole: its pixels and the decoder's buffers.
         tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
+from vehanchor.imagery.formats.image_format import ImageFormat, starts_with
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader
 
 if TYPE_CHECKING:
@@ -173,3 +174,11 @@ def _decoding_bytes(frame: _Frame, n_scans: int) -> int:
         coefficient_bytes = 2 * frame.n_components
     pixel_bytes = max(COPIES * decoded_bytes, decoded_bytes + coefficient_bytes)
     return frame.width_px * frame.height_px * pixel_bytes
+
+
+JPEG = ImageFormat(
+    name="JPEG",
+    suffixes=(".jpg", ".jpeg"),
+    recognises=starts_with(b"\xff\xd8\xff"),
+    read_header=read_jpeg,
+)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageDecodeError
 from vehanchor.imagery.formats.boxes import boxes
+from vehanchor.imagery.formats.image_format import ImageFormat, starts_with
 from vehanchor.imagery.formats.image_header import ImageHeader
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ _JP2_FILE = b"\x00\x00\x00\x0cjP  \r\n\x87\n"
 _CODESTREAM = b"\xff\x4f\xff\x51"
 """First bytes of a codestream: its first marker, SOC, and SIZ, which must follow."""
 
-SIGNATURES = (_JP2_FILE, _CODESTREAM)
+_SIGNATURES = (_JP2_FILE, _CODESTREAM)
 """First bytes of a JP2 file, and of a bare codestream."""
 
 _SIZ_OFFSET = 8
@@ -65,3 +66,13 @@ def _find_codestream(read_at: ReadAt) -> int:
         if box.kind == b"jp2c":
             return box.start
     raise ImageDecodeError("the JPEG 2000 holds no image: truncated or damaged")
+
+
+JPEG_2000 = ImageFormat(
+    name="JPEG 2000",
+    suffixes=(".jp2",),
+    recognises=starts_with(*_SIGNATURES),
+    read_header=read_jpeg2000,
+    opencv=False,
+    gdal_driver="JP2OpenJPEG",
+)

@@ -9,10 +9,12 @@ from vehanchor.errors import ImageDecodeError, ImageFormatError
 from vehanchor.imagery.formats.ifd import (
     MAX_VALUES,
     TAG_ORIENTATION,
+    TIFF_SIGNATURES,
     later_directories,
     orientation_of,
     read_ifd,
 )
+from vehanchor.imagery.formats.image_format import ImageFormat, starts_with
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader, TiffLayout
 
 if TYPE_CHECKING:
@@ -236,3 +238,13 @@ def _block_px(tags: _Tags, width: int, height: int) -> int:
     if _TAG_ROWS_PER_STRIP in tags:
         return max(tile_px, strip_px)
     return tile_px
+
+
+TIFF = ImageFormat(
+    name="TIFF",
+    suffixes=(".tif", ".tiff"),
+    recognises=starts_with(*TIFF_SIGNATURES),
+    read_header=read_tiff,
+    gdal_driver="GTiff",
+)
+"""TIFF; ``decoded_by_opencv`` and the file's size decide which files are read by windows."""

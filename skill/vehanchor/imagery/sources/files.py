@@ -6,20 +6,17 @@ import glob
 import os
 import re
 import unicodedata
-from itertools import chain, takewhile
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import ImageNotFoundError
-from vehanchor.imagery.formats.header import IMAGE_FORMATS
+from vehanchor.imagery.formats.header import SUFFIXES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _SEPARATORS = tuple(separator for separator in (os.sep, os.altsep) if separator)
-
-SUFFIXES = frozenset(chain.from_iterable(IMAGE_FORMATS.values()))
-"""Suffixes of the images in directories."""
 
 _SYSTEM_FOLDER = re.compile(
     r"__macosx|\$recycle\.bin|[#@](?:recycle|snapshot|eadir|tmp|__thumb)|thumb(?:nail)?s", re.I

@@ -29,10 +29,11 @@ from vehanchor.errors import (
 )
 from vehanchor.imagery.file_check import check_file
 from vehanchor.imagery.formats.decoding import decode
-from vehanchor.imagery.formats.header import FORMAT_BYTES, image_format
+from vehanchor.imagery.formats.header import FORMAT_BYTES, IMAGE_FORMATS, recognise_format
 from vehanchor.imagery.formats.heic import open_heic
+from vehanchor.imagery.formats.heif import HEIC
 from vehanchor.imagery.formats.ifd import in_memory
-from vehanchor.imagery.limits import WINDOWED_FORMATS, check_bytes
+from vehanchor.imagery.limits import check_bytes
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size
@@ -69,8 +70,8 @@ ImageSource: TypeAlias = (
 
 _MIB = 1 << 20
 _DEFAULT_READING = Reading()
-_WITH_ALPHA = frozenset({"PNG", "WebP", "AVIF"})
-"""Formats whose fourth band is always alpha."""
+DECODERS_OF_EXTRAS = {HEIC.name: open_heic}
+"""Functions that decode the formats with an ``extra``, by name of the format."""
 
 
 def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Raster:
@@ -150,7 +151,8 @@ def _open_path(path: str, reading: Reading) -> Raster:
             return file.read(count)
 
         limits = reading.limits
-        if image_format(read_at(0, FORMAT_BYTES)) in WINDOWED_FORMATS:
+        image_format = recognise_format(read_at(0, FORMAT_BYTES))
+        if image_format is not None and image_format.gdal_driver is not None:
             checked = check_file(read_at, n_bytes, path, limits=limits, on_disk=True)
             if checked.by_windows:
                 # An absolute path has no prefix that GDAL interprets, such as GTIFF_DIR:.
@@ -169,14 +171,15 @@ def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
     read_at = in_memory(data)
     checked = check_file(read_at, len(data), source, limits=reading.limits, on_disk=False)
     header = checked.header
-    if header.format == "HEIC":
-        return open_heic(data, source, bands=reading.bands, limits=reading.limits)
+    if header.format in DECODERS_OF_EXTRAS:
+        decode_by_extra = DECODERS_OF_EXTRAS[header.format]
+        return decode_by_extra(data, source, bands=reading.bands, limits=reading.limits)
     if checked.by_windows:
         return _open_by_windows(data, source, header=header, reading=reading, read_at=read_at)
     pixels = decode(data, source, header)
     if header.tiff is None:
         orientation = header.orientation
-        has_alpha = header.format in _WITH_ALPHA
+        has_alpha = IMAGE_FORMATS[header.format].has_alpha
     else:
         orientation = 1  # OpenCV has already applied a TIFF's orientation.
         has_alpha = header.tiff.alpha

@@ -20,6 +20,7 @@ from vehanchor.errors import (
 )
 from vehanchor.imagery.bands import check_dtype, choose_bands, is_alpha, merge_bands
 from vehanchor.imagery.file_check import missing_rasterio
+from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.imagery.limits import check_block, check_windowed_size
 from vehanchor.imagery.metadata.georeference import Ground, dataset_gsd_m_per_px
 from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
@@ -50,7 +51,6 @@ It holds the blocks that two rows of tiles share in a wide image.
 _SAMPLE_GRID = 8
 """Windows of a sample per side: 64 windows of 128 x 128 px are ``SAMPLE_PX``."""
 
-_DRIVERS = {"TIFF": "GTiff", "JPEG 2000": "JP2OpenJPEG"}
 _INKS = frozenset({"cyan", "magenta", "yellow", "black"})
 
 Shape: TypeAlias = tuple[int, int]
@@ -136,7 +136,7 @@ def open_file(
             if isinstance(file, bytes):
                 memory_file = stack.enter_context(rasterio.MemoryFile(file))
                 file = memory_file.name
-            driver = _DRIVERS[header.format]
+            driver = IMAGE_FORMATS[header.format].gdal_driver
             opened = rasterio.open(file, driver=driver, sharing=False, GEOREF_SOURCES="INTERNAL")
             dataset = stack.enter_context(opened)
             # The limits were applied to the size in the header.

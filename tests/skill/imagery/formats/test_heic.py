@@ -133,3 +133,9 @@ def test_a_primary_image_that_libheif_cannot_use_is_damaged() -> None:
     configuration = HEIC.index(b"ipma") + 19
     with pytest.raises(ImageDecodeError, match="HEIC"):
         open_raster(HEIC[:configuration] + b"\x20" + HEIC[configuration + 1 :])
+
+
+def test_a_last_box_that_is_cut_off_is_ignored() -> None:
+    """Found by ``tests.fuzz``: its 64-bit length is missing, and a struct.error was raised."""
+    with open_raster(HEIC + b"\0\0\0\x01free") as raster:
+        assert raster.width_px == 48
