@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
+    from vehanchor.detection.detector_errors import DetectorErrors
     from vehanchor.options import KnownLength, ScaleOptions
     from vehanchor.scale.posterior import Witness
     from vehanchor_flight.reconstruction.ground import Plane
