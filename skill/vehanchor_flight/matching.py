@@ -166,7 +166,9 @@ def _log_ratio_sd(first: Points, second: Points, transform: Transform) -> float:
     centred = first - first.mean(axis=0)
     design = np.column_stack([centred, np.ones(len(first))])
     affine, *_ = np.linalg.lstsq(design, second, rcond=None)
-    largest, smallest = np.linalg.svd(affine[:2], compute_uv=False)
+    # Singular values of the linear part: the scales along and across.
+    linear = affine[:2]
+    largest, smallest = np.linalg.svd(linear, compute_uv=False)
     along = max(largest, 1e-9)
     across = max(smallest, 1e-9)
     stretch = math.log(along / across)

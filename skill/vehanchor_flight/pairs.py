@@ -127,7 +127,8 @@ def _votes(descriptors: Descriptors, owners: Owners, n: int) -> dict[int, int]:
         is_positive = descriptors @ directions > 0
         pairs = _pairs_in_cells(is_positive @ bit_values, owners, n)
         keys, counts = np.unique(pairs, return_counts=True)
-        votes.update(dict(zip(keys.tolist(), counts.tolist(), strict=True)))
+        counted = zip(keys.tolist(), counts.tolist(), strict=True)
+        votes.update(dict(counted))
     return votes
 
 
@@ -188,5 +189,7 @@ def _by_position(positions: Positions) -> set[Pair]:
     for own, others in enumerate(neighbours):
         for other in others:
             if other != own:
-                pairs.add(_pair(int(known[own]), int(known[other])))
+                first = int(known[own])
+                second = int(known[other])
+                pairs.add(_pair(first, second))
     return pairs

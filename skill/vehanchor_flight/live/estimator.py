@@ -186,7 +186,8 @@ class LiveEstimator:
         prior = self._prior
         if prior is not None:
             prior = prior.scaled(factor)
-        check_stretch = self._stretch is None or self._n_frames % _STRETCH_PERIOD == 0
+        is_due = self._n_frames % _STRETCH_PERIOD == 0
+        check_stretch = self._stretch is None or is_due
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             view = search_raster(
                 part,
@@ -200,7 +201,8 @@ class LiveEstimator:
             detections = replace(view.detections, stretch=self._stretch)
             # The view has no tilt: the camera looks down.
             view = replace(view, detections=detections)
-            return conclude(view, measure_all(view))
+            witnesses = measure_all(view)
+            return conclude(view, witnesses)
 
     def _expected_gsd(self) -> float | None:
         """Return the scale by the filter, else by the prior."""
@@ -222,7 +224,8 @@ class LiveEstimator:
         is_inside = _is_inside(self._cars, low * factor, high * factor)
         new_cars = np.zeros((0, 2))
         if analysis.vehicles is not None:
-            new_cars = analysis.vehicles.fleet.centres * factor + low * factor
+            centres = analysis.vehicles.fleet.centres
+            new_cars = centres * factor + low * factor
         other_cars = self._cars[~is_inside]
         self._cars = np.concatenate([other_cars, new_cars])
 
@@ -248,6 +251,7 @@ class LiveEstimator:
             elif state.contradictions > 0:
                 reason = "disagree"
         height_px, width_px, _ = frame.image.shape
+        latency_s = time.monotonic() - frame.arrived_s
         return LiveScale(
             frame=frame.name,
             at_s=frame.at_s - self._first_s,
@@ -261,7 +265,7 @@ class LiveEstimator:
             seen_s_ago=seen_s_ago,
             linked=linked,
             n_skipped=frame.n_skipped,
-            latency_s=max(0.0, time.monotonic() - frame.arrived_s),
+            latency_s=max(0.0, latency_s),
             image_width_px=width_px,
             image_height_px=height_px,
         )
@@ -284,9 +288,10 @@ def reduction_factor(gsd_m_per_px: float | None, width_px: int, height_px: int) 
         length_px = CAR_LENGTH_M / gsd_m_per_px
     shorter_px = min(width_px, height_px)
     while length_px / factor > _MAX_CAR_LENGTH_PX and factor < _MAX_REDUCTION:
-        if shorter_px // (2 * factor) < _MIN_SHORTER_SIDE_PX:
+        next_factor = 2 * factor
+        if shorter_px // next_factor < _MIN_SHORTER_SIDE_PX:
             break
-        factor *= 2
+        factor = next_factor
     return factor
 
 
@@ -351,11 +356,15 @@ def _fullest_window(width: int, height: int, cars: Points) -> Window:
     windows = []
     n_cars = []
     for left, top in corners:
-        window = Window(int(left), int(top), width_px=window_width, height_px=window_height)
+        x_px = int(left)
+        y_px = int(top)
+        window = Window(x_px, y_px, width_px=window_width, height_px=window_height)
         low, high = _corners(window)
         windows.append(window)
-        n_cars.append(int(_is_inside(cars, low, high).sum()))
-    return windows[int(np.argmax(n_cars))]
+        is_inside = _is_inside(cars, low, high)
+        n_cars.append(int(is_inside.sum()))
+    fullest = int(np.argmax(n_cars))
+    return windows[fullest]
 
 
 def _corners(window: Window) -> tuple[Corner, Corner]:
@@ -418,7 +427,8 @@ def _motion(matched: Match, width_px: int, height_px: int) -> Motion:
     points = np.column_stack([across.ravel(), down.ravel()])
     rotation = matched.turn[:, :2]
     shifted = points - matched.turn[:, 2]
-    earlier = np.asarray(np.linalg.solve(rotation, shifted.T), dtype=np.float64)
+    solution = np.linalg.solve(rotation, shifted.T)
+    earlier = np.asarray(solution, dtype=np.float64)
     is_shared = _is_in_frame(earlier.T, width_px, height_px)
     moved = 1.0 - float(is_shared.mean())
     return Motion(-matched.log_ratio, matched.log_sd, moved)
