@@ -202,7 +202,12 @@ class _Problem:
     links, then those of the photographs' own evidence.
     """
 
-    def __init__(self, n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> None:
+    def __init__(
+        self,
+        n: int,
+        links: Sequence[Link],
+        unaries: Sequence[Unary | None],
+    ) -> None:
         self._n = n
         self._n_links = len(links)
         evident = [index for index, unary in enumerate(unaries) if unary is not None]
@@ -348,7 +353,12 @@ def _ends(links: Sequence[Link]) -> Indices:
     return np.array(ends, dtype=np.intp).reshape(-1, 2)
 
 
-def _components(n: int, links: Sequence[Link], sds: Sds, problem: _Problem) -> tuple[Subgraph, ...]:
+def _components(
+    n: int,
+    links: Sequence[Link],
+    sds: Sds,
+    problem: _Problem,
+) -> tuple[Subgraph, ...]:
     """Divide the photographs into linked ones, each with scales and their covariance.
 
     Args:

@@ -80,7 +80,13 @@ class LiveEstimator:
         InvalidParameterError: the seconds are invalid, or the model does not know the region.
     """
 
-    def __init__(self, detector: Detector, options: ScaleOptions, *, hold_s: float = 10.0) -> None:
+    def __init__(
+        self,
+        detector: Detector,
+        options: ScaleOptions,
+        *,
+        hold_s: float = 10.0,
+    ) -> None:
         options.check_for_several_images()
         kinds = (Vehicles.kind, SceneScale.kind)
         rulers = replace(options.rulers, rulers=kinds, metadata=False)
@@ -295,7 +301,13 @@ def reduction_factor(gsd_m_per_px: float | None, width_px: int, height_px: int) 
     return factor
 
 
-def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: Points) -> Window:
+def next_window(
+    width_px: int,
+    height_px: int,
+    factor: int,
+    turn: int,
+    cars: Points,
+) -> Window:
     """Choose the window to search in a frame.
 
     Args:

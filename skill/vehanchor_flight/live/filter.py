@@ -128,7 +128,11 @@ def started(measured: Measurement) -> FilterState:
     )
 
 
-def predicted(state: FilterState, seconds: float, motion: Motion | None) -> FilterState | None:
+def predicted(
+    state: FilterState,
+    seconds: float,
+    motion: Motion | None,
+) -> FilterState | None:
     """Predict the state of the next frame.
 
     Args:

@@ -127,24 +127,27 @@ def _read_text(folder: Path) -> tuple[tuple[Shot, ...], Points]:
     # An image has two rows: its pose, and its points, which may be none.
     image_rows = list(_rows(folder / "images.txt", keep_empty=True))
     poses = image_rows[::2]
-    shots = tuple(_text_shot(row, lenses) for row in poses if row.strip())
+    # A file can end with an empty row.
+    shots = [_text_shot(row, lenses) for row in poses if row.strip()]
     columns = slice(_POSITION_COLUMN, _POSITION_COLUMN + 3)
     points = _rows(folder / "points3D.txt")
     positions = [row.split()[columns] for row in points]
-    return shots, np.array(positions, np.float64)
+    return tuple(shots), np.array(positions, np.float64)
 
 
 def _read_binary(folder: Path) -> tuple[tuple[Shot, ...], Points]:
     """Read the shots and the positions of the points from binary files."""
     lenses = _binary_cameras(_read_bytes(folder / "cameras.bin"))
     images = _read_bytes(folder / "images.bin")
-    shots = tuple(_binary_shot(images, start, lenses) for start in _image_starts(images))
+    shots = []
+    for start in _image_starts(images):
+        shots.append(_binary_shot(images, start, lenses))
     points = _read_bytes(folder / "points3D.bin")
     positions = []
     for start in _point_starts(points):
         _, x, y, z, *_ = _POINT.unpack_from(points, start)
         positions.append((x, y, z))
-    return shots, np.array(positions, np.float64)
+    return tuple(shots), np.array(positions, np.float64)
 
 
 def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
@@ -367,12 +370,14 @@ def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes
         if row.startswith("#"):
             rows.append(row)
             continue
-        if number % every == 0 and row.strip():
+        is_scaled = number % every == 0
+        if is_scaled and row.strip():
             rows.append(_scaled_row(row, first, factor))
         else:
             rows.append(row)
         number += 1
-    return ("\n".join(rows) + "\n").encode()
+    text = "\n".join(rows) + "\n"
+    return text.encode()
 
 
 def _scaled_row(row: str, first: int, factor: float) -> str:
@@ -384,7 +389,12 @@ def _scaled_row(row: str, first: int, factor: float) -> str:
     return " ".join(cells)
 
 
-def _scaled_binary(path: Path, find_starts: FindStarts, offset: int, factor: float) -> bytearray:
+def _scaled_binary(
+    path: Path,
+    find_starts: FindStarts,
+    offset: int,
+    factor: float,
+) -> bytearray:
     """Scale three numbers of every entry of a binary file.
 
     Args:
@@ -398,7 +408,8 @@ def _scaled_binary(path: Path, find_starts: FindStarts, offset: int, factor: flo
     """
     content = _read_bytes(path)
     for start in find_starts(content):
-        numbers = _POSITION.unpack_from(content, start + offset)
+        position = start + offset
+        numbers = _POSITION.unpack_from(content, position)
         scaled = [factor * number for number in numbers]
-        _POSITION.pack_into(content, start + offset, *scaled)
+        _POSITION.pack_into(content, position, *scaled)
     return content

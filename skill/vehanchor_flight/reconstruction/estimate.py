@@ -258,11 +258,12 @@ def _photograph(searched: SearchedPhotograph, model_factor: _Factor) -> ModelPho
     """Make the record of a photograph, with its factor beside that of the model."""
     estimate = searched.alone().analysis.estimate
     own_factor = _factor(estimate, searched.gsd)
+    rulers = [ruler.kind for ruler in estimate.rulers if ruler.sets_scale]
     return ModelPhotograph(
         photograph=searched.name,
         status=_status(own_factor, model_factor),
         **own_factor._asdict(),
-        rulers=tuple(ruler.kind for ruler in estimate.rulers if ruler.sets_scale),
+        rulers=tuple(rulers),
         n_vehicles=estimate.n_vehicles or 0,
         camera_height=searched.above_ground.height,
         tilt_deg=searched.above_ground.tilt.tilt_deg,
@@ -292,7 +293,13 @@ def _failed(failure: Failure) -> ModelPhotograph:
     )
 
 
-def verdict(factor: float | None, low: float | None, high: float | None, *, usable: bool) -> str:
+def verdict(
+    factor: float | None,
+    low: float | None,
+    high: float | None,
+    *,
+    usable: bool,
+) -> str:
     """Put a factor in a sentence.
 
     Args:

@@ -136,7 +136,12 @@ def plane_below(shot: Shot, points: Points, whole_plane: Plane) -> Plane:
     return fitted
 
 
-def local_heights(places: Points, points: Points, plane: Plane, camera_height: float) -> Heights:
+def local_heights(
+    places: Points,
+    points: Points,
+    plane: Plane,
+    camera_height: float,
+) -> Heights:
     """Measure the ground around objects, above the plane.
 
     Args:
@@ -212,7 +217,11 @@ def _thinned(points: Points) -> Points:
     return points[::step]
 
 
-def _most_common(points: Points, thickness: float, whole_plane: Plane | None = None) -> Plane:
+def _most_common(
+    points: Points,
+    thickness: float,
+    whole_plane: Plane | None = None,
+) -> Plane:
     """Find the plane with most points within its thickness; a least-squares fit to them follows.
 
     Args:
@@ -255,7 +264,11 @@ class _Sample(NamedTuple):
     is_inside: NDArray[np.bool_]
 
 
-def _best_sample(points: Points, thickness: float, whole_plane: Plane | None) -> _Sample | None:
+def _best_sample(
+    points: Points,
+    thickness: float,
+    whole_plane: Plane | None,
+) -> _Sample | None:
     """Try planes through random points (RANSAC); arguments as in ``_most_common``.
 
     Returns:

@@ -303,7 +303,11 @@ def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:
     ]
 
 
-def _distinct_cars(places: Points, log_lengths: Lengths, scores: Shares) -> tuple[Flags, Lengths]:
+def _distinct_cars(
+    places: Points,
+    log_lengths: Lengths,
+    scores: Shares,
+) -> tuple[Flags, Lengths]:
     """Find the boxes that show one car: those around its box with the best score.
 
     Args:
