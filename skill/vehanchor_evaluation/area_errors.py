@@ -84,7 +84,7 @@ def area_errors(name: str, answers: Iterable[AreaAnswer]) -> AreaErrors:
     for (category, _, _), error in zip(entries, errors, strict=True):
         of_category = by_category.setdefault(category, [])
         of_category.append(float(error))
-    # Sorted names make the record independent of the order of the entries.
+    # Categories are sorted, so that the order of the entries does not decide theirs.
     categories = {}
     for category, of_category in sorted(by_category.items()):
         median = float(np.median(of_category))

@@ -100,7 +100,7 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
         classes.append(name)
         is_difficult = len(fields) > 9 and fields[9] != "0"
         difficult.append(is_difficult)
-    # The shape is also that of an image without labels, whose array is empty.
+    # Without labels the array is empty, and needs the shape all the same.
     corners_px = np.array(corners, dtype=np.float64).reshape(-1, 4, 2)
     return DotaLabels(
         gsd_m_per_px=gsd,

@@ -105,7 +105,7 @@ def image_files(folder: Path) -> list[Path]:
     images = []
     for path in folder.rglob("*"):
         suffix = path.suffix.lower()
-        # The suffix is compared first, which spares a look at the disk for the other files.
+        # The suffix is checked first, so that other files cost no look at the disk.
         if suffix in SUFFIXES and path.is_file():
             images.append(path)
     return sorted(images)

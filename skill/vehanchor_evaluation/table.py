@@ -49,7 +49,7 @@ def survey_table(path: Path) -> KnownScaleSet:
             images.append(image._replace(labels=labels))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidParameterError(f"cannot read table {str(path)!r}: {error}") from None
-    # A table without one good line is another file than the user meant.
+    # If no line is valid, the user probably named the wrong file.
     if n_rows and n_malformed == n_rows:
         raise InvalidParameterError(
             f"no line of the table can be used; the first problem: {issues[0].message}"

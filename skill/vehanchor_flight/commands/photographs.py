@@ -89,14 +89,9 @@ def photographs(
         out = check_output_path(out, (".json",), kind="a record")
     if table is not None:
         table = check_table_path(table)
-    result_file = out or table
-    journal = None
-    if result_file is not None:
-        journal = result_file.with_name(result_file.name + ".journal")
+    journal = _journal_beside(out or table)
     images = _images(inputs, every, chosen.options().reading.limits)
-    last_step = "linking"
-    if same_scale:
-        last_step = "pooling the evidence of"
+    last_step = "pooling the evidence of" if same_scale else "linking"
     # The length of a video is unknown: its number of photographs is never complete.
     is_counted = isinstance(images, Sequence)
     with work_progress("images") as show_progress, resumable(journal):
@@ -124,6 +119,13 @@ def photographs(
         print_json(record.model_dump(mode="json"))
     else:
         _print_record(record)
+
+
+def _journal_beside(result_file: Path | None) -> Path | None:
+    """Name the journal that lets the same command resume; None without a file of results."""
+    if result_file is None:
+        return None
+    return result_file.with_name(result_file.name + ".journal")
 
 
 def _images(
