@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from vehanchor.detection.card import REFERENCE_LENGTH_M
 from vehanchor.errors import InvalidParameterError
@@ -16,6 +16,7 @@ from vehanchor.options.method import Method
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 from vehanchor_evaluation.gsd import ErrorRow, ScaleTrial
+from vehanchor_evaluation.result_record import ResultRecord
 from vehanchor_evaluation.search import ABLATION_ALPHAS
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 Boxes = Literal["detector", "labels"]
 _Setting = tuple[str, str, Boxes]
 _Group = tuple[str, str, list[ScaleTrial]]
+_Range = tuple[str, float, float]
 
 # Reference lengths in the paper: European, DOTA's, North American.
 _LENGTHS_M = (4.5, REFERENCE_LENGTH_M, 5.5)
@@ -58,10 +60,8 @@ _PAPER: dict[_Setting, tuple[float, float | None]] = {
 }
 
 
-class AblationRow(BaseModel):
+class AblationRow(ResultRecord):
     """Error with one option changed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     choice: str = Field(description="The option that varies.")
     setting: str = Field(
@@ -84,15 +84,21 @@ class AblationRow(BaseModel):
         }
 
 
-class AblationReport(BaseModel):
+class AblationReport(ResultRecord):
     """Table III on some data."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     data: str = Field(description="Source of the images.")
     detector: str = Field(description="Name of the detector.")
     detector_sha256: str = Field(description="SHA-256 of its file.")
     rows: tuple[AblationRow, ...] = Field(description="The table.")
+
+
+class _Side(NamedTuple):
+    """Trials with one kind of boxes, and the options that they were made with."""
+
+    boxes: Boxes
+    trials: tuple[ScaleTrial, ...]
+    options_of: OptionsOf
 
 
 class _Variant(NamedTuple):
@@ -113,19 +119,20 @@ def ablate(benchmark: ScaleBenchmark) -> AblationReport:
     Returns:
         A row for each setting and kind of boxes, with the paper's number if it has one.
     """
-    sides: list[tuple[Boxes, tuple[ScaleTrial, ...], OptionsOf]] = [
-        ("detector", benchmark.trials, benchmark.options_of)
-    ]
+    sides = [_Side("detector", benchmark.trials, benchmark.options_of)]
     if benchmark.baseline:
-        sides.append(("labels", benchmark.baseline, benchmark.label_options_of))
+        labels = _Side("labels", benchmark.baseline, benchmark.label_options_of)
+        sides.append(labels)
     rows = []
     for variant in _variants():
-        for boxes, trials, options_of in sides:
+        for side in sides:
             repeated = [
-                _repeat(trial, options_of, variant=variant, benchmark=benchmark) for trial in trials
+                _repeat(trial, side.options_of, variant=variant, benchmark=benchmark)
+                for trial in side.trials
             ]
-            row = _row(variant.choice, variant.setting, boxes=boxes, trials=repeated)
+            row = _row(variant.choice, variant.setting, boxes=side.boxes, trials=repeated)
             rows.append(row)
+    # These groups are subsets of the same estimates, so nothing is estimated again.
     for choice, setting, group in _splits(benchmark.trials):
         row = _row(choice, setting, boxes="detector", trials=group)
         rows.append(row)
@@ -143,7 +150,9 @@ def _variants() -> Iterator[_Variant]:
         yield _Variant("aggregation", aggregation, changed)
     for length in _LENGTHS_M:
         factor = length / REFERENCE_LENGTH_M
-        setting = "1" if factor == 1 else f"{length:g} / {REFERENCE_LENGTH_M:g}"
+        setting = f"{length:g} / {REFERENCE_LENGTH_M:g}"
+        if factor == 1:
+            setting = "1"
         changed_length = partial(_with_reference, factor=factor)
         yield _Variant("reference length", setting, changed_length)
     for alpha in ABLATION_ALPHAS:
@@ -159,6 +168,7 @@ def _with_lengths(_: ScaleAnalysis, options: ScaleOptions, **changes: Any) -> Sc
 
 def _with_reference(analysis: ScaleAnalysis, options: ScaleOptions, factor: float) -> ScaleOptions:
     length_m = analysis.estimate.details.reference_length_m
+    # Without a reference length in the estimate there is nothing to multiply.
     if length_m is None:
         return options
     reference = Reference(length_m * factor)
@@ -186,10 +196,13 @@ def _repeat(
 
 def _splits(trials: Sequence[ScaleTrial]) -> Iterator[_Group]:
     """Split the trials by number of vehicles and by true GSD: choice, setting, trials."""
-    counts: tuple[tuple[str, float, float], ...] = (
-        (f"N < {MIN_KDE_VEHICLES}", 1, MIN_KDE_VEHICLES),
-        (f"{MIN_KDE_VEHICLES} <= N < {_MANY_VEHICLES}", MIN_KDE_VEHICLES, _MANY_VEHICLES),
-        (f"N >= {_MANY_VEHICLES}", _MANY_VEHICLES, math.inf),
+    few = MIN_KDE_VEHICLES
+    many = _MANY_VEHICLES
+    # Name, least number and end of each range.
+    counts: tuple[_Range, ...] = (
+        (f"N < {few}", 1, few),
+        (f"{few} <= N < {many}", few, many),
+        (f"N >= {many}", many, math.inf),
     )
     for name, low, high in counts:
         group = [trial for trial in trials if low <= _n_detections(trial) < high]
@@ -203,7 +216,13 @@ def _n_detections(trial: ScaleTrial) -> int:
     return trial.analysis.estimate.details.n_detections or 0
 
 
-def _row(choice: str, setting: str, boxes: Boxes, trials: Sequence[ScaleTrial]) -> AblationRow:
+def _row(
+    choice: str,
+    setting: str,
+    boxes: Boxes,
+    trials: Sequence[ScaleTrial],
+) -> AblationRow:
+    # The paper reports only some settings, and those for one kind of boxes.
     setting_in_paper = (choice, setting, boxes)
     median, within_20 = _PAPER.get(setting_in_paper, (None, None))
     return AblationRow(

@@ -17,7 +17,7 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
@@ -27,6 +27,7 @@ from vehanchor.storage.journal import Journal, Key, Source
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
 from vehanchor_evaluation.known_scale import DATASET_READING, FileIssue
 from vehanchor_evaluation.pool import finished
+from vehanchor_evaluation.result_record import ResultRecord
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,10 +40,8 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.areas import AreaEntry
 
 
-class MaskTrial(BaseModel):
+class MaskTrial(ResultRecord):
     """Figures of the segmenter's mask for one entry."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     entry: str
     mask_area_px: int = Field(description="Pixels of the model's mask; 0 counts as no answer.")
@@ -52,10 +51,8 @@ class MaskTrial(BaseModel):
     mask_iou: float = Field(description="True overlap: intersection over union.")
 
 
-class AreaTrial(BaseModel):
+class AreaTrial(ResultRecord):
     """Measured areas of one entry."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     entry: str
     image: str
@@ -88,7 +85,11 @@ def open_mask_log(path: Path | None, segmenter_sha256: str) -> MaskLog:
         InvalidParameterError: the file is not a log of these masks.
         OutputError: the file cannot be read or written.
     """
-    settings = {"vehanchor": version("vehanchor"), "segmenter": segmenter_sha256}
+    # Another release or another segmenter can draw other masks, so its log is refused.
+    settings = {
+        "vehanchor": version("vehanchor"),
+        "segmenter": segmenter_sha256,
+    }
     return Journal(path, settings, dump=MaskTrial.model_dump, load=MaskTrial.model_validate)
 
 
@@ -206,7 +207,9 @@ def _iou(entry: AreaEntry, segmentation: Segmentation) -> float:
 
 
 def area_trials(
-    entries: Sequence[AreaEntry], masks: Mapping[str, MaskTrial], scales: Mapping[Path, GsdEstimate]
+    entries: Sequence[AreaEntry],
+    masks: Mapping[str, MaskTrial],
+    scales: Mapping[Path, GsdEstimate],
 ) -> list[AreaTrial]:
     """Join masks and scales.
 
@@ -230,6 +233,7 @@ def area_trials(
 def _area_trial(entry: AreaEntry, mask: MaskTrial, scale: GsdEstimate) -> AreaTrial:
     gsd = scale.gsd_m_per_px
     n_px = mask.mask_area_px
+    # Without a mask or a scale, the areas that need it have no value, and count as errors of 100 %.
     end_to_end_m2 = None
     true_scale_m2 = None
     true_mask_m2 = None
@@ -259,6 +263,7 @@ def summarise_area(trials: Sequence[AreaTrial]) -> list[AreaErrors]:
     """Summarise trials as rows: end to end (all, scaled, confident), and each source of error."""
     scaled = [trial for trial in trials if trial.gsd_m_per_px is not None]
     usable = [trial for trial in trials if trial.scale_confidence >= USABLE_CHANCE]
+    # With the true scale only the mask can be wrong, and with the true mask only the scale.
     true_scale = [(trial.category, trial.true_scale_m2, trial.true_area_m2) for trial in trials]
     true_mask = [(trial.category, trial.true_mask_m2, trial.true_area_m2) for trial in trials]
     return [

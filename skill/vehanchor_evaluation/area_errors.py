@@ -6,7 +6,9 @@ import math
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from vehanchor_evaluation.result_record import ResultRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -18,19 +20,15 @@ if TYPE_CHECKING:
 NO_ANSWER = 1.0
 
 
-class CategoryErrors(BaseModel):
+class CategoryErrors(ResultRecord):
     """Errors within one category."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     entries: int
     median: float
 
 
-class AreaErrors(BaseModel):
+class AreaErrors(ResultRecord):
     """Row of the table; errors and shares are fractions."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     entries: int = Field(description="Areas requested.")
@@ -86,6 +84,7 @@ def area_errors(name: str, answers: Iterable[AreaAnswer]) -> AreaErrors:
     for (category, _, _), error in zip(entries, errors, strict=True):
         of_category = by_category.setdefault(category, [])
         of_category.append(float(error))
+    # Categories are sorted, so that the order of the entries does not decide theirs.
     categories = {}
     for category, of_category in sorted(by_category.items()):
         median = float(np.median(of_category))
@@ -109,9 +108,13 @@ def area_errors(name: str, answers: Iterable[AreaAnswer]) -> AreaErrors:
 def _polarisation(categories: Iterable[CategoryErrors]) -> float | None:
     """Divide the worst category's median by the best one's; None if that is undefined."""
     medians = [category.median for category in categories]
-    if len(medians) < 2 or min(medians) <= 0:
+    if len(medians) < 2:
         return None
-    ratio = max(medians) / min(medians)
+    best = min(medians)
+    if best <= 0:
+        return None
+    ratio = max(medians) / best
+    # A tiny best median makes the ratio overflow, and the record holds no infinite number.
     if not math.isfinite(ratio):
         return None
     return ratio

@@ -6,10 +6,11 @@ from collections import Counter
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from vehanchor_evaluation.area_errors import AreaErrors
 from vehanchor_evaluation.report import markdown_table, percent, write_issues, write_results
+from vehanchor_evaluation.result_record import ResultRecord
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,10 +20,8 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.known_scale import FileIssue
 
 
-class AreaReport(BaseModel):
+class AreaReport(ResultRecord):
     """Results of a run and their basis."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     vehanchor: str = Field(description="Version of the library.")
     data: str = Field(description="Folder of the objects.")
@@ -45,6 +44,7 @@ def area_report(
 ) -> AreaReport:
     """Create a report."""
     available = Counter(entry.category for entry in data.entries)
+    left_out = Counter(issue.reason for issue in issues)
     return AreaReport(
         vehanchor=version("vehanchor"),
         data=str(data.source),
@@ -53,7 +53,7 @@ def area_report(
         run=dict(run),
         rows=tuple(rows),
         facts=tuple(facts),
-        left_out=dict(Counter(issue.reason for issue in issues)),
+        left_out=dict(left_out),
     )
 
 
@@ -72,19 +72,21 @@ def area_markdown(report: AreaReport) -> str:
         "catastrophic",
         "polarisation",
     )
-    tables = markdown_table(headings, [_cells(row) for row in report.rows])
-    categories = sorted({category for row in report.rows for category in row.categories})
+    cells = [_cells(row) for row in report.rows]
+    tables = markdown_table(headings, cells)
+    categories = _categories(report.rows)
     if categories:
-        medians = [
-            (row.name, *(_median(row, category) for category in categories)) for row in report.rows
-        ]
-        tables += "\n" + markdown_table(("median error (entries)", *categories), medians)
+        category_headings = ("median error (entries)", *categories)
+        medians = [_median_cells(row, categories) for row in report.rows]
+        tables += "\n" + markdown_table(category_headings, medians)
     facts = "".join(f"- {fact}\n" for fact in report.facts)
     return f"{tables}\n{facts}"
 
 
 def _cells(row: AreaErrors) -> tuple[str, ...]:
-    polarisation = "-" if row.polarisation is None else f"{row.polarisation:.1f}x"
+    polarisation = "-"
+    if row.polarisation is not None:
+        polarisation = f"{row.polarisation:.1f}x"
     return (
         row.name,
         str(row.entries),
@@ -98,6 +100,19 @@ def _cells(row: AreaErrors) -> tuple[str, ...]:
         percent(row.catastrophic),
         polarisation,
     )
+
+
+def _categories(rows: Sequence[AreaErrors]) -> list[str]:
+    """List the categories of all rows, which can differ because rows can lack entries."""
+    categories: set[str] = set()
+    for row in rows:
+        categories.update(row.categories)
+    return sorted(categories)
+
+
+def _median_cells(row: AreaErrors, categories: Sequence[str]) -> tuple[str, ...]:
+    medians = [_median(row, category) for category in categories]
+    return (row.name, *medians)
 
 
 def _median(row: AreaErrors, category: str) -> str:
@@ -130,5 +145,7 @@ def write_area_report(
         OutputError: a file cannot be written.
     """
     rows = [record.model_dump(mode="json") for record in records]
-    files = write_results(folder, stem, record=report, rows=rows, markdown=area_markdown(report))
-    return [*files, write_issues(folder / f"{stem}_left_out.csv", issues)]
+    markdown = area_markdown(report)
+    files = write_results(folder, stem, record=report, rows=rows, markdown=markdown)
+    left_out = write_issues(folder / f"{stem}_left_out.csv", issues)
+    return [*files, left_out]

@@ -94,7 +94,9 @@ def measure_areas(
         progress=step(count(len(entries), "object")),
     )
     # Objects of one image share its search.
-    images = {entry.image: KnownScaleImage(entry.image, entry.gsd_m_per_px) for entry in entries}
+    images = {}
+    for entry in entries:
+        images[entry.image] = KnownScaleImage(entry.image, entry.gsd_m_per_px)
     known_scales = KnownScaleSet(str(data.source), tuple(images.values()))
     searched = search_known_scale(
         known_scales,
@@ -117,7 +119,9 @@ def measure_areas(
 
 
 def _scales(
-    searched: Mapping[Path, SearchedImage | FileIssue], detector: Detector, options: ScaleOptions
+    searched: Mapping[Path, SearchedImage | FileIssue],
+    detector: Detector,
+    options: ScaleOptions,
 ) -> dict[Path, GsdEstimate]:
     """Estimate the scale of each image that could be searched."""
     return {
@@ -128,7 +132,10 @@ def _scales(
 
 
 def _run_facts(
-    detector: Detector, segmenter: Segmenter, options: ScaleOptions, limit: int | None
+    detector: Detector,
+    segmenter: Segmenter,
+    options: ScaleOptions,
+    limit: int | None,
 ) -> dict[str, Any]:
     """Describe models and options for the report."""
     calibration = options.reference.calibration
@@ -136,8 +143,8 @@ def _run_facts(
     if calibration is not None:
         calibration_facts = calibration.model_dump(mode="json")
     return {
-        "detector": {"name": detector.card.name, "sha256": detector.card.sha256},
-        "segmenter": {"name": segmenter.card.name, "sha256": segmenter.card.sha256},
+        "detector": _model_facts(detector),
+        "segmenter": _model_facts(segmenter),
         "reference_length_m": options.reference.reference_length_m,
         "region": options.reference.region,
         "calibration": calibration_facts,
@@ -148,8 +155,16 @@ def _run_facts(
     }
 
 
+def _model_facts(model: Detector | Segmenter) -> dict[str, str | None]:
+    card = model.card
+    return {"name": card.name, "sha256": card.sha256}
+
+
 def _facts(
-    trials: Sequence[AreaTrial], entries: Sequence[AreaEntry], detector: str, segmenter: str
+    trials: Sequence[AreaTrial],
+    entries: Sequence[AreaEntry],
+    detector: str,
+    segmenter: str,
 ) -> list[str]:
     """Describe the basis of the table, one sentence each."""
     objects = count(len(entries), "object")
@@ -163,7 +178,8 @@ def _facts(
     if not trials:
         return facts
     iou = np.array([trial.mask_iou for trial in trials])
-    facts.append(f"masks: IoU median {np.median(iou):.3f}, mean {iou.mean():.3f}")
+    median = np.median(iou)
+    facts.append(f"masks: IoU median {median:.3f}, mean {iou.mean():.3f}")
     n_without = sum(trial.gsd_m_per_px is None for trial in trials)
     share = percent(n_without / len(trials), digits=0)
     facts.append(f"scale: none for {count(n_without, 'object')} ({share})")

@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     ObjectMask: TypeAlias = tuple[int, int, int, Mask]
     """Number of an object, left and top of its box, and its mask in the box."""
 
+    IndexLine: TypeAlias = tuple[int, dict[str, str]]
+    """Number of a line of the index, and its cells by column."""
+
 # Shorter side of an object's box; smaller objects are too coarse for a mask.
 MIN_SIDE_PX = 15
 INDEX = "index.csv"
@@ -145,7 +148,8 @@ def read_areas(
     if not entries:
         message = f"{folder} has no object of {MIN_SIDE_PX} px and more"
         if issues:
-            message += f"; the first problem: {issues[0].file}: {issues[0].message}"
+            issue = issues[0]
+            message += f"; the first problem: {issue.file}: {issue.message}"
         raise InvalidParameterError(message)
     index_bytes = (folder / INDEX).read_bytes()
     sha256 = hashlib.sha256(index_bytes).hexdigest()
@@ -156,20 +160,11 @@ def read_areas(
 def _usable_rows(folder: Path, split: str | None) -> tuple[list[_Row], list[FileIssue]]:
     """Read the rows of a split, and list the rows that are malformed or repeated."""
     index = folder / INDEX
-    lines = _index_lines(index)
-    lines_of_split = lines
-    if split is not None:
-        lines_of_split = [(line, cells) for line, cells in lines if cells.get("split") == split]
-    if not lines_of_split:
-        splits = sorted({cells.get("split") or "" for _, cells in lines})
-        raise InvalidParameterError(
-            f"{index} has no rows of split {split!r}: it has {', '.join(splits) or 'no rows'}"
-        )
-
     rows = []
     issues = []
+    # The name of a mask identifies its objects in the log, so it may occur only once.
     names = set()
-    for line, cells in lines_of_split:
+    for line, cells in _lines_of_split(index, split):
         row = _row(folder, cells)
         if row is None:
             message = f"line {line}: expected {','.join(COLUMNS)}, gsd > 0"
@@ -183,7 +178,20 @@ def _usable_rows(folder: Path, split: str | None) -> tuple[list[_Row], list[File
     return rows, issues
 
 
-def _index_lines(index: Path) -> list[tuple[int, dict[str, str]]]:
+def _lines_of_split(index: Path, split: str | None) -> list[IndexLine]:
+    """Read the lines of a split, at least one; None selects all."""
+    lines = _index_lines(index)
+    lines_of_split = lines
+    if split is not None:
+        lines_of_split = [line for line in lines if line[1].get("split") == split]
+    if not lines_of_split:
+        splits = {cells.get("split") or "" for _, cells in lines}
+        available = ", ".join(sorted(splits)) or "no rows"
+        raise InvalidParameterError(f"{index} has no rows of split {split!r}: it has {available}")
+    return lines_of_split
+
+
+def _index_lines(index: Path) -> list[IndexLine]:
     """Read the cells of each row by column, with the number of its line."""
     try:
         with index.open(newline="", encoding="utf-8") as handle:
@@ -197,9 +205,9 @@ def _index_lines(index: Path) -> list[tuple[int, dict[str, str]]]:
             f"{index}: {error}; give a folder with an index.csv of masks"
         ) from None
     if missing:
-        raise InvalidParameterError(
-            f"{index} has no column {', '.join(missing)}: it needs {', '.join(COLUMNS)}"
-        )
+        absent = ", ".join(missing)
+        needed = ", ".join(COLUMNS)
+        raise InvalidParameterError(f"{index} has no column {absent}: it needs {needed}")
     return lines
 
 
@@ -226,7 +234,8 @@ def _row(folder: Path, cells: Mapping[str, str | None]) -> _Row | None:
 def _entries(row: _Row) -> list[AreaEntry] | FileIssue:
     """Read the objects of a row, or state why there are none."""
     if not row.image.is_file():
-        return FileIssue(row.image, "no_image", "it has a mask, but there is no such file")
+        message = "it has a mask, but there is no such file"
+        return FileIssue(row.image, "no_image", message)
     try:
         objects = list(read_masks(row.mask))
     except (OSError, ValueError) as error:
@@ -268,7 +277,9 @@ def read_masks(path: Path) -> Iterator[ObjectMask]:
         ImageError: the file cannot be read, or is not a label image.
     """
     numbers = read_pixels(path)
-    if numbers.ndim != 2 or numbers.dtype not in (np.uint8, np.uint16):
+    has_one_band = numbers.ndim == 2
+    has_integers = numbers.dtype in (np.uint8, np.uint16)
+    if not has_one_band or not has_integers:
         raise ImageFormatError(
             f"{path}: masks must have one band of 8 or 16 bit, got {numbers.dtype} {numbers.shape}"
         )
@@ -295,9 +306,7 @@ def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
     return np.asarray(pixels)
 
 
-def split_instances(
-    ids: NDArray[np.integer[Any]],
-) -> Iterator[ObjectMask]:
+def split_instances(ids: NDArray[np.integer[Any]]) -> Iterator[ObjectMask]:
     """Split a label image into its objects.
 
     Args:

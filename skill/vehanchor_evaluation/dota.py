@@ -75,6 +75,7 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
     for number, line in enumerate(text.splitlines(), start=1):
         stripped = line.strip()
         key, colon, value = stripped.partition(":")
+        # Versions 1.0 and 1.5 start with a header, of which only the scale counts.
         if not stripped or (colon and key.lower() in _HEADER_KEYS):
             continue
         try:
@@ -99,9 +100,11 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
         classes.append(name)
         is_difficult = len(fields) > 9 and fields[9] != "0"
         difficult.append(is_difficult)
+    # Without labels the array is empty, and needs the shape all the same.
+    corners_px = np.array(corners, dtype=np.float64).reshape(-1, 4, 2)
     return DotaLabels(
         gsd_m_per_px=gsd,
-        corners=np.array(corners, dtype=np.float64).reshape(-1, 4, 2),
+        corners=corners_px,
         classes=tuple(classes),
         difficult=np.array(difficult, dtype=bool),
     )
@@ -109,7 +112,8 @@ def parse_labels(text: str, problems: list[str] | None = None) -> DotaLabels:
 
 def _header_gsd(text: str) -> float | None:
     """Parse the value of a ``gsd:`` line; None if it is missing or not a positive number."""
-    if text.strip().lower() in ("", "none", "null"):
+    value = text.strip().lower()
+    if value in ("", "none", "null"):
         return None
     gsd = float(text)
     if not np.isfinite(gsd) or gsd <= 0:
@@ -145,6 +149,7 @@ def labelled_boxes(path: Path, classes: Sequence[str] = (SMALL_VEHICLE,)) -> Box
     ignored_problems: list[str] = []
     labels = read_labels(path, ignored_problems)
     boxes = boxes_from_corners(labels.of_class(*classes))
+    # A label whose corners coincide has no length to measure.
     lengths = boxes[:, 2]
     return np.asarray(boxes[lengths > 0])
 
@@ -166,14 +171,16 @@ def survey_dota(folder: Path, labels: Path | None = None) -> KnownScaleSet:
     """
     label_folder = _label_folder(folder, labels)
     files = sorted(label_folder.rglob("*.txt"))
-    texts = {path.stem: path for path in files if not _is_axis_aligned(path, label_folder)}
+    oriented = [path for path in files if not _is_axis_aligned(path, label_folder)]
+    texts = {path.stem: path for path in oriented}
     images = []
     issues = []
     image_by_stem: dict[str, Path] = {}
     for path in image_files(folder / "images"):
         stem = path.stem
         if stem in image_by_stem:
-            message = f"{image_by_stem[stem]} has the same name, and only that one is used"
+            first = image_by_stem[stem]
+            message = f"{first} has the same name, and only that one is used"
             issues.append(FileIssue(path, "duplicate_name", message))
             continue
         image_by_stem[stem] = path
@@ -198,7 +205,11 @@ def _label_folder(folder: Path, labels: Path | None) -> Path:
     if not (folder / "images").is_dir():
         folders = [path for path in folder.glob("*/images") if path.is_dir()]
         splits = sorted(path.parent.name for path in folders)
-        hint = f"; name one of its splits: {', '.join(splits)}" if splits else ""
+        hint = ""
+        # The folder above the splits was given.
+        if splits:
+            names = ", ".join(splits)
+            hint = f"; name one of its splits: {names}"
         raise InvalidParameterError(f"no images/ folder in {str(folder)!r}{hint}")
     label_folder = labels or _latest_labels(folder)
     if not label_folder.is_dir():
@@ -230,10 +241,14 @@ def _labelled_image(
     if problems:
         message = "; ".join(problems[:_MAX_SHOWN_PROBLEMS])
         if len(problems) > _MAX_SHOWN_PROBLEMS:
-            message += f" and {len(problems) - _MAX_SHOWN_PROBLEMS} more"
-        issues.append(FileIssue(text, "malformed_labels", message, skipped=False))
+            n_more = len(problems) - _MAX_SHOWN_PROBLEMS
+            message += f" and {n_more} more"
+        # The other labels of the image are good, so the image is used.
+        issue = FileIssue(text, "malformed_labels", message, skipped=False)
+        issues.append(issue)
     if gsd is None:
-        issues.append(FileIssue(path, "no_gsd", "its labels have no 'gsd:' line with a number"))
+        message = "its labels have no 'gsd:' line with a number"
+        issues.append(FileIssue(path, "no_gsd", message))
         return None
     n_vehicles = sum(name == SMALL_VEHICLE for name in labels.classes)
     return KnownScaleImage(path, gsd, labelled_vehicles=n_vehicles, labels=text)

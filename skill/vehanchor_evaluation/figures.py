@@ -32,6 +32,12 @@ if TYPE_CHECKING:
     Shares: TypeAlias = NDArray[np.float64]
     """Levels or shares ``[k]`` in 0..1."""
 
+    Gsds: TypeAlias = NDArray[np.float64]
+    """Metres per pixel ``[n]`` of images."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """Lengths ``[n]`` of vehicles, metres."""
+
     Picture: TypeAlias = NDArray[np.uint8]
     """RGB picture ``[h, w, 3]``."""
 
@@ -70,8 +76,7 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     estimated = [trial for trial in trials if trial.estimated]
     missed = [trial.image.gsd_m_per_px for trial in trials if not trial.estimated]
     truth = np.array([trial.image.gsd_m_per_px for trial in estimated])
-    estimates = [trial.analysis.estimate for trial in estimated]
-    predicted = np.array([estimate.gsd_m_per_px or np.nan for estimate in estimates])
+    predicted = _predicted_gsd(estimated)
     guard = _guard_gsd(estimated)
 
     # Both axes share their ends, so that a correct estimate lies on the diagonal.
@@ -112,6 +117,12 @@ def plot_predicted(trials: Sequence[ScaleTrial]) -> Figure:
     return figure
 
 
+def _predicted_gsd(trials: Sequence[ScaleTrial]) -> Gsds:
+    """List the estimates; NaN for a trial without one."""
+    estimates = [trial.analysis.estimate for trial in trials]
+    return np.array([estimate.gsd_m_per_px or np.nan for estimate in estimates])
+
+
 def _guard_gsd(trials: Sequence[ScaleTrial]) -> float:
     """Compute the predicted GSD above which the resolution guard applies.
 
@@ -123,7 +134,9 @@ def _guard_gsd(trials: Sequence[ScaleTrial]) -> float:
         for vehicles in measurements
         if vehicles is not None
     ]
-    return float(np.median(limits)) if limits else GUARD_GSD_M_PER_PX
+    if not limits:
+        return GUARD_GSD_M_PER_PX
+    return float(np.median(limits))
 
 
 def plot_cumulative_error(curves: Mapping[str, Sequence[ScaleTrial]]) -> Figure:
@@ -176,7 +189,7 @@ def interval_coverage(trials: Sequence[ScaleTrial], nominal: Shares) -> Shares:
     from scipy.stats import norm
 
     estimates = [trial.analysis.estimate for trial in trials]
-    gsd = np.array([estimate.gsd_m_per_px or np.nan for estimate in estimates])
+    gsd = _predicted_gsd(trials)
     high = np.array([estimate.gsd_ci95_high_m_per_px or np.nan for estimate in estimates])
     # The 95 % interval reaches Z95 standard deviations of the log GSD; this is the error in them.
     log_reach = np.log(high / gsd)
@@ -281,12 +294,11 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     axes = _without_frame(figure.add_subplot())
     metres, weights, smoothing = weighted_lengths_m(images)
     mode = calibration.reference_length_m
-    # The axis leaves out extreme lengths, but always shows the surroundings of the mode.
-    low, high = np.percentile(metres, [0.5, 99.5])
-    low = max(0.0, min(low, 0.6 * mode))
-    high = max(min(high, 2.5 * mode), 1.4 * mode)
+    low, high = _length_limits(metres, mode)
     shown = metres[(metres >= low) & (metres <= high)]
-    n_bins = int(np.clip(2 * np.sqrt(len(shown)), 12, 80))
+    # The root of the number balances detail against noise.
+    n_bins = 2 * np.sqrt(len(shown))
+    n_bins = int(np.clip(n_bins, 12, 80))
     edges = np.linspace(low, high, n_bins + 1)
     axes.hist(
         shown,
@@ -319,6 +331,14 @@ def plot_reference_length(images: Sequence[SurveyedImage], calibration: Calibrat
     return figure
 
 
+def _length_limits(metres: Lengths, mode: float) -> tuple[float, float]:
+    """Choose an axis without extreme lengths that always shows the surroundings of the mode."""
+    low, high = np.percentile(metres, [0.5, 99.5])
+    low = min(low, 0.6 * mode)
+    high = min(high, 2.5 * mode)
+    return max(0.0, low), max(high, 1.4 * mode)
+
+
 def _new_figure(width_in: float, height_in: float) -> Figure:
     """Create an empty figure; its size is in inches.
 
@@ -341,7 +361,8 @@ def _plain_log(axes: Axes) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        locator = LogLocator(subs=(1.0, 2.0, 5.0))
+        axis.set_major_locator(locator)
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_locator(NullLocator())
 
@@ -387,16 +408,19 @@ def sheet_cell(trial: ScaleTrial) -> SheetCell:
     estimate = trial.analysis.estimate
     with open_raster(trial.image.path, DATASET_READING) as raster:
         picture = fit_for_eyes(read_reduced(raster))
-    whole = Window(0, 0, width_px=estimate.image_width_px, height_px=estimate.image_height_px)
+    width_px = estimate.image_width_px
+    height_px = estimate.image_height_px
+    whole = Window(0, 0, width_px=width_px, height_px=height_px)
     placement = Placement.of(picture, whole)
     draw_vehicles(picture, trial.analysis, placement)
     vehicles = count(estimate.n_vehicles or 0, "vehicle")
+    true_gsd = trial.image.gsd_m_per_px
     # OpenCV draws ASCII only.
     name_end = trial.image.path.name[-48:]
     name = name_end.encode("ascii", "replace").decode()
     lines = (
         f"error {100 * trial.signed_error:+.1f} %",
-        f"{estimate.gsd_m_per_px:.3g} m/px, true {trial.image.gsd_m_per_px:.3g}",
+        f"{estimate.gsd_m_per_px:.3g} m/px, true {true_gsd:.3g}",
         f"{vehicles}, confidence {estimate.confidence:.2f}",
         name,
     )
@@ -417,7 +441,8 @@ def draw_sheet(rows: Sequence[Sequence[SheetCell]]) -> Picture:
     strips = [_blank(_GAP_PX, width, level=255)]
     for row in rows:
         cells = [_draw_cell(cell) for cell in row]
-        height = max((len(cell) for cell in cells), default=0)
+        heights = [len(cell) for cell in cells]
+        height = max(heights, default=0)
         strip = _blank(height + _GAP_PX, width, level=255)
         for column, cell in enumerate(cells):
             left = _GAP_PX + column * (_CELL_PX + _GAP_PX)
@@ -432,13 +457,17 @@ def _draw_cell(cell: SheetCell) -> Picture:
     factor = _CELL_PX / max(height, width)
     new_width = max(1, round(width * factor))
     new_height = max(1, round(height * factor))
-    method = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
+    # The mean over an area avoids moire in a reduced picture; a cubic keeps an enlarged one smooth.
+    method = cv2.INTER_CUBIC
+    if factor < 1:
+        method = cv2.INTER_AREA
     new_size = (new_width, new_height)
     resized = cv2.resize(cell.picture, new_size, interpolation=method)
     square = _blank(_CELL_PX, _CELL_PX, level=235)
     top = (_CELL_PX - new_height) // 2
     left = (_CELL_PX - new_width) // 2
     square[top : top + new_height, left : left + new_width] = resized
+    # No line has a colour of its own.
     caption = caption_panel(_CELL_PX, [[(None, line)] for line in cell.lines])
     return np.concatenate([square, caption])
 

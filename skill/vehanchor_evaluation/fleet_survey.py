@@ -39,14 +39,17 @@ def labelled_vehicles(
     survey = FleetSurvey([], list(data.issues))
     for image in data.images:
         if image.labels is None:
-            survey.issues.append(FileIssue(image.path, "no_label", "no label file found"))
+            issue = FileIssue(image.path, "no_label", "no label file found")
+            survey.issues.append(issue)
             continue
         try:
             boxes = labelled_boxes(image.labels, classes)
         except (OSError, ValueError) as error:
-            survey.issues.append(FileIssue(image.labels, "unreadable_labels", str(error)))
+            issue = FileIssue(image.labels, "unreadable_labels", str(error))
+            survey.issues.append(issue)
             continue
-        survey.images.append(SurveyedImage(boxes, image.gsd_m_per_px, gsd_log_sd=image.gsd_log_sd))
+        surveyed = SurveyedImage(boxes, image.gsd_m_per_px, gsd_log_sd=image.gsd_log_sd)
+        survey.images.append(surveyed)
     return survey
 
 
@@ -65,7 +68,9 @@ def found_vehicles(
         options: options of the estimate.
     """
     survey = FleetSurvey([], list(data.issues))
-    weighted = (options.lengths.aggregation or card.aggregation) == "weighted_kde"
+    # A calibration weights the vehicles as the later estimates do.
+    aggregation = options.lengths.aggregation or card.aggregation
+    is_weighted = aggregation == "weighted_kde"
     for image in data.images:
         result = searched[image.path]
         if isinstance(result, FileIssue):
@@ -74,9 +79,14 @@ def found_vehicles(
         with naming(image.path):
             analysis = result.analysis(card, options)
         boxes = analysis.detections.boxes[analysis.kept]
-        scores = analysis.detections.scores[analysis.kept] if weighted else None
+        scores = None
+        if is_weighted:
+            scores = analysis.detections.scores[analysis.kept]
         surveyed = SurveyedImage(
-            boxes, image.gsd_m_per_px, scores=scores, gsd_log_sd=image.gsd_log_sd
+            boxes,
+            image.gsd_m_per_px,
+            scores=scores,
+            gsd_log_sd=image.gsd_log_sd,
         )
         survey.images.append(surveyed)
     return survey

@@ -45,8 +45,11 @@ def survey_geotiffs(paths: Sequence[Path]) -> KnownScaleSet:
             issues.append(FileIssue(file, error.code, str(error)))
             continue
         if gsd is None:
-            issues.append(FileIssue(file, "no_georeference", "the file has no valid georeference"))
+            message = "the file has no valid georeference"
+            issues.append(FileIssue(file, "no_georeference", message))
             continue
         images.append(KnownScaleImage(file, gsd, labels=labels_beside(file)))
-    source = str(paths[0]) if len(paths) == 1 else f"{len(paths)} georeferenced files"
+    source = f"{len(paths)} georeferenced files"
+    if len(paths) == 1:
+        source = str(paths[0])
     return KnownScaleSet(source, tuple(images), tuple(issues))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from vehanchor.analysis.pipeline import analyse_image, checked_detector
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
@@ -18,18 +18,23 @@ from vehanchor.options import Reference, ScaleOptions
 from vehanchor.scale.lengths import kde_mode
 from vehanchor_evaluation.dota import SMALL_VEHICLE, labelled_boxes
 from vehanchor_evaluation.known_scale import FileIssue, KnownScaleImage, KnownScaleSet, naming
+from vehanchor_evaluation.result_record import ResultRecord
 from vehanchor_evaluation.search import SearchedImage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
 
+    Numbers: TypeAlias = NDArray[np.float64]
+    """Values ``[n]``, one for each estimate."""
+
     OptionsOf: TypeAlias = Callable[[KnownScaleImage], ScaleOptions]
+    """Function that gives the options for an image."""
 
 # The paper calls an image with an error above 20 % a high-error image (51 of 306).
 HIGH_ERROR = 0.20
@@ -90,12 +95,15 @@ class ScaleTrial:
 
 
 def run_trials(
-    images: Iterable[KnownScaleImage], detector: Detector, options: ScaleOptions | None = None
+    images: Iterable[KnownScaleImage],
+    detector: Detector,
+    options: ScaleOptions | None = None,
 ) -> Iterator[ScaleTrial]:
     """Estimate the scale of each image in turn."""
     options = options or ScaleOptions()
     for image in images:
-        yield ScaleTrial(image, analyse_image(image.path, detector, options))
+        analysis = analyse_image(image.path, detector, options)
+        yield ScaleTrial(image, analysis)
 
 
 class ErrorSummary(NamedTuple):
@@ -172,7 +180,11 @@ class ScaleBenchmark:
     label_options_of: OptionsOf
 
 
-def check_options(detector: Detector, data: KnownScaleSet, options_of: OptionsOf) -> None:
+def check_options(
+    detector: Detector,
+    data: KnownScaleSet,
+    options_of: OptionsOf,
+) -> None:
     """Check, before the search, that a detector has every region and owns the calibration.
 
     Raises:
@@ -196,7 +208,11 @@ def with_regions(options: ScaleOptions, regions: Mapping[str, str]) -> OptionsOf
         name: replace(options, reference=Reference(region=region))
         for name, region in regions.items()
     }
-    return lambda image: options_by_set.get(image.set, options)
+
+    def options_of(image: KnownScaleImage) -> ScaleOptions:
+        return options_by_set.get(image.set, options)
+
+    return options_of
 
 
 def benchmark_scale(
@@ -239,13 +255,10 @@ def benchmark_scale(
 
         if image.labels is None:
             continue
-        try:
-            boxes = labelled_boxes(image.labels, label_classes)
-        except (OSError, ValueError) as error:
-            issue = FileIssue(image.labels, "unreadable_labels", str(error), skipped=False)
-            issues.append(issue)
+        labelled = _labelled_image(image.labels, label_classes, result.image)
+        if isinstance(labelled, FileIssue):
+            issues.append(labelled)
             continue
-        labelled = _labelled_image(boxes, result.image)
         with naming(image.labels):
             analysis = labelled.analysis(detector, label_options_of(image))
         baseline.append(ScaleTrial(image, analysis, searched=labelled))
@@ -260,18 +273,24 @@ def benchmark_scale(
     )
 
 
-def _labelled_image(boxes: np.ndarray, searched: ImageFacts) -> SearchedImage:
+def _labelled_image(
+    labels: Path,
+    classes: Sequence[str],
+    searched: ImageFacts,
+) -> SearchedImage | FileIssue:
     """Make a search result from labels, which are analysed like detections with a score of 1."""
+    try:
+        boxes = labelled_boxes(labels, classes)
+    except (OSError, ValueError) as error:
+        # The image itself was searched, so only its labels are left out.
+        return FileIssue(labels, "unreadable_labels", str(error), skipped=False)
+    # Only the size of the image counts: its metadata would give another ruler than the labels.
     facts = ImageFacts(searched.width_px, searched.height_px)
     scores = np.ones(len(boxes))
     return SearchedImage(Detections(boxes, scores), facts)
 
 
-class _Row(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class ErrorRow(_Row):
+class ErrorRow(ResultRecord):
     """Row of the table; errors cover images with an estimate, as in the paper."""
 
     name: str = Field(description="Kind of boxes, and images.")
@@ -327,7 +346,7 @@ def _none_if_nan(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-class ScaleReport(_Row):
+class ScaleReport(ResultRecord):
     """Table I on some data, with the paper's figures on confidence and resolution guard."""
 
     data: str = Field(description="Source of the images.")
@@ -371,27 +390,20 @@ def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
     errors = np.array([trial.error for trial in estimated])
     high = [trial for trial in estimated if trial.error > HIGH_ERROR]
     low = [trial for trial in estimated if trial.error <= HIGH_ERROR]
-    labelled_lengths_m = [
-        trial.analysis.detections.boxes[:, 2] * trial.image.gsd_m_per_px
-        for trial in benchmark.baseline
-        if trial.estimated
-    ]
-    label_reference_length_m = None
-    if labelled_lengths_m:
-        label_reference_length_m = kde_mode(np.concatenate(labelled_lengths_m))
+    n_unlabelled = sum(not trial.estimated for trial in benchmark.baseline)
     return ScaleReport(
         data=benchmark.data.source,
         detector=benchmark.detector.name,
         detector_sha256=benchmark.detector.sha256,
         reference_length_m=_reference_lengths(benchmark.trials),
-        label_reference_length_m=label_reference_length_m,
+        label_reference_length_m=_mode_of_labels(benchmark.baseline),
         rows=tuple(_rows(benchmark)),
         skipped=_reasons(benchmark.issues, skipped=True),
         noted=_reasons(benchmark.issues, skipped=False),
         no_vehicle_found=len(benchmark.trials) - len(estimated),
-        no_vehicle_labelled=sum(not trial.estimated for trial in benchmark.baseline),
+        no_vehicle_labelled=n_unlabelled,
         confidence_error_pearson=_pearson(confidence, errors),
-        confidence_error_spearman=_pearson(_ranks(confidence), _ranks(errors)),
+        confidence_error_spearman=_spearman(confidence, errors),
         high_errors=len(high),
         high_errors_guarded=_guarded(high),
         high_errors_low_confidence=_low_confidence(high),
@@ -401,16 +413,30 @@ def report_scale(benchmark: ScaleBenchmark) -> ScaleReport:
     )
 
 
+def _mode_of_labels(baseline: Iterable[ScaleTrial]) -> float | None:
+    """Find the mode of the labelled lengths in metres: the L_ref that would fit these images."""
+    lengths_m = []
+    for trial in baseline:
+        if trial.estimated:
+            lengths_px = trial.analysis.detections.boxes[:, 2]
+            lengths_m.append(lengths_px * trial.image.gsd_m_per_px)
+    if not lengths_m:
+        return None
+    return kde_mode(np.concatenate(lengths_m))
+
+
 def _rows(benchmark: ScaleBenchmark) -> Iterator[ErrorRow]:
     """Summarise all images, those with both kinds of estimate, and each set."""
     trials = benchmark.trials
     baseline = benchmark.baseline
     yield ErrorRow.of("detector", trials)
     if baseline:
+        # Detector and labels compare fairly only on the same images.
         both = _estimated_images(trials) & _estimated_images(baseline)
         yield ErrorRow.of("labels", baseline)
         yield ErrorRow.of("detector, intersection", _of_images(trials, both))
         yield ErrorRow.of("labels, intersection", _of_images(baseline, both))
+    # With one set, its rows would repeat those above.
     sets = sorted({trial.image.set for trial in trials})
     if len(sets) < 2:
         return
@@ -451,17 +477,23 @@ def _low_confidence(trials: Iterable[ScaleTrial]) -> int:
     return sum(not trial.usable for trial in trials)
 
 
-def _ranks(values: np.ndarray) -> np.ndarray:
+def _ranks(values: Numbers) -> Numbers:
     from scipy.stats import rankdata
 
     return np.asarray(rankdata(values))
 
 
-def _pearson(first: np.ndarray, second: np.ndarray) -> float | None:
+def _spearman(first: Numbers, second: Numbers) -> float | None:
+    """Compute Spearman's correlation: Pearson's of the ranks."""
+    return _pearson(_ranks(first), _ranks(second))
+
+
+def _pearson(first: Numbers, second: Numbers) -> float | None:
     """Compute Pearson's correlation; None with fewer than three values or without spread."""
     if len(first) < 3:
         return None
-    if np.ptp(first) == 0 or np.ptp(second) == 0:
+    is_constant = np.ptp(first) == 0 or np.ptp(second) == 0
+    if is_constant:
         return None
     correlations = np.corrcoef(first, second)
     return float(correlations[0, 1])

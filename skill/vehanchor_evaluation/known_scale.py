@@ -72,7 +72,11 @@ class KnownScaleSet:
     issues: tuple[FileIssue, ...] = ()
 
     def select(
-        self, *, set_name: str | None = None, split: str | None = None, limit: int | None = None
+        self,
+        *,
+        set_name: str | None = None,
+        split: str | None = None,
+        limit: int | None = None,
     ) -> KnownScaleSet:
         """Select images by set, split and number; None selects all."""
         images = list(self.images)
@@ -98,8 +102,13 @@ class KnownScaleSet:
 
 def image_files(folder: Path) -> list[Path]:
     """List all files below a folder with an image suffix, sorted by path."""
-    named = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES]
-    return sorted(path for path in named if path.is_file())
+    images = []
+    for path in folder.rglob("*"):
+        suffix = path.suffix.lower()
+        # The suffix is checked first, so that other files cost no look at the disk.
+        if suffix in SUFFIXES and path.is_file():
+            images.append(path)
+    return sorted(images)
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
@@ -112,7 +121,11 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         if not path.exists():
             raise InvalidParameterError(f"no file or folder at {str(path)!r}")
-        files += image_files(path) if path.is_dir() else [path]
+        if path.is_dir():
+            files += image_files(path)
+        else:
+            files.append(path)
+    # A file can also lie in a folder that is given.
     return list(dict.fromkeys(files))
 
 

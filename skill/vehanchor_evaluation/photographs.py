@@ -61,16 +61,18 @@ def survey_photographs(
         try:
             options_of_file = with_lines_of(options, lines, file)
             with open_raster(file, options.reading) as raster:
-                record = analyse_raster(detector, raster, options_of_file).estimate
+                analysis = analyse_raster(detector, raster, options_of_file)
         except VehAnchorError as error:
             issues.append(FileIssue(file, error.code, str(error)))
             continue
-        image = _known_scale(file, record)
+        image = _known_scale(file, analysis.estimate)
         if isinstance(image, FileIssue):
             issues.append(image)
         else:
             images.append(image)
-    source = str(paths[0]) if len(paths) == 1 else f"{len(paths)} photographs"
+    source = f"{len(paths)} photographs"
+    if len(paths) == 1:
+        source = str(paths[0])
     return KnownScaleSet(source, tuple(images), tuple(issues))
 
 
@@ -85,11 +87,9 @@ def _without_vehicles(options: ScaleOptions) -> ScaleOptions:
         raise InvalidParameterError(
             "photographs need a ruler other than vehicles: drop --rulers and --metadata"
         )
-    return replace(
-        options,
-        rulers=replace(options.rulers, rulers=rulers),
-        reading=replace(options.reading, limits=DATASET_READING.limits),
-    )
+    ruler_options = replace(options.rulers, rulers=rulers)
+    reading = replace(options.reading, limits=DATASET_READING.limits)
+    return replace(options, rulers=ruler_options, reading=reading)
 
 
 def _known_scale(file: Path, record: GsdEstimate) -> KnownScaleImage | FileIssue:
@@ -101,6 +101,7 @@ def _known_scale(file: Path, record: GsdEstimate) -> KnownScaleImage | FileIssue
         message = " ".join(notice.message for notice in record.warnings)
         message = message or "no ruler other than vehicles gives a scale"
         return FileIssue(file, "no_other_ruler", message)
+    # In a tilted photograph, near vehicles have more pixels than far ones of the same length.
     if record.tilt is not None:
         tilt = f"{record.tilt.tilt_deg:.0f} degrees"
         message = f"the camera is tilted by {tilt}: vehicles have different scales"

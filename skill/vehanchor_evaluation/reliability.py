@@ -11,9 +11,10 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from vehanchor_evaluation.gsd import HIGH_ERROR
+from vehanchor_evaluation.result_record import ResultRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -44,16 +45,14 @@ def upper_bound(wrong: int, of: int) -> float | None:
 
     if not of:
         return None
+    # The beta distribution below is not defined when all are wrong.
     if wrong == of:
         return 1.0
-    return float(beta.ppf(_BOUND_PROBABILITY, wrong + 1, of - wrong))
+    bound = beta.ppf(_BOUND_PROBABILITY, wrong + 1, of - wrong)
+    return float(bound)
 
 
-class _Row(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class ChanceRow(_Row):
+class ChanceRow(ResultRecord):
     """Estimates with chances in one range: the mean of the chances against the outcome."""
 
     low: float = Field(description="Smallest stated chance of an error below 20 %.")
@@ -63,7 +62,7 @@ class ChanceRow(_Row):
     happened: float | None = Field(description="Share of them with an error below 20 %.")
 
 
-class GroupRow(_Row):
+class GroupRow(ResultRecord):
     """Images of one group: usable share, wrong ones, errors."""
 
     name: str = Field(description="The group.")
@@ -88,7 +87,7 @@ class GroupRow(_Row):
     interval_others: float | None = Field(description="The same share of the other estimates.")
 
 
-class ReliabilityReport(_Row):
+class ReliabilityReport(ResultRecord):
     """Reliability of the confidence on a user's images."""
 
     data: str = Field(description="Source of the images.")
@@ -126,6 +125,7 @@ def confidence_threshold(confidences: Sequence[float], wrong: Sequence[bool]) ->
     """
     confidence = np.asarray(confidences, dtype=np.float64)
     is_wrong = np.asarray(wrong, dtype=bool)
+    # Only a stated confidence can be the limit: between two of them the estimates are the same.
     for limit in np.unique(confidence):
         from_limit_on = confidence >= limit
         n_estimates = int(from_limit_on.sum())
@@ -138,7 +138,11 @@ def confidence_threshold(confidences: Sequence[float], wrong: Sequence[bool]) ->
     return Threshold(None)
 
 
-def report_reliability(data: str, detector: str, trials: Iterable[ScaleTrial]) -> ReliabilityReport:
+def report_reliability(
+    data: str,
+    detector: str,
+    trials: Iterable[ScaleTrial],
+) -> ReliabilityReport:
     """Summarise trials.
 
     Args:
@@ -224,12 +228,15 @@ def group_row(name: str, trials: Sequence[ScaleTrial]) -> GroupRow:
     usable = [trial for trial in estimated if trial.usable]
     others = [trial for trial in estimated if not trial.usable]
     wrong = sum(trial.error > HIGH_ERROR for trial in usable)
+    usable_share = None
+    if trials:
+        usable_share = len(usable) / len(trials)
     return GroupRow(
         name=name,
         images=len(trials),
         estimates=len(estimated),
         usable=len(usable),
-        usable_share=len(usable) / len(trials) if trials else None,
+        usable_share=usable_share,
         wrong=wrong,
         wrong_bound=upper_bound(wrong, len(usable)),
         median_usable=_median([trial.error for trial in usable]),

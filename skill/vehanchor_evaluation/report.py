@@ -58,7 +58,9 @@ def markdown_table(
     for cells in table:
         padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
         lines.append(f"| {' | '.join(padded)} |")
-    lines.insert(1, f"|{'|'.join(rules)}|")
+    # Markdown takes the first line as the heading only if a rule follows.
+    rule = "|".join(rules)
+    lines.insert(1, f"|{rule}|")
     return "\n".join(lines) + "\n"
 
 
@@ -99,12 +101,16 @@ def write_table(path: Path, rows: Rows, columns: Sequence[str] = ()) -> Path:
     Raises:
         OutputError: the file cannot be written.
     """
-    fields = list(rows[0]) if rows else columns
+    fields = columns
+    if rows:
+        fields = list(rows[0])
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, fieldnames=fields, lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        writer.writerow({name: in_cell(value) for name, value in row.items()})
+        # A spreadsheet would run a text that begins like a formula.
+        cells = {name: in_cell(value) for name, value in row.items()}
+        writer.writerow(cells)
     return _write(path, text.getvalue())
 
 
@@ -112,7 +118,8 @@ def _write(path: Path, text: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+        problem = error.strerror or error
+        raise OutputError(f"cannot write {str(path)!r}: {problem}") from error
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8", errors="backslashreplace")
     return path
@@ -145,20 +152,20 @@ def write_trials(path: Path, benchmark: ScaleBenchmark) -> Path:
     labelled = {trial.image.path: trial for trial in benchmark.baseline}
     rows = []
     for trial in benchmark.trials:
-        rows.append(_trial_row(trial, labelled.get(trial.image.path)))
+        labelled_trial = labelled.get(trial.image.path)
+        rows.append(_trial_row(trial, labelled_trial))
     return write_table(path, rows)
 
 
 def _trial_row(trial: ScaleTrial, labelled: ScaleTrial | None) -> dict[str, object]:
     estimate = trial.analysis.estimate
     details = estimate.details
-    signed_error = trial.signed_error if trial.estimated else None
     return {
         "file": str(trial.image.path),
         "set": trial.image.set,
         "true_gsd_m_per_px": trial.image.gsd_m_per_px,
         "gsd_m_per_px": estimate.gsd_m_per_px,
-        "signed_error": signed_error,
+        "signed_error": _signed_error(trial),
         "confidence": round(estimate.confidence, 4),
         "gsd_ci95_low_m_per_px": estimate.gsd_ci95_low_m_per_px,
         "gsd_ci95_high_m_per_px": estimate.gsd_ci95_high_m_per_px,
@@ -183,8 +190,15 @@ def _label_cells(labelled: ScaleTrial | None) -> dict[str, object]:
     return {
         "labelled_vehicles": estimate.details.n_detections,
         "labels_gsd_m_per_px": estimate.gsd_m_per_px,
-        "labels_signed_error": labelled.signed_error if labelled.estimated else None,
+        "labels_signed_error": _signed_error(labelled),
     }
+
+
+def _signed_error(trial: ScaleTrial) -> float | None:
+    """Return the signed error; None without an estimate, so that its cell stays empty."""
+    if not trial.estimated:
+        return None
+    return trial.signed_error
 
 
 # --- Texts
@@ -240,13 +254,15 @@ def _scale_facts(report: ScaleReport) -> list[str]:
     if report.label_reference_length_m is not None:
         mode = f"{report.label_reference_length_m:.4g} m"
         reference_length += f"; KDE mode of these labels: {mode}"
+    not_found = count(report.no_vehicle_found, "image")
+    pearson = _correlation(report.confidence_error_pearson)
+    spearman = _correlation(report.confidence_error_spearman)
     return [
         reference_length,
-        f"No estimate, as no vehicle was found: {count(report.no_vehicle_found, 'image')}; "
+        f"No estimate, as no vehicle was found: {not_found}; "
         f"images with labels but no labelled vehicle: {report.no_vehicle_labelled}",
         f"Skipped: {_counts(report.skipped)}; used in part: {_counts(report.noted)}",
-        f"Confidence against error: Pearson {_correlation(report.confidence_error_pearson)}, "
-        f"Spearman {_correlation(report.confidence_error_spearman)}",
+        f"Confidence against error: Pearson {pearson}, Spearman {spearman}",
         f"Errors above 20 %: {report.high_errors}; the resolution guard flags "
         f"{report.high_errors_guarded} of them, "
         f"the status flags {report.high_errors_low_confidence}. Other errors: {report.low_errors}, "
@@ -307,7 +323,9 @@ def reliability_markdown(report: ReliabilityReport) -> str:
 
 
 def _chance(chance: float | None) -> str:
-    return "-" if chance is None else f"{chance:.3f}"
+    if chance is None:
+        return "-"
+    return f"{chance:.3f}"
 
 
 def group_table(heading: str, rows: Iterable[GroupRow]) -> str:
@@ -348,7 +366,9 @@ def _threshold(report: ReliabilityReport) -> str:
 
 
 def _correlation(value: float | None) -> str:
-    return "not defined" if value is None else f"{value:+.3f}"
+    if value is None:
+        return "not defined"
+    return f"{value:+.3f}"
 
 
 def _counts(counts: Mapping[str, int]) -> str:

@@ -33,7 +33,7 @@ from vehanchor_evaluation.known_scale import DATASET_READING, FileIssue
 from vehanchor_evaluation.pool import finished
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from vehanchor.detection.card import DetectorCard
@@ -41,6 +41,9 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.imagery.raster import Raster
     from vehanchor_evaluation.known_scale import KnownScaleSet
+
+    Alphas: TypeAlias = tuple[float | None, ...]
+    """Factors of the outlier filter; None switches it off."""
 
 # Factors of the outlier filter in the paper's Table III.
 ABLATION_ALPHAS = (1.0, OUTLIER_ALPHA, None)
@@ -124,7 +127,10 @@ def open_detection_log(
         InvalidParameterError: the file is not a log of this search.
         OutputError: the file cannot be read or written.
     """
-    search_options = _full_search_options(options.search) if needs_search(options.rulers) else None
+    # Rulers that need no vehicles make the options of the search irrelevant.
+    search_options = None
+    if needs_search(options.rulers):
+        search_options = _full_search_options(options.search)
     settings = {
         "vehanchor": version("vehanchor"),
         "form": _FORM,
@@ -139,13 +145,17 @@ def open_detection_log(
 def _full_search_options(search: Search) -> dict[str, Any]:
     """Select the options that affect a full search."""
     of_early_stop = ("effort", "max_tiles", "max_seconds")
-    return {name: value for name, value in asdict(search).items() if name not in of_early_stop}
+    search_options = asdict(search)
+    for name in of_early_stop:
+        del search_options[name]
+    return search_options
 
 
 def _dump(searched: SearchedImage) -> Any:
     codec = Codec(STORED_CLASSES, FORMER_NAMES)
     detail_share = list(searched.detail_share.items())
-    return codec.dump((searched.detections, searched.image, detail_share, searched.prior))
+    fields = (searched.detections, searched.image, detail_share, searched.prior)
+    return codec.dump(fields)
 
 
 def _load(stored: Any) -> SearchedImage:
@@ -182,9 +192,9 @@ def search_images(
     files = list(images)
     if log is None:
         log = open_detection_log(None, detector, options)
-    report_progress = progress or (lambda _done, _total: None)
+    report_progress = progress or _report_nothing
     keys = {file: Source.of(file) for file in files}
-    alphas = tuple(dict.fromkeys((*ABLATION_ALPHAS, options.lengths.alpha)))
+    alphas = _alphas_to_measure(options)
     missing = [file for file in files if not _has_alphas(log.get(keys[file]), alphas)]
     issues: dict[Path, FileIssue] = {}
     n_done = len(files) - len(missing)
@@ -197,9 +207,8 @@ def search_images(
                 issues[file] = result
             elif Source.of(file) != keys[file]:
                 # The results would be stored under the key of other pixels.
-                issues[file] = FileIssue(
-                    file, "image_changed", "the file was changed or removed during the search"
-                )
+                message = "the file was changed or removed during the search"
+                issues[file] = FileIssue(file, "image_changed", message)
             else:
                 log.add(keys[file], result)
             n_done += 1
@@ -234,7 +243,8 @@ def search_known_scale(
         InvalidParameterError: the cache is not a log of a search.
         OutputError: the cache cannot be read or written.
     """
-    options = replace(options, reading=replace(options.reading, limits=DATASET_READING.limits))
+    reading = replace(options.reading, limits=DATASET_READING.limits)
+    options = replace(options, reading=reading)
     results = search_images(
         [image.path for image in data.images],
         detector,
@@ -246,20 +256,43 @@ def search_known_scale(
     return dict(results)
 
 
-def _has_alphas(logged: SearchedImage | None, alphas: Sequence[float | None]) -> bool:
-    return logged is not None and all(alpha in logged.detail_share for alpha in alphas)
+def _report_nothing(_done: int, _total: int) -> None:
+    """Ignore the progress."""
+
+
+def _alphas_to_measure(options: ScaleOptions) -> Alphas:
+    """List the filter's factors of the paper and of the user, each once."""
+    alphas = dict.fromkeys(ABLATION_ALPHAS)
+    alphas[options.lengths.alpha] = None
+    return tuple(alphas)
+
+
+def _has_alphas(logged: SearchedImage | None, alphas: Alphas) -> bool:
+    """Check whether an earlier run measured the detail for all these factors."""
+    if logged is None:
+        return False
+    return all(alpha in logged.detail_share for alpha in alphas)
 
 
 def _search(
-    file: Path, detector: Detector, options: ScaleOptions, alphas: Sequence[float | None]
+    file: Path,
+    detector: Detector,
+    options: ScaleOptions,
+    alphas: Alphas,
 ) -> SearchedImage | FileIssue:
     """Search one image, or state why it could not be searched."""
     try:
         with open_raster(os.fspath(file), options.reading) as raster:
             view = search_raster(raster, detector, options)
-            detail_share = {alpha: _detail_share(raster, view, alpha) for alpha in alphas}
+            # Detail is measured in the pixels, which later estimates no longer have.
+            detail_share = {}
+            for alpha in alphas:
+                detail_share[alpha] = _detail_share(raster, view, alpha)
             return SearchedImage(
-                view.detections, view.image, detail_share=detail_share, prior=view.prior
+                view.detections,
+                view.image,
+                detail_share=detail_share,
+                prior=view.prior,
             )
     except VehAnchorError as error:
         return FileIssue(file, error.code, str(error))
@@ -272,4 +305,5 @@ def _detail_share(raster: Raster, view: View, alpha: float | None) -> float:
     if view.prior is not None and view.tilt is None:
         expected = view.prior.density
     fleet = select(view.detections, Lengths(alpha=alpha), expected)
-    return measure_detail_share(raster, fleet.centres, fleet.main_reduction or 1.0)
+    reduction = fleet.main_reduction or 1.0
+    return measure_detail_share(raster, fleet.centres, reduction)

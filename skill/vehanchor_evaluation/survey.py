@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from vehanchor_evaluation.known_scale import KnownScaleSet
+    from vehanchor_evaluation.known_scale import KnownScaleImage, KnownScaleSet
 
 
 def survey_known_scale(
@@ -57,9 +57,15 @@ def survey_known_scale(
         data = survey_geotiffs(geotiff)
     selection = data.select(set_name=set_name, split=split, limit=limit)
     if data.images and not selection.images:
-        sets = {f"{image.set or '-'} ({image.split or '-'})" for image in data.images}
+        sets = {_set_text(image) for image in data.images}
         available = ", ".join(sorted(sets))
         raise InvalidParameterError(
             f"no image of set {set_name!r} and split {split!r}; the table has {available}"
         )
     return selection
+
+
+def _set_text(image: KnownScaleImage) -> str:
+    set_name = image.set or "-"
+    split = image.split or "-"
+    return f"{set_name} ({split})"

@@ -45,9 +45,11 @@ def survey_table(path: Path) -> KnownScaleSet:
                 message = f"line {number} of the table: no such file"
                 issues.append(FileIssue(image.path, "no_image", message))
                 continue
-            images.append(image._replace(labels=labels_beside(image.path)))
+            labels = labels_beside(image.path)
+            images.append(image._replace(labels=labels))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidParameterError(f"cannot read table {str(path)!r}: {error}") from None
+    # If no line is valid, the user probably named the wrong file.
     if n_rows and n_malformed == n_rows:
         raise InvalidParameterError(
             f"no line of the table can be used; the first problem: {issues[0].message}"
@@ -68,14 +70,17 @@ def _image(path: Path, number: int, row: Mapping[str, str | None]) -> KnownScale
         gsd = float(row["gsd_m_per_px"] or "")
         file = row["file"] or ""
         vehicles = row.get("labelled_small_vehicles")
-        n_vehicles = int(vehicles) if vehicles else None
+        n_vehicles = None
+        if vehicles:
+            n_vehicles = int(vehicles)
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidParameterError(
             f"{path}, line {number}: expected file,gsd_m_per_px ({error})"
         ) from None
     if not file:
         raise InvalidParameterError(f"{path}, line {number}: the column file is empty")
-    if not (math.isfinite(gsd) and gsd > 0):
+    is_positive = math.isfinite(gsd) and gsd > 0
+    if not is_positive:
         raise InvalidParameterError(
             f"{path}, line {number}: gsd_m_per_px is {gsd}, not a positive number"
         )

@@ -57,17 +57,24 @@ _ASPECT_TOLERANCE = 0.01  # Relative difference between the aspect ratios of two
 
 def conclude(results: Results, card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
     """Make the record of searched photographs; without ``same_scale`` they need features."""
-    indices = [index for index, result in enumerate(results) if isinstance(result, Photograph)]
-    members = [result for result in results if isinstance(result, Photograph)]
+    indices = []
+    members = []
+    for index, result in enumerate(results):
+        if isinstance(result, Photograph):
+            indices.append(index)
+            members.append(result)
     if same_scale:
-        component = single_component(indices, reference_member(members))
+        reference = reference_member(members)
+        component = single_component(indices, reference)
         return conclude_flight(results, [component], card, same_scale=True)
     features = [member.features for member in members if member.features is not None]
     linked, links = link_photographs(members, features)
     # Linking counts the usable photographs only; the record counts all.
-    components = [
-        replace(component, members=np.asarray(indices)[component.members]) for component in linked
-    ]
+    indices_of_usable = np.asarray(indices)
+    components = []
+    for component in linked:
+        members_of_flight = indices_of_usable[component.members]
+        components.append(replace(component, members=members_of_flight))
     return conclude_flight(results, components, card, same_scale=False, links=links)
 
 
@@ -102,7 +109,10 @@ def search_flight(
     silent_runtime = replace(detector.runtime, progress=None)
     silent_detector = detector.under(silent_runtime)
     results: list[Photograph | Failure] = []
-    n_photographs = len(inputs) if isinstance(inputs, Sized) else 0
+    # An iterator, such as that of a video, has no length.
+    n_photographs = 0
+    if isinstance(inputs, Sized):
+        n_photographs = len(inputs)
     for n_done, photograph in enumerate(inputs):
         report_progress(n_done, max(n_photographs, n_done))
         own_options = options
@@ -114,7 +124,11 @@ def search_flight(
             if lines and isinstance(photograph.image, str | os.PathLike):
                 own_options = with_lines_of(options, lines, photograph.image)
             result, features = _search(
-                photograph, silent_detector, options=own_options, stored=stored, featured=featured
+                photograph,
+                silent_detector,
+                options=own_options,
+                stored=stored,
+                featured=featured,
             )
         except VehAnchorError as error:
             results.append(Failure(photograph.name, error))
@@ -127,7 +141,8 @@ def search_flight(
             and key == journal_key(photograph)
         ):
             journal.add(key, result)
-        results.append(Photograph.of(photograph.name, result, detector.card, own_options, features))
+        searched = Photograph.of(photograph.name, result, detector.card, own_options, features)
+        results.append(searched)
     report_progress(len(results), len(results))
     if not results:
         raise ImageError("no photograph given: name at least one")
@@ -153,12 +168,16 @@ def _search(
         # The option ``bgr`` describes the caller's arrays; frames of a video are RGB.
         reading = replace(reading, bgr=False)
     with open_raster(photograph.image, reading) as raster:
-        features = find_features(raster) if featured else None
+        features = None
+        if featured:
+            features = find_features(raster)
         if stored is not None:
             return stored, features
         view = search_raster(raster, detector, options)
-        result = StoredPhotograph.of(view, analyse_view(view))
-        return replace(result, reduced=reduced_picture(raster)), features
+        analysis = analyse_view(view)
+        result = StoredPhotograph.of(view, analysis)
+        reduced = reduced_picture(raster)
+        return replace(result, reduced=reduced), features
 
 
 def reduced_picture(raster: Raster) -> NDArray[np.uint8]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
+
+    Descriptors: TypeAlias = NDArray[np.uint8]
+    """Descriptors ``[n, 128]`` of points."""
+
+    Grey: TypeAlias = NDArray[np.uint8]
+    """Grey levels ``[h, w]``."""
 
 _LONG_SIDE_PX = 1100  # Of the reduced copy: a quarter of the side of 12 Mpx.
 _MAX_FEATURES = 1200
@@ -33,8 +42,8 @@ class Features:
         pixel: pixels of the photograph per pixel of the reduced copy, the accuracy of the points.
     """
 
-    points: NDArray[np.float64]
-    descriptors: NDArray[np.uint8]
+    points: Points
+    descriptors: Descriptors
     pixel: float
 
     def __len__(self) -> int:
@@ -77,7 +86,7 @@ def find_features(raster: Raster, long_side_px: int = _LONG_SIDE_PX) -> Features
     return Features(points, roots.astype(np.uint8), float(factor))
 
 
-def _reduced_grey(raster: Raster, factor: int) -> NDArray[np.uint8]:
+def _reduced_grey(raster: Raster, factor: int) -> Grey:
     """Read a reduced copy of an image in grey levels, strip by strip."""
     width = raster.width_px // factor
     height = raster.height_px // factor
@@ -86,5 +95,6 @@ def _reduced_grey(raster: Raster, factor: int) -> NDArray[np.uint8]:
         rows = min(_STRIP_ROWS, height - top)
         window = Window(0, top, width_px=width, height_px=rows)
         strip = read_reduced_window(raster, window, factor)
-        grey[top : top + rows] = cv2.cvtColor(strip, cv2.COLOR_RGB2GRAY)
+        bottom = top + rows
+        grey[top:bottom] = cv2.cvtColor(strip, cv2.COLOR_RGB2GRAY)
     return grey

@@ -182,7 +182,9 @@ def solve(n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> Sol
     # The robust loss ignored the outliers; the final fit is without them.
     residuals = problem.residuals
     errors = np.abs(residuals)
-    is_outlier = (errors > _DROP_SDS * sds) & (errors > _DROP_LOG)
+    is_improbable = errors > _DROP_SDS * sds
+    is_large = errors > _DROP_LOG
+    is_outlier = is_improbable & is_large
     used = ~is_outlier
     used_links = list(compress(links, used))
     if is_outlier.any():
@@ -200,7 +202,12 @@ class _Problem:
     links, then those of the photographs' own evidence.
     """
 
-    def __init__(self, n: int, links: Sequence[Link], unaries: Sequence[Unary | None]) -> None:
+    def __init__(
+        self,
+        n: int,
+        links: Sequence[Link],
+        unaries: Sequence[Unary | None],
+    ) -> None:
         self._n = n
         self._n_links = len(links)
         evident = [index for index, unary in enumerate(unaries) if unary is not None]
@@ -346,7 +353,12 @@ def _ends(links: Sequence[Link]) -> Indices:
     return np.array(ends, dtype=np.intp).reshape(-1, 2)
 
 
-def _components(n: int, links: Sequence[Link], sds: Sds, problem: _Problem) -> tuple[Subgraph, ...]:
+def _components(
+    n: int,
+    links: Sequence[Link],
+    sds: Sds,
+    problem: _Problem,
+) -> tuple[Subgraph, ...]:
     """Divide the photographs into linked ones, each with scales and their covariance.
 
     Args:
@@ -356,7 +368,9 @@ def _components(n: int, links: Sequence[Link], sds: Sds, problem: _Problem) -> t
         problem: solved for these links.
     """
     first, second = _ends(links).T
-    adjacency = csr_matrix((sds, (first, second)), shape=(n, n))
+    # Only whether there is an entry counts for the components, not its value.
+    entries = (sds, (first, second))
+    adjacency = csr_matrix(entries, shape=(n, n))
     count, labels = connected_components(adjacency, directed=False)
     subgraphs = []
     for label in range(count):
@@ -366,7 +380,8 @@ def _components(n: int, links: Sequence[Link], sds: Sds, problem: _Problem) -> t
         information = problem.information(members, sds)
         whole = np.linalg.inv(information)
         covariance = np.asarray(whole[:m, :m], dtype=np.float64)
-        subgraphs.append(Subgraph(members, problem.scales[members], covariance))
+        subgraph = Subgraph(members, problem.scales[members], covariance)
+        subgraphs.append(subgraph)
     subgraphs.sort(key=_largest_first)
     return tuple(subgraphs)
 
@@ -390,8 +405,7 @@ def tilt_share(links: Sequence[Link]) -> float:
         0..1; 0 for fewer than four photographs, and if no tilt above ten degrees explains at least
         half.
     """
-    photographs = {link.first for link in links} | {link.second for link in links}
-    n = len(photographs)
+    n = len(np.unique(_ends(links)))
     if n < _MIN_TILT_PHOTOGRAPHS:
         return 0.0
     # Search a grid of q, by size and direction, for the tilt that fits the ratios best.
@@ -412,7 +426,9 @@ def tilt_share(links: Sequence[Link]) -> float:
     total = max(np.sum(ratios**2), 1e-9)
     unexplained_share = float(unexplained / total)
     share = 1 - unexplained_share * (n - 1) / (n - 3)
-    return share if share >= _MIN_TILT_SHARE else 0.0
+    if share >= _MIN_TILT_SHARE:
+        return share
+    return 0.0
 
 
 def _log_scales_by_tilt(tilts: Vectors, points: Vectors) -> Logs:

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     Weights: TypeAlias = NDArray[np.float64]
     """Weights ``[s]`` of the equations."""
 
+    RealOrComplex: TypeAlias = NDArray[np.float64] | NDArray[np.complex128]
+    """Values ``[s]`` of the pairs."""
+
     Lengths: TypeAlias = NDArray[np.float64]
     """Lengths in pixels or in diagonals of a photograph."""
 
@@ -83,10 +86,12 @@ def lay_out(
     if not overlaps:
         at_reference = np.zeros(len(feet), np.complex128)
         return Layout(at_reference, np.zeros(0))
+    first = [overlap.first for overlap in overlaps]
+    second = [overlap.second for overlap in overlaps]
     pairs = _Pairs(
         n=len(feet),
-        first=np.array([overlap.first for overlap in overlaps]),
-        second=np.array([overlap.second for overlap in overlaps]),
+        first=np.array(first),
+        second=np.array(second),
         reference=reference,
     )
     n_matches = np.array([overlap.match.n for overlap in overlaps], dtype=np.float64)
@@ -113,7 +118,8 @@ def lay_out(
     for _ in range(_STEPS):
         # heading_first = turn * heading_second; the reference has the heading 1.
         headings = pairs.solve(turns, zeros, weights=weights, reference_value=1.0)
-        headings /= np.maximum(np.abs(headings), 1e-9)
+        lengths = np.maximum(np.abs(headings), 1e-9)
+        headings /= lengths
         # position_first - position_second = step, turned and scaled to the reference's pixels.
         first_headings = headings[pairs.first]
         second_headings = headings[pairs.second]
@@ -126,7 +132,8 @@ def lay_out(
         # Weights of the Geman-McClure loss, one factor for turns and one for shifts.
         heading_penalty = 1 + (heading_errors / _HEADING_REACH) ** 2
         shift_penalty = 1 + (off / _SHIFT_REACH) ** 2
-        weights = n_matches / (heading_penalty * shift_penalty) ** 2
+        penalty = heading_penalty * shift_penalty
+        weights = n_matches / penalty**2
     return Layout(positions, off)
 
 
@@ -147,8 +154,8 @@ class _Pairs(NamedTuple):
 
     def solve(
         self,
-        factors: Numbers | NDArray[np.float64],
-        targets: Numbers | NDArray[np.float64],
+        factors: RealOrComplex,
+        targets: RealOrComplex,
         weights: Weights,
         reference_value: float,
     ) -> Numbers:
@@ -175,9 +182,11 @@ class _Pairs(NamedTuple):
         matrix = coo_matrix(entries, shape=(n_pairs + 1, self.n)).tocsr()
         reference_weight = _REFERENCE_WEIGHT * float(weights.sum())
         diagonal = diags(np.append(weights, reference_weight))
-        right = np.append(targets.astype(np.complex128), reference_value)
+        complex_targets = targets.astype(np.complex128)
+        right = np.append(complex_targets, reference_value)
         # Normal equations of complex least squares.
         adjoint = matrix.conj().T
         normal = (adjoint @ diagonal @ matrix).tocsc()
         weighted_right = adjoint @ (diagonal @ right)
-        return np.asarray(splu(normal).solve(weighted_right))
+        factorised = splu(normal)
+        return np.asarray(factorised.solve(weighted_right))

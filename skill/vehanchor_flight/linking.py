@@ -145,7 +145,8 @@ def _positions(photographs: Sequence[Photograph]) -> Points | None:
     rulers = photographs[0].view.options.rulers
     if not uses(rulers, Positions.kind):
         return None
-    return camera_positions_m([photograph.view.image for photograph in photographs])
+    images = [photograph.view.image for photograph in photographs]
+    return camera_positions_m(images)
 
 
 def _match_candidates(
@@ -222,7 +223,8 @@ def _unary(photograph: Photograph) -> Unary | None:
     if gsd is None or not low or not high:
         return None
     log_sd = math.log(high / low) / (2 * Z95)
-    return Unary(math.log(gsd), max(log_sd, _MIN_UNARY_SD))
+    log_sd = max(log_sd, _MIN_UNARY_SD)
+    return Unary(math.log(gsd), log_sd)
 
 
 def _component(
@@ -296,11 +298,15 @@ def _positions_witness(
     """Compare the layout in pixels with positions in metres; no witness if they do not match."""
     width_px = float(reference.view.image.width_px)
     witness = baseline(layout.feet, positions, width_px)
-    return () if witness is None else (witness,)
+    if witness is None:
+        return ()
+    return (witness,)
 
 
 def _sds_by_tilt(
-    photographs: Sequence[Photograph], offsets: Offsets, links: Sequence[Link]
+    photographs: Sequence[Photograph],
+    offsets: Offsets,
+    links: Sequence[Link],
 ) -> Offsets:
     """Compute the errors of offsets that an unknown tilt explains as well as a climb.
 
@@ -333,7 +339,10 @@ def _is_tilt_unknown(photograph: Photograph) -> bool:
 
 
 def _flight_link(
-    overlap: Overlap, photographs: Sequence[Photograph], inflation: float, dropped: str | None
+    overlap: Overlap,
+    photographs: Sequence[Photograph],
+    inflation: float,
+    dropped: str | None,
 ) -> FlightLink:
     """Make the record of an overlap."""
     return FlightLink(

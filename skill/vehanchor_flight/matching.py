@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     Point: TypeAlias = NDArray[np.float64]
     """Point x, y ``[2]`` in pixels."""
 
+    Matches: TypeAlias = NDArray[np.intp]
+    """Pairs ``[k, 2]`` of indices of features."""
+
     Transform: TypeAlias = NDArray[np.float64]
     """Similarity transform ``[2, 3]``."""
 
@@ -95,11 +98,14 @@ def match(first: Features, second: Features) -> Match | None:
         return None
     is_inlier = inlier_column.ravel().astype(bool)
     n_inliers = int(is_inlier.sum())
-    if n_inliers < _MIN_INLIERS or n_inliers < _MIN_INLIER_SHARE * len(pairs):
+    n_needed = max(_MIN_INLIERS, _MIN_INLIER_SHARE * len(pairs))
+    if n_inliers < n_needed:
         return None
     exact_transform = np.asarray(fitted, dtype=np.float64)
     transform: Transform = exact_transform.round(_DIGITS)
-    ratio = math.hypot(transform[0, 0], transform[1, 0])
+    # A similarity maps the unit vector in x to one as long as the ratio of the scales.
+    x_axis = transform[:, 0]
+    ratio = math.hypot(x_axis[0], x_axis[1])
     if not 1 / _MAX_SCALE_RATIO <= ratio <= _MAX_SCALE_RATIO:
         return None
     first_points = first_points[is_inlier]
@@ -116,7 +122,7 @@ def match(first: Features, second: Features) -> Match | None:
     )
 
 
-def _nearest(first: Descriptors, second: Descriptors) -> NDArray[np.intp]:
+def _nearest(first: Descriptors, second: Descriptors) -> Matches:
     """Find mutual best matches that pass the ratio test.
 
     Args:
@@ -134,14 +140,17 @@ def _nearest(first: Descriptors, second: Descriptors) -> NDArray[np.intp]:
     products = first_numbers @ second_numbers.T
     rows = np.arange(len(first))
     best = products.argmax(axis=1)
-    is_mutual = products.argmax(axis=0)[best] == rows
+    best_of_second = products.argmax(axis=0)
+    is_mutual = best_of_second[best] == rows
     best_products = products[rows, best]
     products[rows, best] = -math.inf
     second_best_products = products.max(axis=1)
     squared_length = _DESCRIPTOR_LENGTH**2
     best_distances = np.maximum(2 * (squared_length - best_products), 0.0)
     second_best_distances = np.maximum(2 * (squared_length - second_best_products), 1e-6)
-    is_distinct = best_distances <= _MAX_DISTANCE_RATIO**2 * second_best_distances
+    # The distances are squared, so the ratio is, too.
+    max_distances = _MAX_DISTANCE_RATIO**2 * second_best_distances
+    is_distinct = best_distances <= max_distances
     matched = np.flatnonzero(is_mutual & is_distinct)
     return np.column_stack([matched, best[matched]])
 
@@ -159,14 +168,18 @@ def _log_ratio_sd(first: Points, second: Points, transform: Transform) -> float:
     shift = transform[:, 2]
     mapped = first @ rotation.T + shift
     error = _rms(mapped - second)
-    radius = _rms(second - second.mean(axis=0))
+    middle = second.mean(axis=0)
+    radius = _rms(second - middle)
     root_of_n = math.sqrt(2 * len(first))
     scatter_sd = error / (radius * root_of_n)
     # Shape: an affine fit has two singular values, and a tilt of the camera makes them differ.
     centred = first - first.mean(axis=0)
-    design = np.column_stack([centred, np.ones(len(first))])
+    ones = np.ones(len(first))
+    design = np.column_stack([centred, ones])
     affine, *_ = np.linalg.lstsq(design, second, rcond=None)
-    largest, smallest = np.linalg.svd(affine[:2], compute_uv=False)
+    # Singular values of the linear part: the scales along and across.
+    linear = affine[:2]
+    largest, smallest = np.linalg.svd(linear, compute_uv=False)
     along = max(largest, 1e-9)
     across = max(smallest, 1e-9)
     stretch = math.log(along / across)

@@ -84,7 +84,8 @@ def _by_appearance(features: Sequence[Features]) -> set[Pair]:
             named[second].append((-count, first))
     pairs = set()
     for index, others in named.items():
-        for _, other in sorted(others)[:_N_BY_APPEARANCE]:
+        most_votes = sorted(others)[:_N_BY_APPEARANCE]
+        for _, other in most_votes:
             pairs.add(_pair(index, other))
     return pairs
 
@@ -99,8 +100,11 @@ def _principal_components(features: Sequence[Features]) -> Descriptors:
     voters = [own.descriptors[:_N_VOTERS] for own in features]
     descriptors = np.concatenate(voters).astype(np.float32)
     descriptors -= descriptors.mean(axis=0)
-    _, axes = np.linalg.eigh(descriptors.T @ descriptors)
-    return np.asarray(descriptors @ axes[:, -_N_DIMENSIONS:])
+    scatter = descriptors.T @ descriptors
+    # The eigenvalues ascend, so the last axes have the most variance.
+    _, axes = np.linalg.eigh(scatter)
+    main_axes = axes[:, -_N_DIMENSIONS:]
+    return np.asarray(descriptors @ main_axes)
 
 
 def _votes(descriptors: Descriptors, owners: Owners, n: int) -> dict[int, int]:
@@ -125,9 +129,11 @@ def _votes(descriptors: Descriptors, owners: Owners, n: int) -> dict[int, int]:
         rotation, _ = np.linalg.qr(random_matrix)
         directions = rotation[:, :_N_BITS].astype(np.float32)
         is_positive = descriptors @ directions > 0
-        pairs = _pairs_in_cells(is_positive @ bit_values, owners, n)
+        cells = is_positive @ bit_values
+        pairs = _pairs_in_cells(cells, owners, n)
         keys, counts = np.unique(pairs, return_counts=True)
-        votes.update(dict(zip(keys.tolist(), counts.tolist(), strict=True)))
+        counted = zip(keys.tolist(), counts.tolist(), strict=True)
+        votes.update(dict(counted))
     return votes
 
 
@@ -152,15 +158,18 @@ def _pairs_in_cells(cells: Keys, owners: Owners, n: int) -> Keys:
     cells = cells[is_new]
     owners = owners[is_new]
     # Leave out full cells.
-    is_first = np.append(True, cells[1:] != cells[:-1])
+    begins_cell = cells[1:] != cells[:-1]
+    is_first = np.append(True, begins_cell)
     starts = np.flatnonzero(is_first)
     sizes = np.diff(starts, append=len(cells))
-    is_small = np.repeat(sizes, sizes) <= _MAX_IN_CELL
+    sizes_of_voters = np.repeat(sizes, sizes)
+    is_small = sizes_of_voters <= _MAX_IN_CELL
     cells = cells[is_small]
     owners = owners[is_small]
     # Members of a cell are neighbours now: compare each voter with the next, the next but one, ...
     keys = [np.zeros(0, np.int64)]
-    for step in range(1, min(_MAX_IN_CELL, len(cells))):
+    n_steps = min(_MAX_IN_CELL, len(cells))
+    for step in range(1, n_steps):
         is_same = cells[step:] == cells[:-step]
         if not is_same.any():
             break
@@ -188,5 +197,7 @@ def _by_position(positions: Positions) -> set[Pair]:
     for own, others in enumerate(neighbours):
         for other in others:
             if other != own:
-                pairs.add(_pair(int(known[own]), int(known[other])))
+                first = int(known[own])
+                second = int(known[other])
+                pairs.add(_pair(first, second))
     return pairs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -27,6 +27,12 @@ if TYPE_CHECKING:
     from vehanchor.rulers.camera_tilt import CameraTilt
     from vehanchor.scale.posterior import Witness
     from vehanchor_flight.features import Features
+
+    Points: TypeAlias = NDArray[np.float64]
+    """Points x, y ``[n, 2]`` in pixels."""
+
+    MeasureDetailShare: TypeAlias = Callable[[Points, float], float]
+    """Measures the share of the resolution with detail around points, at a scale."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +125,10 @@ class Photograph:
         return cls(name, view, analysis=analysis, features=features, reduced=stored.reduced)
 
 
-def constant_detail_share(share: float) -> Callable[[NDArray[np.float64], float], float]:
+def constant_detail_share(share: float) -> MeasureDetailShare:
     """Make a function for ``View.measure_detail_share`` that returns a known share."""
 
-    def detail_share(_centres: NDArray[np.float64], _gsd_m_per_px: float) -> float:
+    def detail_share(_centres: Points, _gsd_m_per_px: float) -> float:
         return share
 
     return detail_share
@@ -130,7 +136,8 @@ def constant_detail_share(share: float) -> Callable[[NDArray[np.float64], float]
 
 def reference_member(members: Sequence[Photograph]) -> int:
     """Find the index of the photograph with the most vehicles; the first of equals."""
-    return int(np.argmax([member.analysis.estimate.n_vehicles or 0 for member in members]))
+    n_vehicles = [member.analysis.estimate.n_vehicles or 0 for member in members]
+    return int(np.argmax(n_vehicles))
 
 
 def per_photograph_witnesses(witnesses: Iterable[Witness]) -> tuple[Witness, ...]:

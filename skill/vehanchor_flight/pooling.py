@@ -51,6 +51,12 @@ if TYPE_CHECKING:
     Density: TypeAlias = NDArray[np.float64]
     """Probabilities ``[g]`` on the grid of scales."""
 
+    Reductions: TypeAlias = NDArray[np.float64]
+    """Reductions ``[n]`` of the images in which boxes were found."""
+
+    Order: TypeAlias = NDArray[np.intp]
+    """Indices ``[n]`` that sort boxes."""
+
     Flags: TypeAlias = NDArray[np.bool_]
     """Which of the boxes have an appearance."""
 
@@ -81,9 +87,11 @@ def pool(
         return members[0].analysis
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
-    witnesses = (*_pooled_witnesses(members, offsets), *flight_witnesses)
+    photograph_witnesses = _pooled_witnesses(members, offsets)
+    witnesses = (*photograph_witnesses, *flight_witnesses)
     view = _pooled_view(members, offsets, reference=reference, witnesses=witnesses)
-    pooled = conclude(view, measure_all(view, witnesses))
+    all_witnesses = measure_all(view, witnesses)
+    pooled = conclude(view, all_witnesses)
     return _with_tilt_of(members[reference], pooled)
 
 
@@ -102,6 +110,7 @@ def _pooled_view(
         witnesses: pooled evidence of the rulers that use no vehicles.
     """
     own_view = members[reference].view
+    detail_share = _median_detail_share(members)
     detections = [member.rectified_detections for member in members]
     # In an oblique view, the other rulers help to distinguish whole cars from parts of cars.
     expected = None
@@ -113,7 +122,7 @@ def _pooled_view(
         pooled_detections(detections, offsets),
         card=own_view.card,
         options=own_view.options,
-        measure_detail_share=constant_detail_share(_median_detail_share(members)),
+        measure_detail_share=constant_detail_share(detail_share),
         prior=_pooled_prior(members, offsets),
         expected=expected,
     )
@@ -151,7 +160,8 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     reductions = []
     for part, factor in zip(detections, factors, strict=True):
         # Four lengths scale with the pixels of the reference; the angle does not.
-        boxes.append(part.boxes * [factor, factor, factor, factor, 1.0])
+        box_factors = [factor, factor, factor, factor, 1.0]
+        boxes.append(part.boxes * box_factors)
         # The length at which the detector saw a box is length times reduction, and must not change.
         reductions.append(_reductions(part) / factor)
     scores = np.concatenate([part.scores for part in detections])
@@ -163,6 +173,11 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         pooled_reductions = np.concatenate(reductions)[order]
     reasons = [part.stopped_because for part in detections]
     stops = [reason for reason in reasons if reason is not None]
+    first_stop = None
+    if stops:
+        first_stop = stops[0]
+    # Where the total was not counted, the searched tiles stand for it.
+    totals = [part.n_tiles_total or part.n_tiles for part in detections]
     return Detections(
         np.concatenate(boxes, dtype=np.float64)[order],
         scores[order],
@@ -170,14 +185,14 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         n_capped_tiles=sum(part.n_capped_tiles for part in detections),
         reductions=pooled_reductions,
         appearance=_pooled_appearance(detections, has_appearance, order),
-        n_tiles_total=sum(part.n_tiles_total or part.n_tiles for part in detections),
+        n_tiles_total=sum(totals),
         n_skipped=sum(part.n_skipped for part in detections),
-        stopped_because=stops[0] if stops else None,
+        stopped_because=first_stop,
         stretch=_pooled_stretch(detections),
     )
 
 
-def _reductions(detections: Detections) -> NDArray[np.float64]:
+def _reductions(detections: Detections) -> Reductions:
     """Return the reductions ``[n]`` in which boxes were found; 1 in a search at full resolution."""
     if detections.reductions is None:
         return np.ones(len(detections.boxes))
@@ -186,12 +201,16 @@ def _reductions(detections: Detections) -> NDArray[np.float64]:
 
 def _has_appearance(detections: Detections) -> Flags:
     """Find the boxes ``[n]`` with an appearance: the first ones of a photograph."""
-    n_with = 0 if detections.appearance is None else len(detections.appearance)
+    n_with = 0
+    if detections.appearance is not None:
+        n_with = len(detections.appearance)
     return np.arange(len(detections.boxes)) < n_with
 
 
 def _pooled_appearance(
-    detections: Sequence[Detections], has_appearance: Flags, order: NDArray[np.intp]
+    detections: Sequence[Detections],
+    has_appearance: Flags,
+    order: Order,
 ) -> Appearance | None:
     """Join the appearances of all photographs; None without any.
 
@@ -200,7 +219,10 @@ def _pooled_appearance(
         has_appearance: ``[n]``, of their concatenated boxes.
         order: ``[n]``, which sorts the concatenated boxes; those with an appearance come first.
     """
-    appearances = [part.appearance for part in detections if part.appearance is not None]
+    appearances = []
+    for part in detections:
+        if part.appearance is not None:
+            appearances.append(part.appearance)
     if not appearances:
         return None
     # An appearance's row is the number of boxes with an appearance before its own box.
@@ -239,7 +261,8 @@ def combined_density(densities: Sequence[Density], gain: float) -> Density:
     # The geometric mean of the densities counts once, whatever n. Its power n ** gain is between
     # this mean (gain 0) and the product of n independent densities (gain 1).
     floored = [np.maximum(density, _MIN_PROBABILITY) for density in densities]
-    mean_logs = np.mean([np.log(density) for density in floored], axis=0)
+    logs = [np.log(density) for density in floored]
+    mean_logs = np.mean(logs, axis=0)
     combined_logs = mean_logs * len(densities) ** gain
     combined = np.exp(combined_logs - combined_logs.max())
     return np.asarray(combined / combined.sum())
@@ -270,7 +293,8 @@ def _pooled_prior(members: Sequence[Photograph], offsets: Offsets) -> SceneScale
             n_tiles += view.prior.n_tiles
     if not densities:
         return None
-    return SceneScalePrior(combined_density(densities, SceneScale.pooling_gain), n_tiles)
+    density = combined_density(densities, SceneScale.pooling_gain)
+    return SceneScalePrior(density, n_tiles)
 
 
 def _pooled_witnesses(members: Sequence[Photograph], offsets: Offsets) -> list[Witness]:
@@ -300,7 +324,8 @@ def _pooled_witness(kind: str, witnesses: Sequence[OffsetWitness]) -> Witness:
         return Witness(kind, n=0, notices=notices)
     first, first_offset = measured[0]
     if len(measured) == 1:
-        return replace(_moved(first, first_offset), notices=notices)
+        moved = _moved(first, first_offset)
+        return replace(moved, notices=notices)
     densities = []
     for witness, offset in measured:
         if witness.right is not None:
@@ -332,7 +357,10 @@ def _moved(witness: Witness, offset: float) -> Witness:
     """Convert a witness to the pixels of the reference."""
     if offset == 0.0 or witness.gsd_m_per_px is None or witness.right is None:
         return witness
-    lacks = [Lack(lack.reason, _moved(lack.without, offset)) for lack in witness.lacks]
+    lacks = []
+    for lack in witness.lacks:
+        without = _moved(lack.without, offset)
+        lacks.append(Lack(lack.reason, without))
     return replace(
         witness,
         gsd_m_per_px=witness.gsd_m_per_px * math.exp(-offset),

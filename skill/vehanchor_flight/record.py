@@ -39,6 +39,12 @@ if TYPE_CHECKING:
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.records import FlightLink
 
+    Lengths: TypeAlias = NDArray[np.float64]
+    """Lengths ``[n]`` of boxes in pixels."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the boxes have a property."""
+
     Results: TypeAlias = Sequence["Photograph | Failure"]
     """Searched photographs of a flight, or why they cannot be used."""
 
@@ -175,13 +181,14 @@ def conclude_flight(
         common = component_records[0].pooled
         warnings = (*common.warnings, *_several_sorties(sorties.values()))
     scale: dict[str, Any] = {name: getattr(common, name, None) for name in SCALE_FIELDS}
-    confidences = [record.confidence for record in ordered]
+    confidences = [record.confidence for record in ordered if record.confidence is not None]
+    n_vehicles = [record.pooled.n_vehicles or 0 for record in component_records]
     return FlightEstimate(
         status=_status(ordered),
         same_scale=same_scale,
         **scale,
-        confidence=min(confidence for confidence in confidences if confidence is not None),
-        n_vehicles=sum(record.pooled.n_vehicles or 0 for record in component_records),
+        confidence=min(confidences),
+        n_vehicles=sum(n_vehicles),
         photographs=ordered,
         components=tuple(component_records),
         links=tuple(links),
@@ -222,7 +229,8 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
     """
     if not images:
         return []
-    exposures = sorted(_exposure(image, index) for index, image in enumerate(images))
+    exposures = [_exposure(image, index) for index, image in enumerate(images)]
+    exposures.sort()
     sortie = 0
     sortie_of = {exposures[0].photograph: sortie}
     for before, exposure in pairwise(exposures):
@@ -231,9 +239,11 @@ def number_sorties(images: Sequence[ImageFacts]) -> list[int]:
         sortie_of[exposure.photograph] = sortie
     # Number the sorties again, in the order in which the photographs show them first.
     numbers: dict[int, int] = {}
+    numbers_in_order = []
     for index in range(len(images)):
-        numbers.setdefault(sortie_of[index], len(numbers))
-    return [numbers[sortie_of[index]] for index in range(len(images))]
+        number = numbers.setdefault(sortie_of[index], len(numbers))
+        numbers_in_order.append(number)
+    return numbers_in_order
 
 
 def _exposure(image: ImageFacts, index: int) -> _Exposure:
@@ -361,7 +371,8 @@ def _carried_scale(pooled: GsdEstimate, offset: float, log_sd: float) -> _Carrie
     # The confidence falls as the chance of an error below 20 % does in a wider normal distribution.
     within = _chance_within_tolerance(math.log(high / low))
     pooled_within = _chance_within_tolerance(reach_up + reach_down)
-    confidence = pooled.confidence * min(1.0, within / pooled_within)
+    confidence_share = min(1.0, within / pooled_within)
+    confidence = pooled.confidence * confidence_share
     return _CarriedScale(gsd, low=low, high=high, confidence=confidence)
 
 
@@ -377,14 +388,20 @@ def _chance_within_tolerance(log_width: float) -> float:
 
 
 def _status(photographs: Sequence[FlightPhotograph]) -> Status:
-    statuses = {record.status for record in photographs if record.status != "error"}
+    # An unreadable photograph says nothing about the scale of the others.
+    statuses = {record.status for record in photographs}
+    statuses.discard("error")
     if statuses <= {"no_scale"}:
         return "no_scale"
-    return "ok" if statuses == {"ok"} else "low_confidence"
+    if statuses == {"ok"}:
+        return "ok"
+    return "low_confidence"
 
 
 def _supporting_rulers(
-    members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
+    members: Sequence[Photograph],
+    component: Component,
+    pooled: ScaleAnalysis,
 ) -> list[tuple[FlightRuler, ...]]:
     """List each member's supporting rulers: its own, then those of the strongest member."""
     measured = _supports(members, component, pooled)
@@ -393,7 +410,7 @@ def _supporting_rulers(
     if not supports:
         return [()] * len(members)
     candidates = measured or of_flight
-    strongest = max(candidates, key=lambda support: support.strength).member
+    strongest = max(candidates, key=_strength).member
     # Rulers that are probably right come first, and of one ruler the strongest photograph.
     p_right = {ruler.kind: ruler.p_right for ruler in pooled.estimate.rulers}
 
@@ -410,9 +427,14 @@ def _supporting_rulers(
         rulers = []
         for support in (own + others)[:_MAX_RULERS]:
             photograph = members[support.member].name
-            rulers.append(FlightRuler(ruler=support.ruler, photograph=photograph))
+            ruler = FlightRuler(ruler=support.ruler, photograph=photograph)
+            rulers.append(ruler)
         rulers_of_members.append(tuple(rulers))
     return rulers_of_members
+
+
+def _strength(support: _Support) -> float:
+    return support.strength
 
 
 def _supports_of_flight(component: Component) -> list[_Support]:
@@ -427,7 +449,9 @@ def _supports_of_flight(component: Component) -> list[_Support]:
 
 
 def _supports(
-    members: Sequence[Photograph], component: Component, pooled: ScaleAnalysis
+    members: Sequence[Photograph],
+    component: Component,
+    pooled: ScaleAnalysis,
 ) -> list[_Support]:
     """List the rulers that support the component's scale, with the photograph of each."""
     supports = []
@@ -435,7 +459,8 @@ def _supports(
         detections = member.rectified_detections
         factor = math.exp(component.offsets[index])
         lengths = detections.boxes[:, 2] * factor
-        scores = detections.scores[_is_in_fleet(lengths, pooled)]
+        in_fleet = _is_in_fleet(lengths, pooled)
+        scores = detections.scores[in_fleet]
         strength = float((scores**2).sum())
         if strength > 0:
             supports.append(_Support(Vehicles.kind, index, strength))
@@ -446,7 +471,7 @@ def _supports(
     return supports
 
 
-def _is_in_fleet(lengths: NDArray[np.float64], pooled: ScaleAnalysis) -> NDArray[np.bool_]:
+def _is_in_fleet(lengths: Lengths, pooled: ScaleAnalysis) -> Flags:
     """Find lengths ``[n]``, in pixels of the reference, among those behind the pooled scale."""
     if pooled.vehicles is None:
         return np.zeros(len(lengths), dtype=bool)
@@ -455,7 +480,8 @@ def _is_in_fleet(lengths: NDArray[np.float64], pooled: ScaleAnalysis) -> NDArray
         return np.zeros(len(lengths), dtype=bool)
     shortest = fleet_lengths.min()
     longest = fleet_lengths.max()
-    return np.asarray((lengths >= shortest) & (lengths <= longest))
+    is_between = (lengths >= shortest) & (lengths <= longest)
+    return np.asarray(is_between)
 
 
 def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
@@ -496,4 +522,5 @@ def _carried_advice(*, maybe_tilted: bool) -> str:
 
 
 def _sentence(advice: Advice) -> str:
-    return f"{advice.why[0].upper()}{advice.why[1:]}: {advice.helps}."
+    initial = advice.why[0].upper()
+    return f"{initial}{advice.why[1:]}: {advice.helps}."

@@ -134,14 +134,19 @@ def rescale(
     """
     engine = engine or Engine()
     call_engine, call_options = engine.for_call(options, keywords)
-    reconstruction = model if isinstance(model, Reconstruction) else read_model(model)
-    folder = images_of(reconstruction) if images is None else Path(images)
+    reconstruction = _reconstruction(model)
+    if images is None:
+        folder = images_of(reconstruction)
+    else:
+        folder = Path(images)
     detector = checked_detector(call_engine.detector, call_options)
     rulers = replace(call_options.rulers, metadata=False)
     call_options = replace(call_options, rulers=rulers)
-    lines = lines_in(known_lengths_table, photograph_files(reconstruction, folder))
+    files = photograph_files(reconstruction, folder)
+    lines = lines_in(known_lengths_table, files)
+    sha256 = model_sha256(reconstruction)
     with resumable_journal(
-        journal, detector, call_options, lines, model_sha256=model_sha256(reconstruction)
+        journal, detector, call_options, lines, model_sha256=sha256
     ) as open_journal:
         results = search_model(
             reconstruction,
@@ -152,6 +157,13 @@ def rescale(
             journal=open_journal,
         )
         return conclude_model(reconstruction, results, folder)
+
+
+def _reconstruction(model: str | os.PathLike[str] | Reconstruction) -> Reconstruction:
+    """Read a model, unless the caller has read it already."""
+    if isinstance(model, Reconstruction):
+        return model
+    return read_model(model)
 
 
 def live_scales(
@@ -191,7 +203,10 @@ def live_scales(
     """
     engine = engine or Engine()
     call_engine, call_options = engine.for_call(options, keywords)
-    name = str(source) if isinstance(source, int) else os.fspath(source)
+    if isinstance(source, int):
+        name = str(source)
+    else:
+        name = os.fspath(source)
     frames = open_frames(name, call_options.reading, every_s=every_s, idle_s=idle_s, tell=tell)
     estimator = LiveEstimator(call_engine.detector, call_options, hold_s=hold_s)
     return map(estimator.estimate, frames)

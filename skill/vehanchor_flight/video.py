@@ -58,7 +58,9 @@ def is_video(path: str) -> bool:
 
 
 def sample_video(
-    path: str, every_s: float, limits: ImageLimits | None = None
+    path: str,
+    every_s: float,
+    limits: ImageLimits | None = None,
 ) -> Iterator[InputPhotograph]:
     """Sample a video at regular intervals.
 
@@ -110,7 +112,10 @@ def sample_video(
             raise ImageDecodeError(f"the video {path!r} has no readable frame")
 
 
-def _sharper(first: _SharpFrame | None, second: _SharpFrame | None) -> _SharpFrame | None:
+def _sharper(
+    first: _SharpFrame | None,
+    second: _SharpFrame | None,
+) -> _SharpFrame | None:
     """Return the sharper of two frames; the first of equals, and the other one for None."""
     if first is None:
         return second
@@ -133,7 +138,9 @@ def _photograph(path: str, frame: _SharpFrame, rate: float) -> InputPhotograph:
     # As many digits as give each frame another name.
     magnitude = math.log10(max(rate, 1.0))
     digits = max(2, math.ceil(magnitude))
-    name = f"{path} at {frame.number / rate:.{digits}f} s"
+    seconds = frame.number / rate
+    name = f"{path} at {seconds:.{digits}f} s"
+    # OpenCV gives blue first.
     rgb = np.ascontiguousarray(frame.pixels[:, :, ::-1])
     return InputPhotograph(name, rgb, film=path)
 
@@ -154,7 +161,8 @@ def opened_video(path: str) -> Iterator[cv2.VideoCapture]:
         os.environ[_OPTIONS] = f"protocol_whitelist;file|format_whitelist;{demuxer}"
         try:
             # A relative path may name a protocol.
-            film = cv2.VideoCapture(str(Path(path).absolute()), cv2.CAP_FFMPEG)
+            absolute_path = str(Path(path).absolute())
+            film = cv2.VideoCapture(absolute_path, cv2.CAP_FFMPEG)
         finally:
             del os.environ[_OPTIONS]
             if before is not None:
@@ -188,7 +196,10 @@ def _demuxer(path: Path) -> str | None:
 def _is_transport_stream(head: bytes, prefix: int = 0) -> bool:
     """Check whether two packets of MPEG-TS follow each other, each after ``prefix`` bytes."""
     second = prefix + _PACKET_BYTES + prefix
-    return head[prefix : prefix + 1] == head[second : second + 1] == _PACKET_SYNC
+    # Slices are empty beyond the end of a short file, where an index would fail.
+    first_byte = head[prefix : prefix + 1]
+    second_byte = head[second : second + 1]
+    return first_byte == second_byte == _PACKET_SYNC
 
 
 def _check_frame(film: cv2.VideoCapture, limits: ImageLimits) -> None:
@@ -216,8 +227,10 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
         frame: ``[h, w, 3]``.
     """
     height, width, _ = frame.shape
-    factor = min(1.0, _SHARPNESS_SIDE_PX / max(height, width))
+    longer_px = max(height, width)
+    factor = min(1.0, _SHARPNESS_SIDE_PX / longer_px)
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     if factor < 1:
         grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    return float(cv2.Laplacian(grey, cv2.CV_64F).var())
+    laplacian = cv2.Laplacian(grey, cv2.CV_64F)
+    return float(laplacian.var())

@@ -22,8 +22,10 @@ class _WithDefault(TyperGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Insert the default command, unless the arguments begin with a command or ask for help."""
-        if args and args[0] not in self.commands and args[0] not in _HELP_OPTIONS:
-            args = [_DEFAULT_COMMAND, *args]
+        if args:
+            first = args[0]
+            if first not in self.commands and first not in _HELP_OPTIONS:
+                args = [_DEFAULT_COMMAND, *args]
         return super().parse_args(ctx, args)
 
 

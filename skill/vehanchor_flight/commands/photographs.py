@@ -89,10 +89,7 @@ def photographs(
         out = check_output_path(out, (".json",), kind="a record")
     if table is not None:
         table = check_table_path(table)
-    result_file = out or table
-    journal = None
-    if result_file is not None:
-        journal = result_file.with_name(result_file.name + ".journal")
+    journal = _journal_beside(out or table)
     images = _images(inputs, every, chosen.options().reading.limits)
     last_step = "pooling the evidence of" if same_scale else "linking"
     # The length of a video is unknown: its number of photographs is never complete.
@@ -100,8 +97,10 @@ def photographs(
     with work_progress("images") as show_progress, resumable(journal):
 
         def report_progress(n_done: int, n_images: int) -> None:
-            is_last = is_counted and n_done == n_images
-            show_progress(n_done, n_images, last_step if is_last else "searching")
+            step = "searching"
+            if is_counted and n_done == n_images:
+                step = last_step
+            show_progress(n_done, n_images, step)
 
         record = estimate_flight(
             images,
@@ -114,15 +113,25 @@ def photographs(
     if out is not None:
         write_record(out, record)
     if table is not None:
-        write_table(table, (_row(record, photograph).flat() for photograph in record.photographs))
+        rows = (_row(record, photograph) for photograph in record.photographs)
+        write_table(table, (row.flat() for row in rows))
     if as_json:
         print_json(record.model_dump(mode="json"))
     else:
         _print_record(record)
 
 
+def _journal_beside(result_file: Path | None) -> Path | None:
+    """Name the journal that lets the same command resume; None without a file of results."""
+    if result_file is None:
+        return None
+    return result_file.with_name(result_file.name + ".journal")
+
+
 def _images(
-    inputs: list[str], every_s: float, limits: ImageLimits
+    inputs: list[str],
+    every_s: float,
+    limits: ImageLimits,
 ) -> Sequence[str] | Iterator[InputPhotograph]:
     """List the files, or the frames of one video."""
     from vehanchor.imagery.sources.files import find_images
@@ -142,9 +151,12 @@ def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
 
     if photograph.own is None:
         return BatchRow(
-            file=photograph.photograph, error_code=photograph.error_code, error=photograph.error
+            file=photograph.photograph,
+            error_code=photograph.error_code,
+            error=photograph.error,
         )
-    return BatchRow(file=photograph.photograph, estimate=estimate_in_flight(record, photograph))
+    estimate = estimate_in_flight(record, photograph)
+    return BatchRow(file=photograph.photograph, estimate=estimate)
 
 
 def _print_record(record: FlightEstimate) -> None:
@@ -166,7 +178,8 @@ def _facts(record: FlightEstimate, short_names: Mapping[str, str]) -> list[tuple
     facts = []
     if record.same_scale:
         facts.append(("scale of all", _common_scale_text(record)))
-    facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
+    status_text = STATUS_TEXTS[record.status]
+    facts.append(("confidence", f"{record.confidence:.2f}   {status_text}"))
     facts.append(("vehicles", str(record.n_vehicles)))
     rulers = _rulers_text(record)
     if rulers:
@@ -174,16 +187,22 @@ def _facts(record: FlightEstimate, short_names: Mapping[str, str]) -> list[tuple
     if not record.same_scale:
         facts.append(("linked", _components_text(record)))
         n_dropped = sum(link.dropped is not None for link in record.links)
-        facts.append(("overlaps", f"{len(record.links) - n_dropped} used, {n_dropped} dropped"))
-    sorties = Counter(
-        photograph.sortie for photograph in record.photographs if photograph.sortie is not None
-    )
-    if len(sorties) > 1:
-        sizes = " and ".join(str(size) for size in sorties.values())
-        facts.append(("sorties", f"{sizes} photographs, by camera and time"))
+        n_used = len(record.links) - n_dropped
+        facts.append(("overlaps", f"{n_used} used, {n_dropped} dropped"))
+    sizes = _sortie_sizes(record)
+    if len(sizes) > 1:
+        sizes_text = " and ".join(str(size) for size in sizes)
+        facts.append(("sorties", f"{sizes_text} photographs, by camera and time"))
     for remedy, names in _names_by_remedy(record.photographs, short_names).items():
         facts.append(("not usable", f"{_first_names(names)}. {remedy}"))
     return facts
+
+
+def _sortie_sizes(record: FlightEstimate) -> list[int]:
+    """Count the photographs of each sortie, in the order of the photographs."""
+    numbers = [photograph.sortie for photograph in record.photographs]
+    sizes = Counter(number for number in numbers if number is not None)
+    return list(sizes.values())
 
 
 def _common_scale_text(record: FlightEstimate) -> str:
@@ -198,7 +217,8 @@ def _common_scale_text(record: FlightEstimate) -> str:
 
 def _rulers_text(record: FlightEstimate) -> str:
     """Name the rulers of the largest component with their chances; empty without any."""
-    rulers = [ruler for ruler in record.components[0].pooled.rulers if ruler.sets_scale]
+    largest = record.components[0].pooled
+    rulers = [ruler for ruler in largest.rulers if ruler.sets_scale]
     if not rulers:
         return ""
     text = ", ".join(f"{ruler.kind} {ruler.p_right:.2f}" for ruler in rulers)
@@ -220,7 +240,8 @@ def _components_text(record: FlightEstimate) -> str:
 
 
 def _names_by_remedy(
-    photographs: Sequence[FlightPhotograph], short_names: Mapping[str, str]
+    photographs: Sequence[FlightPhotograph],
+    short_names: Mapping[str, str],
 ) -> dict[str, list[str]]:
     """Group the photographs without a usable scale by their problem and its remedy."""
     names: dict[str, list[str]] = {}
@@ -229,19 +250,22 @@ def _names_by_remedy(
         if photograph.error is not None:
             remedy = f"Not readable: {photograph.error}"
         if remedy is not None:
-            names.setdefault(remedy, []).append(short_names[photograph.photograph])
+            names_of_remedy = names.setdefault(remedy, [])
+            names_of_remedy.append(short_names[photograph.photograph])
     return names
 
 
 def _first_names(names: Sequence[str]) -> str:
     text = ", ".join(names[:_MAX_NAMES])
     if len(names) > _MAX_NAMES:
-        text += f" and {len(names) - _MAX_NAMES} more"
+        n_more = len(names) - _MAX_NAMES
+        text += f" and {n_more} more"
     return text
 
 
 def _print_photographs(
-    photographs: Sequence[FlightPhotograph], short_names: Mapping[str, str]
+    photographs: Sequence[FlightPhotograph],
+    short_names: Mapping[str, str],
 ) -> None:
     """Print a table with a line for each photograph."""
     columns = {
@@ -252,7 +276,8 @@ def _print_photographs(
         "supported by": "text",
         "status": "word",
     }
-    print_rows(columns, [_cells(photograph, short_names) for photograph in photographs])
+    rows = [_cells(photograph, short_names) for photograph in photographs]
+    print_rows(columns, rows)
 
 
 def _cells(photograph: FlightPhotograph, short_names: Mapping[str, str]) -> tuple[str, ...]:
@@ -285,4 +310,5 @@ def _support_text(photograph: FlightPhotograph, short_names: Mapping[str, str]) 
     first = photograph.supported_by[0]
     if first.photograph == photograph.photograph:
         return f"its own {first.ruler}"
-    return f"{first.ruler} of {short_names[first.photograph]}"
+    name = short_names[first.photograph]
+    return f"{first.ruler} of {name}"

@@ -134,7 +134,10 @@ def _model(source: str, project: Path | None, geo: Path | None) -> Reconstructio
 
 
 def _write_in_metres(
-    model: Reconstruction, record: ModelScale, project: Path | None, geo: Path | None
+    model: Reconstruction,
+    record: ModelScale,
+    project: Path | None,
+    geo: Path | None,
 ) -> list[Path]:
     """Write the files in metres of a usable size; return their paths."""
     from vehanchor_flight.reconstruction.files import write_geo, write_rescaled
@@ -164,10 +167,8 @@ def _print_record(record: ModelScale, source: str, written: Sequence[Path]) -> N
         _print_photographs(used)
     for photograph in record.photographs:
         if photograph.status == "error":
-            sentence = (
-                f"not measured[{photograph.error_code}]: {photograph.photograph}: "
-                f"{photograph.error}"
-            )
+            code = photograph.error_code
+            sentence = f"not measured[{code}]: {photograph.photograph}: {photograph.error}"
             typer.echo(printable(sentence), err=True)
     print_warnings(record.warnings)
 
@@ -177,11 +178,13 @@ def _facts(record: ModelScale, written: Sequence[Path]) -> list[tuple[str, str]]
     facts = [("verdict", record.verdict)]
     if record.factor is not None:
         facts.append(("factor", _factor_text(record)))
-    facts.append(("confidence", f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"))
+    status_text = STATUS_TEXTS[record.status]
+    facts.append(("confidence", f"{record.confidence:.2f}   {status_text}"))
     if record.reason is not None:
         facts.append(("reason", record.reason))
     for ruler in record.rulers:
-        text = f"{_factor_text(ruler)}, n {ruler.n}, right: {ruler.p_right:.2f}"
+        factor = _factor_text(ruler)
+        text = f"{factor}, n {ruler.n}, right: {ruler.p_right:.2f}"
         facts.append((ruler.label, text))
     if record.photographs:
         n_used = sum(photograph.status == "used" for photograph in record.photographs)
@@ -189,7 +192,8 @@ def _facts(record: ModelScale, written: Sequence[Path]) -> list[tuple[str, str]]
     for photograph in record.photographs:
         if photograph.status == "outlier":
             rulers = ", ".join(photograph.rulers)
-            text = f"{photograph.photograph}: {rulers} {_factor_text(photograph)}"
+            factor = _factor_text(photograph)
+            text = f"{photograph.photograph}: {rulers} {factor}"
             facts.append(("outlier", text))
     facts += [("written", str(path)) for path in written]
     return facts
@@ -209,15 +213,18 @@ def _print_photographs(photographs: Sequence[ModelPhotograph]) -> None:
         "cars": "number",
         "rulers": "text",
     }
-    print_rows(columns, [_cells(photograph) for photograph in photographs])
+    rows = [_cells(photograph) for photograph in photographs]
+    print_rows(columns, rows)
 
 
 def _cells(photograph: ModelPhotograph) -> tuple[str, ...]:
     """Make the cells of a photograph's line."""
+    low = photograph.factor_ci95_low
+    high = photograph.factor_ci95_high
     return (
         photograph.photograph,
         f"{photograph.factor:.4g}",
-        f"{photograph.factor_ci95_low:.3g} to {photograph.factor_ci95_high:.3g}",
+        f"{low:.3g} to {high:.3g}",
         str(photograph.n_vehicles),
         ", ".join(photograph.rulers),
     )

@@ -80,7 +80,13 @@ class LiveEstimator:
         InvalidParameterError: the seconds are invalid, or the model does not know the region.
     """
 
-    def __init__(self, detector: Detector, options: ScaleOptions, *, hold_s: float = 10.0) -> None:
+    def __init__(
+        self,
+        detector: Detector,
+        options: ScaleOptions,
+        *,
+        hold_s: float = 10.0,
+    ) -> None:
         options.check_for_several_images()
         kinds = (Vehicles.kind, SceneScale.kind)
         rulers = replace(options.rulers, rulers=kinds, metadata=False)
@@ -186,7 +192,8 @@ class LiveEstimator:
         prior = self._prior
         if prior is not None:
             prior = prior.scaled(factor)
-        check_stretch = self._stretch is None or self._n_frames % _STRETCH_PERIOD == 0
+        is_due = self._n_frames % _STRETCH_PERIOD == 0
+        check_stretch = self._stretch is None or is_due
         with open_raster(read_reduced_window(raster, window, factor)) as part:
             view = search_raster(
                 part,
@@ -200,7 +207,8 @@ class LiveEstimator:
             detections = replace(view.detections, stretch=self._stretch)
             # The view has no tilt: the camera looks down.
             view = replace(view, detections=detections)
-            return conclude(view, measure_all(view))
+            witnesses = measure_all(view)
+            return conclude(view, witnesses)
 
     def _expected_gsd(self) -> float | None:
         """Return the scale by the filter, else by the prior."""
@@ -222,7 +230,8 @@ class LiveEstimator:
         is_inside = _is_inside(self._cars, low * factor, high * factor)
         new_cars = np.zeros((0, 2))
         if analysis.vehicles is not None:
-            new_cars = analysis.vehicles.fleet.centres * factor + low * factor
+            centres = analysis.vehicles.fleet.centres
+            new_cars = centres * factor + low * factor
         other_cars = self._cars[~is_inside]
         self._cars = np.concatenate([other_cars, new_cars])
 
@@ -248,6 +257,7 @@ class LiveEstimator:
             elif state.contradictions > 0:
                 reason = "disagree"
         height_px, width_px, _ = frame.image.shape
+        latency_s = time.monotonic() - frame.arrived_s
         return LiveScale(
             frame=frame.name,
             at_s=frame.at_s - self._first_s,
@@ -261,7 +271,7 @@ class LiveEstimator:
             seen_s_ago=seen_s_ago,
             linked=linked,
             n_skipped=frame.n_skipped,
-            latency_s=max(0.0, time.monotonic() - frame.arrived_s),
+            latency_s=max(0.0, latency_s),
             image_width_px=width_px,
             image_height_px=height_px,
         )
@@ -284,13 +294,20 @@ def reduction_factor(gsd_m_per_px: float | None, width_px: int, height_px: int) 
         length_px = CAR_LENGTH_M / gsd_m_per_px
     shorter_px = min(width_px, height_px)
     while length_px / factor > _MAX_CAR_LENGTH_PX and factor < _MAX_REDUCTION:
-        if shorter_px // (2 * factor) < _MIN_SHORTER_SIDE_PX:
+        next_factor = 2 * factor
+        if shorter_px // next_factor < _MIN_SHORTER_SIDE_PX:
             break
-        factor *= 2
+        factor = next_factor
     return factor
 
 
-def next_window(width_px: int, height_px: int, factor: int, turn: int, cars: Points) -> Window:
+def next_window(
+    width_px: int,
+    height_px: int,
+    factor: int,
+    turn: int,
+    cars: Points,
+) -> Window:
     """Choose the window to search in a frame.
 
     Args:
@@ -351,11 +368,15 @@ def _fullest_window(width: int, height: int, cars: Points) -> Window:
     windows = []
     n_cars = []
     for left, top in corners:
-        window = Window(int(left), int(top), width_px=window_width, height_px=window_height)
+        x_px = int(left)
+        y_px = int(top)
+        window = Window(x_px, y_px, width_px=window_width, height_px=window_height)
         low, high = _corners(window)
         windows.append(window)
-        n_cars.append(int(_is_inside(cars, low, high).sum()))
-    return windows[int(np.argmax(n_cars))]
+        is_inside = _is_inside(cars, low, high)
+        n_cars.append(int(is_inside.sum()))
+    fullest = int(np.argmax(n_cars))
+    return windows[fullest]
 
 
 def _corners(window: Window) -> tuple[Corner, Corner]:
@@ -418,7 +439,8 @@ def _motion(matched: Match, width_px: int, height_px: int) -> Motion:
     points = np.column_stack([across.ravel(), down.ravel()])
     rotation = matched.turn[:, :2]
     shifted = points - matched.turn[:, 2]
-    earlier = np.asarray(np.linalg.solve(rotation, shifted.T), dtype=np.float64)
+    solution = np.linalg.solve(rotation, shifted.T)
+    earlier = np.asarray(solution, dtype=np.float64)
     is_shared = _is_in_frame(earlier.T, width_px, height_px)
     moved = 1.0 - float(is_shared.mean())
     return Motion(-matched.log_ratio, matched.log_sd, moved)

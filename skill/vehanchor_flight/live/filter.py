@@ -105,7 +105,8 @@ class FilterState(NamedTuple):
         """Probability of an error below 20 %."""
         # The scale is right if the vehicles are cars and the normal error of the log is small.
         tolerance = math.log1p(TOLERANCE)
-        within = math.erf(tolerance / (self.log_sd * math.sqrt(2)))
+        width = self.log_sd * math.sqrt(2)
+        within = math.erf(tolerance / width)
         chance = within / (1 + math.exp(-self.log_odds))
         return chance * _CONTRADICTION_FACTOR**self.contradictions
 
@@ -127,7 +128,11 @@ def started(measured: Measurement) -> FilterState:
     )
 
 
-def predicted(state: FilterState, seconds: float, motion: Motion | None) -> FilterState | None:
+def predicted(
+    state: FilterState,
+    seconds: float,
+    motion: Motion | None,
+) -> FilterState | None:
     """Predict the state of the next frame.
 
     Args:
@@ -147,7 +152,8 @@ def predicted(state: FilterState, seconds: float, motion: Motion | None) -> Filt
         # Frames of the same ground match better than frames that hardly overlap.
         log_ratio = motion.log_ratio
         moved = motion.moved
-        noise = _STEADY_LOG_SD**2 + motion.log_sd**2 * motion.moved
+        match_variance = motion.log_sd**2
+        noise = _STEADY_LOG_SD**2 + match_variance * motion.moved
     variance = state.variance + noise
     if variance > _MAX_LOG_SD**2:
         return None
@@ -186,7 +192,8 @@ def corrected(state: FilterState | None, measured: Measurement) -> FilterState:
     gain = ratio / (1 + ratio)
     # Cars over new ground confirm those before, and a single sure frame is enough.
     own_log_odds = _log_odds(measured.chance)
-    log_odds = max(state.log_odds + new_share * own_log_odds, own_log_odds)
+    confirmed_log_odds = state.log_odds + new_share * own_log_odds
+    log_odds = max(confirmed_log_odds, own_log_odds)
     return FilterState(
         state.log_gsd + gain * innovation,
         state.variance * (1 - gain),
@@ -201,7 +208,8 @@ def _contradicted(state: FilterState, measured: Measurement) -> FilterState:
     contradictions = state.contradictions + 1
     if contradictions >= _MAX_CONTRADICTIONS:
         return started(measured)
-    log_odds = state.log_odds - max(_log_odds(measured.chance), 0.0)
+    own_log_odds = _log_odds(measured.chance)
+    log_odds = state.log_odds - max(own_log_odds, 0.0)
     return state._replace(contradictions=contradictions, log_odds=log_odds)
 
 
@@ -212,6 +220,7 @@ def _own_variance(measured: Measurement) -> float:
 
 def _log_odds(chance: float) -> float:
     """Convert a chance to log odds, within limits."""
-    inside = min(max(chance, _MIN_CHANCE), 1 - _MIN_CHANCE)
+    inside = max(chance, _MIN_CHANCE)
+    inside = min(inside, 1 - _MIN_CHANCE)
     log_odds = math.log(inside / (1 - inside))
     return min(log_odds, _MAX_LOG_ODDS)

@@ -29,6 +29,15 @@ if TYPE_CHECKING:
 
     from vehanchor.options import Reading
 
+    Picture: TypeAlias = NDArray[np.uint8]
+    """Picture ``[h, w, 3]``."""
+
+    OpenCamera: TypeAlias = Callable[[], "Camera | None"]
+    """Opens a camera; None if it cannot be opened now."""
+
+    Tell: TypeAlias = Callable[[str], None]
+    """Receives a sentence about a frame or a camera."""
+
 _POLL_S = 0.05
 _RETRY_S = 1.0  # Until a lost camera is tried again.
 _MAX_CAMERA_NUMBER = 99
@@ -50,7 +59,7 @@ class Frame(NamedTuple):
     """
 
     name: str
-    image: NDArray[np.uint8]
+    image: Picture
     at_s: float
     arrived_s: float
     n_skipped: int
@@ -59,7 +68,7 @@ class Frame(NamedTuple):
 class Camera(Protocol):
     """The part of ``cv2.VideoCapture`` that a camera needs."""
 
-    def read(self) -> tuple[bool, NDArray[np.uint8]]:
+    def read(self) -> tuple[bool, Picture]:
         """Wait for the next frame; return whether there is one, and ``[h, w, 3]`` BGR."""
         ...
 
@@ -74,7 +83,7 @@ def open_frames(
     *,
     every_s: float,
     idle_s: float | None,
-    tell: Callable[[str], None],
+    tell: Tell,
 ) -> Iterator[Frame]:
     """Open a source of frames.
 
@@ -127,7 +136,7 @@ def folder_frames(
     reading: Reading,
     *,
     idle_s: float | None = None,
-    tell: Callable[[str], None] = print,
+    tell: Tell = print,
 ) -> Generator[Frame, None, None]:
     """Watch a folder by polling, and yield its newest readable image after each change.
 
@@ -169,7 +178,7 @@ def _newest_readable(
     *,
     reading: Reading,
     arrived_s: float,
-    tell: Callable[[str], None],
+    tell: Tell,
 ) -> Frame | None:
     """Read the newest readable image of a folder; None without one.
 
@@ -180,7 +189,11 @@ def _newest_readable(
         arrived_s: when they were found.
         tell: receives a sentence about each newer image that cannot be read.
     """
-    newest_first = sorted(states, key=lambda name: (states[name], name), reverse=True)
+
+    def age(name: str) -> tuple[_FileState, str]:
+        return states[name], name
+
+    newest_first = sorted(states, key=age, reverse=True)
     for rank, name in enumerate(newest_first, start=1):
         path = folder / name
         try:
@@ -200,7 +213,8 @@ def _listing(folder: Path) -> dict[str, _FileState]:
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
-                if Path(entry.name).suffix.lower() in SUFFIXES and entry.is_file():
+                suffix = Path(entry.name).suffix.lower()
+                if suffix in SUFFIXES and entry.is_file():
                     facts = entry.stat()
                     states[entry.name] = (facts.st_mtime_ns, facts.st_size)
     except OSError:
@@ -210,11 +224,11 @@ def _listing(folder: Path) -> dict[str, _FileState]:
 
 
 def camera_frames(
-    open_camera: Callable[[], Camera | None],
+    open_camera: OpenCamera,
     name: str,
     *,
     idle_s: float | None = None,
-    tell: Callable[[str], None] = print,
+    tell: Tell = print,
 ) -> Generator[Frame, None, None]:
     """Yield the newest frame of a camera; a thread reads the camera without a pause.
 
@@ -239,7 +253,10 @@ class _Newest:
     """The newest frame of a camera, in one place that each frame overwrites."""
 
     def __init__(
-        self, open_camera: Callable[[], Camera | None], name: str, tell: Callable[[str], None]
+        self,
+        open_camera: OpenCamera,
+        name: str,
+        tell: Tell,
     ) -> None:
         self._open = open_camera
         self._name = name
@@ -248,7 +265,9 @@ class _Newest:
         self._error: Exception | None = None
         self._changed = threading.Condition()
         self._ended = threading.Event()
-        threading.Thread(target=self._run, name=f"{name} of vehanchor live", daemon=True).start()
+        thread_name = f"{name} of vehanchor live"
+        thread = threading.Thread(target=self._run, name=thread_name, daemon=True)
+        thread.start()
 
     def take(self, patience_s: float | None) -> Frame | None:
         """Wait for a frame; None if none came in time.
@@ -318,14 +337,16 @@ class _Newest:
             self._replace(pixels)
         return n_frames > 0
 
-    def _replace(self, pixels: NDArray[np.uint8]) -> None:
+    def _replace(self, pixels: Picture) -> None:
         """Replace the frame by a newer one, and count it if nobody has taken it.
 
         Args:
             pixels: ``[h, w, 3]`` BGR.
         """
         now_s = time.monotonic()
-        image = np.ascontiguousarray(np.asarray(pixels, np.uint8)[:, :, ::-1])
+        # OpenCV gives blue first.
+        bgr = np.asarray(pixels, np.uint8)
+        image = np.ascontiguousarray(bgr[:, :, ::-1])
         with self._changed:
             n_skipped = 0
             if self._frame is not None:
@@ -350,7 +371,8 @@ def _camera_number(digits: str) -> int:
     """
     significant = digits.lstrip("0")
     # Python refuses to convert thousands of digits, so their number is checked first.
-    if len(significant) > len(str(_MAX_CAMERA_NUMBER)):
+    max_digits = len(str(_MAX_CAMERA_NUMBER))
+    if len(significant) > max_digits:
         raise InvalidParameterError(f"the camera {digits[:20]} does not exist: use 0 for the first")
     return int(significant or "0")
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from vehanchor_flight.records import ModelSource
+
     Points: TypeAlias = NDArray[np.float64]
     """Points ``[n, 3]`` in model units."""
 
@@ -93,9 +95,13 @@ def read_colmap(folder: Path) -> Reconstruction:
     Raises:
         ReconstructionError: a file is damaged, or a camera is not supported.
     """
-    is_text = _is_text(folder)
+    model_format: ModelSource = "colmap_binary"
+    read_model = _read_binary
+    if _is_text(folder):
+        model_format = "colmap_text"
+        read_model = _read_text
     try:
-        shots, points = _read_text(folder) if is_text else _read_binary(folder)
+        shots, points = read_model(folder)
     except (ValueError, IndexError, KeyError, struct.error, OverflowError) as error:
         if isinstance(error, ReconstructionError):
             raise
@@ -103,7 +109,7 @@ def read_colmap(folder: Path) -> Reconstruction:
             f"{str(folder)!r} is not a whole model of COLMAP: {error!r}"
         ) from None
     return Reconstruction(
-        "colmap_text" if is_text else "colmap_binary",
+        model_format,
         folder,
         shots=shots,
         points=points.reshape(-1, 3),
@@ -121,24 +127,27 @@ def _read_text(folder: Path) -> tuple[tuple[Shot, ...], Points]:
     # An image has two rows: its pose, and its points, which may be none.
     image_rows = list(_rows(folder / "images.txt", keep_empty=True))
     poses = image_rows[::2]
-    shots = tuple(_text_shot(row, lenses) for row in poses if row.strip())
+    # A file can end with an empty row.
+    shots = [_text_shot(row, lenses) for row in poses if row.strip()]
     columns = slice(_POSITION_COLUMN, _POSITION_COLUMN + 3)
     points = _rows(folder / "points3D.txt")
     positions = [row.split()[columns] for row in points]
-    return shots, np.array(positions, np.float64)
+    return tuple(shots), np.array(positions, np.float64)
 
 
 def _read_binary(folder: Path) -> tuple[tuple[Shot, ...], Points]:
     """Read the shots and the positions of the points from binary files."""
     lenses = _binary_cameras(_read_bytes(folder / "cameras.bin"))
     images = _read_bytes(folder / "images.bin")
-    shots = tuple(_binary_shot(images, start, lenses) for start in _image_starts(images))
+    shots = []
+    for start in _image_starts(images):
+        shots.append(_binary_shot(images, start, lenses))
     points = _read_bytes(folder / "points3D.bin")
     positions = []
     for start in _point_starts(points):
         _, x, y, z, *_ = _POINT.unpack_from(points, start)
         positions.append((x, y, z))
-    return shots, np.array(positions, np.float64)
+    return tuple(shots), np.array(positions, np.float64)
 
 
 def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
@@ -156,7 +165,9 @@ def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
         OutputError: a file cannot be written.
     """
     is_text = _is_text(folder)
-    suffix = ".txt" if is_text else ".bin"
+    suffix = ".bin"
+    if is_text:
+        suffix = ".txt"
     cameras, images, points = (folder / f"{name}{suffix}" for name in _FILES)
     _write(target / cameras.name, _read_bytes(cameras))
     if is_text:
@@ -180,10 +191,12 @@ def _write(path: Path, content: bytes | bytearray) -> None:
 def _read_bytes(path: Path) -> bytearray:
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise ReconstructionError(f"{str(path)!r} is larger than {_MAX_BYTES >> 30} GiB")
+            limit_gib = _MAX_BYTES >> 30
+            raise ReconstructionError(f"{str(path)!r} is larger than {limit_gib} GiB")
         return bytearray(path.read_bytes())
     except OSError as error:
-        raise ReconstructionError(f"cannot read {str(path)!r}: {error.strerror or error}") from None
+        problem = error.strerror or error
+        raise ReconstructionError(f"cannot read {str(path)!r}: {problem}") from None
 
 
 def _rows(path: Path, *, keep_empty: bool = False) -> Iterator[str]:
@@ -225,7 +238,8 @@ def _binary_cameras(content: bytearray) -> Lenses:
         number, model_number, width, height = _CAMERA.unpack_from(content, position)
         position += _CAMERA.size
         kind = _MODEL_NAMES.get(model_number, f"number {model_number}")
-        layout = struct.Struct(f"<{_supported(kind).n_parameters}d")
+        n_parameters = _supported(kind).n_parameters
+        layout = struct.Struct(f"<{n_parameters}d")
         parameters = layout.unpack_from(content, position)
         lenses[number] = _lens(kind, width, height, parameters)
         position += layout.size
@@ -239,9 +253,8 @@ def _supported(kind: str) -> _CameraModel:
         ReconstructionError: it is not supported.
     """
     if kind not in _MODELS:
-        raise ReconstructionError(
-            f"a camera has COLMAP's model {kind}: supported are {', '.join(_MODELS)}"
-        )
+        supported = ", ".join(_MODELS)
+        raise ReconstructionError(f"a camera has COLMAP's model {kind}: supported are {supported}")
     return _MODELS[kind]
 
 
@@ -255,7 +268,9 @@ def _lens(kind: str, width: float, height: float, parameters: Sequence[float]) -
     _, n_focals, n_parameters = _supported(kind)
     is_complete = len(parameters) == n_parameters
     is_valid = is_complete and all(np.isfinite(parameters))
-    if not is_valid or min(parameters[:n_focals]) <= 0:
+    if is_valid:
+        is_valid = min(parameters[:n_focals]) > 0
+    if not is_valid:
         raise ValueError(f"parameters of a camera {kind}: {parameters}")
     # One focal length holds in both directions.
     focal_x = parameters[0]
@@ -355,12 +370,14 @@ def _scaled_text(path: Path, first: int, factor: float, every: int = 1) -> bytes
         if row.startswith("#"):
             rows.append(row)
             continue
-        if number % every == 0 and row.strip():
+        is_scaled = number % every == 0
+        if is_scaled and row.strip():
             rows.append(_scaled_row(row, first, factor))
         else:
             rows.append(row)
         number += 1
-    return ("\n".join(rows) + "\n").encode()
+    text = "\n".join(rows) + "\n"
+    return text.encode()
 
 
 def _scaled_row(row: str, first: int, factor: float) -> str:
@@ -372,7 +389,12 @@ def _scaled_row(row: str, first: int, factor: float) -> str:
     return " ".join(cells)
 
 
-def _scaled_binary(path: Path, find_starts: FindStarts, offset: int, factor: float) -> bytearray:
+def _scaled_binary(
+    path: Path,
+    find_starts: FindStarts,
+    offset: int,
+    factor: float,
+) -> bytearray:
     """Scale three numbers of every entry of a binary file.
 
     Args:
@@ -386,7 +408,8 @@ def _scaled_binary(path: Path, find_starts: FindStarts, offset: int, factor: flo
     """
     content = _read_bytes(path)
     for start in find_starts(content):
-        numbers = _POSITION.unpack_from(content, start + offset)
+        position = start + offset
+        numbers = _POSITION.unpack_from(content, position)
         scaled = [factor * number for number in numbers]
-        _POSITION.pack_into(content, start + offset, *scaled)
+        _POSITION.pack_into(content, position, *scaled)
     return content

@@ -55,7 +55,9 @@ class _Factor(NamedTuple):
 
 
 def conclude_model(
-    model: Reconstruction, results: Sequence[SearchedPhotograph | Failure], images: Path
+    model: Reconstruction,
+    results: Sequence[SearchedPhotograph | Failure],
+    images: Path,
 ) -> ModelScale:
     """Make the record of searched photographs.
 
@@ -145,8 +147,11 @@ def search_model(
         report_progress(n_done, len(files))
         key = (shot.name, *Source.of(file))
         own_options = with_lines_of(options, lines, file)
-        points = model.points[shot.sees(model.points)]
-        stored = None if journal is None else journal.get(key)
+        is_seen = shot.sees(model.points)
+        points = model.points[is_seen]
+        stored = None
+        if journal is not None:
+            stored = journal.get(key)
         result = stored
         try:
             if result is None:
@@ -239,7 +244,11 @@ def _rulers(estimate: GsdEstimate, model_gsd: float) -> tuple[ModelRuler, ...]:
         if ruler.sets_scale:
             fields: dict[str, Any] = _factor(ruler, model_gsd)._asdict()
             record = ModelRuler(
-                kind=ruler.kind, label=ruler.label, **fields, n=ruler.n, p_right=ruler.p_right
+                kind=ruler.kind,
+                label=ruler.label,
+                **fields,
+                n=ruler.n,
+                p_right=ruler.p_right,
             )
             rulers.append(record)
     return tuple(rulers)
@@ -249,11 +258,12 @@ def _photograph(searched: SearchedPhotograph, model_factor: _Factor) -> ModelPho
     """Make the record of a photograph, with its factor beside that of the model."""
     estimate = searched.alone().analysis.estimate
     own_factor = _factor(estimate, searched.gsd)
+    rulers = [ruler.kind for ruler in estimate.rulers if ruler.sets_scale]
     return ModelPhotograph(
         photograph=searched.name,
         status=_status(own_factor, model_factor),
         **own_factor._asdict(),
-        rulers=tuple(ruler.kind for ruler in estimate.rulers if ruler.sets_scale),
+        rulers=tuple(rulers),
         n_vehicles=estimate.n_vehicles or 0,
         camera_height=searched.above_ground.height,
         tilt_deg=searched.above_ground.tilt.tilt_deg,
@@ -268,7 +278,10 @@ def _status(own: _Factor, of_model: _Factor) -> Literal["used", "unclear", "outl
         return "nothing"
     if own_low > model_high or own_high < model_low:
         return "outlier"
-    return "used" if own_high <= _MAX_INTERVAL_RATIO * own_low else "unclear"
+    # A wide interval agrees with any factor, so its photograph does not support this one.
+    if own_high > _MAX_INTERVAL_RATIO * own_low:
+        return "unclear"
+    return "used"
 
 
 def _failed(failure: Failure) -> ModelPhotograph:
@@ -280,7 +293,13 @@ def _failed(failure: Failure) -> ModelPhotograph:
     )
 
 
-def verdict(factor: float | None, low: float | None, high: float | None, *, usable: bool) -> str:
+def verdict(
+    factor: float | None,
+    low: float | None,
+    high: float | None,
+    *,
+    usable: bool,
+) -> str:
     """Put a factor in a sentence.
 
     Args:
@@ -294,17 +313,22 @@ def verdict(factor: float | None, low: float | None, high: float | None, *, usab
     sentence = _size_sentence(factor, low, high)
     if usable:
         return sentence
-    return f"Uncertain, do not use: {sentence[0].lower()}{sentence[1:]}"
+    initial = sentence[0].lower()
+    return f"Uncertain, do not use: {initial}{sentence[1:]}"
 
 
 def _size_sentence(factor: float, low: float, high: float) -> str:
     """Put a factor in a sentence; arguments as in ``verdict``."""
-    spread = f"+- {50 * (high - low) / factor:.2g} %"
+    # Half of the interval.
+    spread_percent = 50 * (high - low) / factor
+    spread = f"+- {spread_percent:.2g} %"
     if not 1 / _MAX_METRIC_FACTOR <= factor <= _MAX_METRIC_FACTOR:
         return f"One unit of the model is {factor:.4g} m, {spread}."
     # Its size over the size that it should have.
     percent = 100 * (1 / factor - 1)
-    direction = "small" if percent < 0 else "large"
+    direction = "large"
+    if percent < 0:
+        direction = "small"
     error = f"{abs(percent):.1f} % too {direction}, {spread}"
     if low <= 1 <= high:
         return f"The model has its size: {error}."

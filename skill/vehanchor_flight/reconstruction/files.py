@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     Angles: TypeAlias = NDArray[np.float64]
     """Latitudes ``[n]`` in radians."""
 
+    Radii: TypeAlias = NDArray[np.float64]
+    """Radii of curvature ``[n]`` in metres."""
+
     Origin: TypeAlias = tuple[float, float, float]
     """Latitude, longitude (degrees) and altitude (metres) of a model's origin."""
 
@@ -55,8 +58,10 @@ def read_model(path: str | os.PathLike[str]) -> Reconstruction:
             "OpenSfM or OpenDroneMap, or a folder with COLMAP's cameras, images and points3D; an "
             "orthophoto goes to 'vehanchor estimate --geotiff'"
         )
-    read = read_opensfm if _is_json(model_path) else read_colmap
-    model = read(model_path)
+    if _is_json(model_path):
+        model = read_opensfm(model_path)
+    else:
+        model = read_colmap(model_path)
     if not model.shots:
         raise ReconstructionError(f"the reconstruction in {str(path)!r} has no photographs")
     return model
@@ -84,7 +89,9 @@ def images_of(model: Reconstruction) -> Path:
     Raises:
         ReconstructionError: no folder has any of them.
     """
-    base = model.path if model.path.is_dir() else model.path.parent
+    base = model.path
+    if not base.is_dir():
+        base = base.parent
     for folder in (base / name for name in _IMAGE_FOLDERS):
         photographs = (folder / shot.name for shot in model.shots)
         if any(photograph.is_file() for photograph in photographs):
@@ -113,9 +120,11 @@ def write_rescaled(model: Reconstruction, target: Path, factor: float) -> Path:
     try:
         target.mkdir(exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot create {str(target)!r}: {error.strerror or error}") from error
-    write = write_scaled_opensfm if model.kind == "opensfm" else write_scaled_colmap
-    return write(model.path, target, factor)
+        problem = error.strerror or error
+        raise OutputError(f"cannot create {str(target)!r}: {problem}") from error
+    if model.kind == "opensfm":
+        return write_scaled_opensfm(model.path, target, factor)
+    return write_scaled_colmap(model.path, target, factor)
 
 
 def check_project_path(target: Path) -> None:
@@ -151,7 +160,8 @@ def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
             "the model has no position on Earth (reference_lla), and geo.txt needs one"
         )
     for shot in model.shots:
-        if any(letter.isspace() for letter in shot.name):
+        has_space = any(letter.isspace() for letter in shot.name)
+        if has_space:
             raise ReconstructionError(
                 f"geo.txt separates columns by spaces, and the photograph {shot.name!r} has one"
             )
@@ -164,7 +174,8 @@ def write_geo(path: Path, model: Reconstruction, factor: float) -> None:
         latitude, longitude, altitude = position
         rows.append(f"{shot.name} {longitude:.9f} {latitude:.9f} {altitude:.4f}")
     with whole_file(path) as partial:
-        partial.write_text("\n".join([*rows, ""]), encoding="utf-8")
+        text = "\n".join(rows) + "\n"
+        partial.write_text(text, encoding="utf-8")
 
 
 def on_earth(points: Points, origin: Origin) -> Points:
@@ -225,7 +236,8 @@ def _geocentric(points: Points, origin: Origin) -> Points:
     return np.asarray(geocentric_origin + points @ axes)
 
 
-def _prime_radius(latitude: Angles) -> NDArray[np.float64]:
+def _prime_radius(latitude: Angles) -> Radii:
     """Compute the ellipsoid's radius of curvature in the prime vertical, ``[n]`` metres."""
-    squares = 1 - _SQUARED_ECCENTRICITY * np.sin(latitude) ** 2
+    sine = np.sin(latitude)
+    squares = 1 - _SQUARED_ECCENTRICITY * sine**2
     return np.asarray(WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(squares))

@@ -89,14 +89,15 @@ def model_plane(model: Reconstruction) -> Plane:
     is_finite = np.isfinite(model.points).all(axis=1)
     points = _thinned(model.points[is_finite])
     if len(points) < _MIN_POINTS:
+        n_points = count(len(points), "point")
         raise ReconstructionError(
-            f"the model has {count(len(points), 'point')}, too few for its ground: give the "
-            "whole project"
+            f"the model has {n_points}, too few for its ground: give the whole project"
         )
     camera = np.median(centres, axis=0)
     distances = np.linalg.norm(points - camera, axis=1)
     thickness = _THICKNESS * float(np.median(distances))
-    plane = _facing(_most_common(points, thickness), camera)
+    most_common = _most_common(points, thickness)
+    plane = _facing(most_common, camera)
     return _lowest(plane, points, thickness=thickness, whole_plane=plane)
 
 
@@ -130,10 +131,17 @@ def plane_below(shot: Shot, points: Points, whole_plane: Plane) -> Plane:
     # The plane of the model is more reliable, if the ground is level.
     n_whole = _n_points_in(whole_plane, used_points, thickness)
     n_fitted = _n_points_in(fitted, used_points, thickness)
-    return whole_plane if n_whole >= _MIN_WHOLE_SHARE * n_fitted else fitted
+    if n_whole >= _MIN_WHOLE_SHARE * n_fitted:
+        return whole_plane
+    return fitted
 
 
-def local_heights(places: Points, points: Points, plane: Plane, camera_height: float) -> Heights:
+def local_heights(
+    places: Points,
+    points: Points,
+    plane: Plane,
+    camera_height: float,
+) -> Heights:
     """Measure the ground around objects, above the plane.
 
     Args:
@@ -176,7 +184,8 @@ def _lowest(plane: Plane, points: Points, thickness: float, whole_plane: Plane) 
     # turns for ever, because each has points below the other.
     middle = np.median(points, axis=0)
     for _ in range(_MAX_DESCENTS):
-        is_below = plane.heights(points) < -2 * thickness
+        heights = plane.heights(points)
+        is_below = heights < -2 * thickness
         points = points[is_below]
         if len(points) < n_needed:
             break
@@ -203,11 +212,16 @@ def _facing(plane: Plane, point: Vector) -> Plane:
 
 def _thinned(points: Points) -> Points:
     """Take every k-th point, so that no more than a fit needs remain."""
-    step = max(1, math.ceil(len(points) / _MAX_POINTS))
+    step = math.ceil(len(points) / _MAX_POINTS)
+    step = max(1, step)
     return points[::step]
 
 
-def _most_common(points: Points, thickness: float, whole_plane: Plane | None = None) -> Plane:
+def _most_common(
+    points: Points,
+    thickness: float,
+    whole_plane: Plane | None = None,
+) -> Plane:
     """Find the plane with most points within its thickness; a least-squares fit to them follows.
 
     Args:
@@ -219,7 +233,8 @@ def _most_common(points: Points, thickness: float, whole_plane: Plane | None = N
     sample = _best_sample(points, thickness, whole_plane)
     if sample is None and whole_plane is not None:
         # No slope fits: as steep as the model, at the middle height.
-        middle = float(np.median(whole_plane.heights(points)))
+        heights = whole_plane.heights(points)
+        middle = float(np.median(heights))
         return Plane(whole_plane.normal, whole_plane.offset + middle)
     inside = np.ones(len(points), dtype=bool)
     if sample is not None:
@@ -249,7 +264,11 @@ class _Sample(NamedTuple):
     is_inside: NDArray[np.bool_]
 
 
-def _best_sample(points: Points, thickness: float, whole_plane: Plane | None) -> _Sample | None:
+def _best_sample(
+    points: Points,
+    thickness: float,
+    whole_plane: Plane | None,
+) -> _Sample | None:
     """Try planes through random points (RANSAC); arguments as in ``_most_common``.
 
     Returns:

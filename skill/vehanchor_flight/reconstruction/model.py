@@ -8,7 +8,7 @@ the upper left corner of the image.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
     Matrix: TypeAlias = NDArray[np.float64]
     """Rotation ``[3, 3]``."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the points have a property."""
 
     Points: TypeAlias = NDArray[np.float64]
     """Points ``[n, 3]`` in model units."""
@@ -79,10 +82,12 @@ class Lens:
         """
         across = width_px / self.width_px
         down = height_px / self.height_px
-        if abs(across / down - 1) > _ASPECT_TOLERANCE:
+        stretch = across / down
+        if abs(stretch - 1) > _ASPECT_TOLERANCE:
+            size_in_model = f"{self.width_px:g} x {self.height_px:g}"
             raise ReconstructionError(
                 f"the photograph has {width_px} x {height_px} px, and its camera in the model "
-                f"{self.width_px:g} x {self.height_px:g}: give the photographs from which the "
+                f"{size_in_model}: give the photographs from which the "
                 "model was made, neither cropped nor turned"
             )
         return replace(
@@ -105,7 +110,8 @@ class Lens:
             ``[n, 3]`` in the camera's frame, with z = 1; not finite beyond the reach of the lens
             model.
         """
-        pixels = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        pixels = np.asarray(points, dtype=np.float64)
+        pixels = pixels.reshape(-1, 2)
         focals = [self.focal_x_px, self.focal_y_px]
         centre = np.array([self.centre_x_px, self.centre_y_px], np.float64)
         # The pinhole of an ideal lens: x / z and y / z of the ray.
@@ -113,7 +119,8 @@ class Lens:
         is_distorted = self.fisheye or any(self.distortion)
         if is_distorted and len(pixels):
             slopes = self._undistorted(pixels)
-        return np.column_stack([slopes, np.ones(len(slopes))])
+        depths = np.ones(len(slopes))
+        return np.column_stack([slopes, depths])
 
     def _undistorted(self, pixels: Pixels) -> Pixels:
         """Invert the distortion of the lens.
@@ -135,9 +142,13 @@ class Lens:
         n_missing = _MIN_COEFFICIENTS - len(self.distortion)
         padding = (0.0,) * n_missing
         coefficients = np.array(self.distortion + padding)
-        undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
+        undistort: Any = cv2.undistortPoints
+        if self.fisheye:
+            undistort = cv2.fisheye.undistortPoints
+        # OpenCV takes and returns points as [n, 1, 2].
         slopes = undistort(pixels[:, None], matrix, coefficients)
-        return np.asarray(slopes, np.float64).reshape(-1, 2)
+        slopes = np.asarray(slopes, np.float64)
+        return slopes.reshape(-1, 2)
 
     def ideal(self, points: ArrayLike) -> Pixels:
         """Convert pixels to those of a pinhole camera of the same size and focal length.
@@ -150,7 +161,8 @@ class Lens:
         """
         slopes = self.directions(points)[:, :2]
         centre = [self.width_px / 2, self.height_px / 2]
-        return np.asarray(slopes * self.focal_px + centre, dtype=np.float64)
+        pixels = slopes * self.focal_px + centre
+        return np.asarray(pixels, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +198,7 @@ class Shot:
         directions = self.lens.directions(points)
         return np.asarray(directions @ self.rotation)
 
-    def sees(self, points: Points) -> NDArray[np.bool_]:
+    def sees(self, points: Points) -> Flags:
         """Find the points that lie in the picture; the distortion of the lens is ignored.
 
         Args:

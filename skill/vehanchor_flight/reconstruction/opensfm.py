@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -17,6 +17,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    Vector: TypeAlias = NDArray[np.float64]
+    """Vector ``[3]``."""
+
+    Matrix: TypeAlias = NDArray[np.float64]
+    """Rotation ``[3, 3]``."""
+
+    Part: TypeAlias = dict[str, Any]
+    """Connected part of a reconstruction: cameras, shots and points."""
 
 _MAX_BYTES = 4 << 30
 _RADIAL = ("k1", "k2")
@@ -68,12 +77,12 @@ def read_opensfm(path: Path) -> Reconstruction:
     )
 
 
-def _largest(parts: list[dict[str, Any]]) -> dict[str, Any]:
+def _largest(parts: list[Part]) -> Part:
     """Return the part with the most shots; the first of equals."""
     return max(parts, key=lambda part: len(part["shots"]))
 
 
-def _entries(part: Mapping[str, Any], name: str) -> Collection[Any]:
+def _entries(part: Part, name: str) -> Collection[Any]:
     """List the entries of a section of a part; none if it lacks the section."""
     section: Mapping[str, Any] = part.get(name, {})
     return section.values()
@@ -86,7 +95,8 @@ def _origin(part: Mapping[str, Any]) -> tuple[float, float, float] | None:
         return None
     latitude = float(reference["latitude"])
     longitude = float(reference["longitude"])
-    return latitude, longitude, float(reference["altitude"])
+    altitude = float(reference["altitude"])
+    return latitude, longitude, altitude
 
 
 def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:
@@ -119,7 +129,7 @@ def write_scaled_opensfm(source: Path, target: Path, factor: float) -> Path:
     return scaled_file
 
 
-def _parts(path: Path) -> list[dict[str, Any]]:
+def _parts(path: Path) -> list[Part]:
     """Read the parts of a reconstruction, which are not connected with each other.
 
     Raises:
@@ -127,7 +137,8 @@ def _parts(path: Path) -> list[dict[str, Any]]:
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise ReconstructionError(f"{str(path)!r} is larger than {_MAX_BYTES >> 30} GiB")
+            limit_gib = _MAX_BYTES >> 30
+            raise ReconstructionError(f"{str(path)!r} is larger than {limit_gib} GiB")
         parts = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
         raise ReconstructionError(
@@ -138,7 +149,8 @@ def _parts(path: Path) -> list[dict[str, Any]]:
             f"{str(path)!r} is not a reconstruction of OpenSfM, which is a list of its parts"
         )
     for part in parts:
-        if not isinstance(part, dict) or not isinstance(part.get("shots"), dict):
+        has_shots = isinstance(part, dict) and isinstance(part.get("shots"), dict)
+        if not has_shots:
             raise ReconstructionError(
                 f"{str(path)!r} is not a reconstruction of OpenSfM: a part has no shots"
             )
@@ -152,9 +164,8 @@ def _lens(camera: Mapping[str, Any]) -> Lens:
     """
     kind = camera.get("projection_type", "perspective")
     if kind not in _DISTORTIONS:
-        raise ReconstructionError(
-            f"the camera is of type {kind!r}: supported are {', '.join(_DISTORTIONS)}"
-        )
+        supported = ", ".join(_DISTORTIONS)
+        raise ReconstructionError(f"the camera is of type {kind!r}: supported are {supported}")
     width = float(camera["width"])
     height = float(camera["height"])
     side = max(width, height)
@@ -178,20 +189,21 @@ def _lens(camera: Mapping[str, Any]) -> Lens:
     )
 
 
-def _rotation(values: Any) -> NDArray[np.float64]:
+def _rotation(values: Any) -> Matrix:
     """Convert a rotation vector to a matrix ``[3, 3]``."""
     matrix, _ = cv2.Rodrigues(_vector(values))
     return np.asarray(matrix, dtype=np.float64)
 
 
-def _vector(values: Any) -> NDArray[np.float64]:
+def _vector(values: Any) -> Vector:
     """Convert a list of three finite numbers to a vector ``[3]``.
 
     Raises:
         ValueError: it is something else.
     """
     vector = np.array(values, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
+    has_three = vector.shape == (3,)
+    if not has_three or not np.isfinite(vector).all():
         raise ValueError(f"{values!r} is not a vector")
     return vector
 

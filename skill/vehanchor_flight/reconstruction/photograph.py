@@ -81,7 +81,11 @@ class ShotAboveGround(NamedTuple):
 
     @classmethod
     def of(
-        cls, shot: Shot, points: Points, whole_plane: Plane, size: tuple[int, int]
+        cls,
+        shot: Shot,
+        points: Points,
+        whole_plane: Plane,
+        size: tuple[int, int],
     ) -> ShotAboveGround:
         """Fit the plane below a shot.
 
@@ -102,10 +106,13 @@ class ShotAboveGround(NamedTuple):
         # Straight down, in the camera's frame: z along its axis, y to the lower side of the image.
         straight_down = -shot.rotation @ plane.normal
         right, down, ahead = straight_down.tolist()
+        # Rounding can leave the domain of the arc cosine.
         cosine = min(1.0, max(-1.0, ahead))
+        tilt_deg = math.degrees(math.acos(cosine))
+        direction_deg = math.degrees(math.atan2(-right, down)) % 360
         tilt = CameraTilt(
-            math.degrees(math.acos(cosine)),
-            math.degrees(math.atan2(-right, down)) % 360,
+            tilt_deg,
+            direction_deg,
             focal_length_px=lens.focal_px,
             source="the reconstruction",
         )
@@ -122,7 +129,8 @@ class ShotAboveGround(NamedTuple):
         """Model units per pixel at the centre of the ideal photograph."""
         tilt = math.radians(self.tilt.tilt_deg)
         cosine = max(math.cos(tilt), MIN_DESCENT)
-        return float(self.height / self.shot.lens.focal_px / cosine**1.5)
+        nadir_gsd = self.height / self.shot.lens.focal_px
+        return float(nadir_gsd / cosine**1.5)
 
     def on_ground(self, points: Pixels) -> tuple[Points, Flags]:
         """Project pixels to the plane.
@@ -215,7 +223,8 @@ class SearchedPhotograph:
         """
         detections = _select_boxes(self.view.detections, kept, lengths)
         view = replace(self.view, detections=detections)
-        analysis = conclude(view, measure_all(view, self.others))
+        witnesses = measure_all(view, self.others)
+        analysis = conclude(view, witnesses)
         return Photograph(self.name, view, analysis)
 
 
@@ -278,7 +287,8 @@ def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:
     n_boxes = [len(photograph.places) for photograph in photographs]
     photograph_gsds = [photograph.gsd for photograph in photographs]
     gsds = np.repeat(photograph_gsds, n_boxes)
-    lengths = np.concatenate([part.boxes[:, 2] for part in detections])
+    part_lengths = [part.boxes[:, 2] for part in detections]
+    lengths = np.concatenate(part_lengths)
     scores = np.concatenate([part.scores for part in detections])
     places = np.concatenate([photograph.places for photograph in photographs])
     log_lengths = np.log(lengths * gsds)
@@ -293,7 +303,11 @@ def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:
     ]
 
 
-def _distinct_cars(places: Points, log_lengths: Lengths, scores: Shares) -> tuple[Flags, Lengths]:
+def _distinct_cars(
+    places: Points,
+    log_lengths: Lengths,
+    scores: Shares,
+) -> tuple[Flags, Lengths]:
     """Find the boxes that show one car: those around its box with the best score.
 
     Args:
@@ -316,8 +330,10 @@ def _distinct_cars(places: Points, log_lengths: Lengths, scores: Shares) -> tupl
         # Boxes in a cube first, which is faster than distances to all.
         place = places[best]
         offsets = np.abs(places - place)
-        is_same = is_left & (offsets.max(axis=1) <= reach)
-        distances = np.linalg.norm(places[is_same] - place, axis=1)
+        is_in_cube = offsets.max(axis=1) <= reach
+        is_same = is_left & is_in_cube
+        steps = places[is_same] - place
+        distances = np.linalg.norm(steps, axis=1)
         is_same[is_same] = distances <= reach
         is_left[is_same] = False
         kept[best] = True
@@ -329,8 +345,8 @@ def _distinct_cars(places: Points, log_lengths: Lengths, scores: Shares) -> tupl
 def _measure_on_ground(view: View, above_ground: ShotAboveGround) -> tuple[Witness, ...]:
     """Measure with the rulers that use no vehicles; in a tilted view, only with the plane."""
     ruler_options = view.options.rulers
-    lines = tuple(_undistorted_line(line, above_ground) for line in ruler_options.known_lengths)
-    ground_rulers = replace(ruler_options, known_lengths=lines)
+    lines = [_undistorted_line(line, above_ground) for line in ruler_options.known_lengths]
+    ground_rulers = replace(ruler_options, known_lengths=tuple(lines))
     options = replace(view.options, rulers=ground_rulers)
     ground_view = replace(view, tilt=above_ground.tilt, options=options)
     witnesses = []
@@ -368,7 +384,8 @@ def _project_boxes(
     for first_ends, second_ends in box_axes(boxes):
         first, is_first_steep = above_ground.on_ground(first_ends)
         second, is_second_steep = above_ground.on_ground(second_ends)
-        sides.append(np.linalg.norm(first - second, axis=1))
+        side_lengths = np.linalg.norm(first - second, axis=1)
+        sides.append(side_lengths)
         kept &= is_first_steep & is_second_steep
     lengths, widths = sides
     positions_and_sizes = np.column_stack([places, lengths, widths])
@@ -426,7 +443,9 @@ def _select_boxes(detections: Detections, kept: Flags, lengths: Lengths) -> Dete
         reductions = reductions[kept]
     appearance = detections.appearance
     if appearance is not None:
-        appearance = appearance.take(kept[: len(appearance)])
+        # Only the first boxes have an appearance.
+        with_appearance = kept[: len(appearance)]
+        appearance = appearance.take(with_appearance)
     return replace(
         detections,
         boxes=boxes[kept],
