@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.chips import ChipNetwork
     from vehanchor.detection.boxes import Boxes
+    from vehanchor.detection.chips import ChipNetwork
     from vehanchor.detection.detector_errors import StretchLimits
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
