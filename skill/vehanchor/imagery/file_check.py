@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 _SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)
-"""TIFF's codes of grey from black, RGB, palette and YCbCr, of those that are read by windows."""
+"""TIFF's codes of colours that are read by windows: grey from black, RGB, palette and YCbCr."""
 
 _OPENJPEG_SAMPLE_BYTES = 4
 
@@ -146,8 +146,10 @@ def _check_extra(header: ImageHeader, source: str, *, by_windows: bool) -> None:
     Raises:
         MissingExtraError: it is not.
     """
-    if header.format == "HEIC" and not (_is_installed("pillow_heif") or _is_installed("pi_heif")):
-        raise missing_heif(source)
+    if header.format == "HEIC":
+        has_heif = _is_installed("pillow_heif") or _is_installed("pi_heif")
+        if not has_heif:
+            raise missing_heif(source)
     if by_windows and not _is_installed("rasterio"):
         raise missing_rasterio(header, source)
 

@@ -136,7 +136,8 @@ class Camera(Ruler):
         notices = []
         if camera.refused:
             message = f"A part of the camera metadata is not used: {camera.refused}."
-            notices.append(Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+            notice = Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)
+            notices.append(notice)
         if tilt_deg is None:
             condition = "camera, tilt unknown"
             tilt_log_sd = RELIABILITY[condition].log_sd

@@ -94,11 +94,14 @@ def _repeats_metadata(view: View, height_m: float) -> bool:
     The same number is one witness: a copy would confirm it without new evidence.
     """
     camera = view.image.camera
-    if camera is None or camera.height_m is None or not uses(view.options.rulers, "camera"):
+    if camera is None or camera.height_m is None:
+        return False
+    if not uses(view.options.rulers, "camera"):
         return False
     if lens(view.image, camera) is None:
         return False
-    return abs(height_m - camera.height_m) <= SAME_NUMBER * camera.height_m
+    difference_m = abs(height_m - camera.height_m)
+    return difference_m <= SAME_NUMBER * camera.height_m
 
 
 def _repeated(height_m: float) -> Notice:

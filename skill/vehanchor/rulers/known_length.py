@@ -257,7 +257,7 @@ def _log_gsd(line: _DrawnLine) -> float:
 
 
 def _log_gsd_sd(line: _DrawnLine) -> float:
-    """Compute the standard deviation of that log, by the errors of drawing and of the metres."""
+    """Compute the log standard deviation of that scale, by the drawing and by the metres."""
     return math.hypot(line.log_sd, _log_sd_of_metres(line))
 
 
