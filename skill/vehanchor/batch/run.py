@@ -201,9 +201,11 @@ def _make_job(
 
     # Workers load the model again. On other machines of a cluster, bundled models may have other
     # paths, so workers find them by name.
-    is_bundled = model.path in bundled_models().values()
+    detector_name = str(model.path.resolve())
+    if model.path in bundled_models().values():
+        detector_name = model.path.stem
     return BatchJob(
-        detector=model.path.stem if is_bundled else str(model.path.resolve()),
+        detector=detector_name,
         networks_sha256=networks_sha256(model.card),
         classes=vehicle_classes,
         options=options,

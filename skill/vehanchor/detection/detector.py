@@ -336,10 +336,10 @@ class Detector(LoadedModel):
             ran_out = self._contract.ran_out(outputs)
         # The outputs have other shapes than for the blank image.
         except (LookupError, ValueError, TypeError) as error:
-            shapes = ", ".join(str(list(output.shape)) for output in outputs)
+            shapes = [str(list(output.shape)) for output in outputs]
             raise ModelContractError(
-                f"the detector {self.path} returned outputs of shape {shapes}, which do not match "
-                "its layout; export it again"
+                f"the detector {self.path} returned outputs of shape {', '.join(shapes)}, which do "
+                "not match its layout; export it again"
             ) from error
         return TileDetections(
             self._sane_objects(vehicles, tile.pixels),

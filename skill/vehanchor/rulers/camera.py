@@ -171,7 +171,8 @@ class Camera(Ruler):
         """Report why the metadata cannot be used; empty causes are left out."""
         stated = "; ".join(cause for cause in causes if cause)
         message = f"The camera metadata are not usable: {stated}."
-        return unusable(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+        notice = Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)
+        return unusable(self.kind, notice)
 
 
 def lens_error(optics: Lens) -> Shared:

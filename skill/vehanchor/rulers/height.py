@@ -85,7 +85,8 @@ class GivenHeight(Ruler):
 def _unusable(cause: str) -> Witness:
     """Report why the given height cannot be used."""
     message = f"The given height is not usable: {cause}."
-    return unusable(GivenHeight.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+    notice = Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)
+    return unusable(GivenHeight.kind, notice)
 
 
 def _repeats_metadata(view: View, height_m: float) -> bool:

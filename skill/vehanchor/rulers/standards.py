@@ -100,7 +100,9 @@ def standards() -> Mapping[str, Standard]:
     """Read the catalogue, by name."""
     file = files("vehanchor.rulers").joinpath("standards.toml")
     table = tomllib.loads(file.read_text(encoding="utf-8"))
-    entries = {name: {"name": name, **entry} for name, entry in table.items()}
+    entries = {}
+    for name, entry in table.items():
+        entries[name] = {"name": name, **entry}
     return TypeAdapter(dict[str, Standard]).validate_python(entries)
 
 

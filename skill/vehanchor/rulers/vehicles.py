@@ -409,22 +409,32 @@ class Vehicles(Ruler):
             return vehicles
         # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None
-        missing = detail_missing(
-            vehicles.seen_length_px,
-            guard_px=vehicles.guard_length_px,
-            detail_share=vehicles.detail_share,
-        )
         return replace(
             vehicles.with_votes(),
             gsd_m_per_px=reference.stated_m / mode_px,
-            notices=(
-                *vehicles.notices,
-                *_unlikely_guess(vehicles),
-                *added_outliers(fleet),
-                *missing,
-                *doubts(fleet, stretch, card.errors.look_alikes),
-            ),
+            notices=(*vehicles.notices, *_notices(vehicles, stretch)),
         )
+
+
+def _notices(vehicles: VehicleWitness, stretch: float | None) -> tuple[Notice, ...]:
+    """Warn of what may be wrong with the vehicles of a fleet.
+
+    Args:
+        vehicles: witness with vehicles.
+        stretch: as in ``vehanchor.rulers.vehicle_notices.doubts``.
+    """
+    fleet = vehicles.fleet
+    missing = detail_missing(
+        vehicles.seen_length_px,
+        guard_px=vehicles.guard_length_px,
+        detail_share=vehicles.detail_share,
+    )
+    return (
+        *_unlikely_guess(vehicles),
+        *added_outliers(fleet),
+        *missing,
+        *doubts(fleet, stretch, vehicles.card.errors.look_alikes),
+    )
 
 
 def _unlikely_guess(vehicles: VehicleWitness) -> tuple[Notice, ...]:

@@ -148,7 +148,8 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
     if answer.reason == "disagree" and not doubted:
         doubted = setting
     for pair in answer.contradictions:
-        doubted += [informative[k] for k in pair if informative[k] not in doubted]
+        contradicting = [informative[k] for k in pair]
+        doubted += [witness for witness in contradicting if witness not in doubted]
     notices = []
     # A single ruler has none to disagree with.
     if len(setting) > 1:
