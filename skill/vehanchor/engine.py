@@ -411,7 +411,9 @@ def open_detector(
         InvalidParameterError: the model lacks a class.
     """
     if isinstance(source, Detector):
-        return source.with_classes(classes) if classes else source
+        if classes:
+            return source.with_classes(classes)
+        return source
     name = None if source is None else str(source)
     path = resolve_model(name)
     return load_detector(path, runtime, classes=classes or None)

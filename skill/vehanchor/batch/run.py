@@ -132,7 +132,8 @@ def run_batch(
     _check_output(table, overwrite=overwrite)
     _check_arguments(engine, address, workers=workers, options=options)
 
-    tasks = [Task.of(path) for path in find_images(inputs)]
+    paths = find_images(inputs)
+    tasks = [Task.of(path) for path in paths]
     job = _make_job(detector, classes, options=options, runtime=runtime)
     lines_by_image = lines_in(known_lengths, [task.path for task in tasks])
     job = replace(job, known_lengths=lines_by_image)
@@ -144,9 +145,12 @@ def run_batch(
         n_resumed = len(tasks) - len(missing)
         runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
-        with closing(_compute_rows(engine, address, job, missing, workers=workers)) as new_rows:
-            for n_finished, (task, row) in enumerate(new_rows, start=n_resumed + 1):
+        new_rows = _compute_rows(engine, address, job, missing, workers=workers)
+        with closing(new_rows):
+            n_finished = n_resumed
+            for task, row in new_rows:
                 journal.add(keys[task], row)
+                n_finished += 1
                 runtime.report_progress(n_finished, len(tasks))
         keys_in_order = [keys[task] for task in tasks]
         statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
@@ -197,9 +201,11 @@ def _make_job(
 
     # Workers load the model again. On other machines of a cluster, bundled models may have other
     # paths, so workers find them by name.
-    is_bundled = model.path in bundled_models().values()
+    detector_name = str(model.path.resolve())
+    if model.path in bundled_models().values():
+        detector_name = model.path.stem
     return BatchJob(
-        detector=model.path.stem if is_bundled else str(model.path.resolve()),
+        detector=detector_name,
         networks_sha256=networks_sha256(model.card),
         classes=vehicle_classes,
         options=options,
@@ -221,8 +227,9 @@ def _compute_rows(
     if engine == "ray":
         yield from ray_rows(job, tasks, workers=workers, address=address)
     else:
-        n_workers = min(workers or local_workers(len(tasks)), len(tasks))
-        yield from local_rows(job, tasks, n_workers)
+        n_tasks = len(tasks)
+        n_workers = workers or local_workers(n_tasks)
+        yield from local_rows(job, tasks, min(n_workers, n_tasks))
 
 
 def journal_path(table: Path) -> Path:
@@ -258,9 +265,10 @@ def _row_settings(job: BatchJob) -> dict[str, Any]:
     options = asdict(job.options)
     del options["frame"]
     if job.known_lengths:
-        options["lines_of"] = {
-            image: [asdict(line) for line in lines] for image, lines in job.known_lengths.items()
-        }
+        fields_by_image = {}
+        for image, lines in job.known_lengths.items():
+            fields_by_image[image] = [asdict(line) for line in lines]
+        options["lines_of"] = fields_by_image
     return {
         "vehanchor": version("vehanchor"),
         "schema_version": SCHEMA_VERSION,

@@ -62,7 +62,8 @@ class Task:
     def of(cls, path: str) -> Task:
         """Make the task of an image; the table shows undecodable bytes of its name escaped."""
         printable_name = path.encode("utf-8", "backslashreplace").decode()
-        return cls(file=printable_name, path=str(Path(path).absolute()))
+        absolute_path = Path(path).absolute()
+        return cls(file=printable_name, path=str(absolute_path))
 
     def key(self) -> Key:
         """Make the journal key of the row: name, path, size and time of the image.

@@ -31,9 +31,10 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 _GROUP = "vehanchor.commands"
+_MEASURING = ("estimate", "distance", "measure", "batch", "flight", "view")
 # Panels of --help by command, in the order of --help; other commands follow in _OTHER_PANEL.
 _PANELS = {
-    **dict.fromkeys(("estimate", "distance", "measure", "batch", "flight", "view"), "Measure"),
+    **dict.fromkeys(_MEASURING, "Measure"),
     "models": "This installation",
     "serve": "For agents",
 }
@@ -58,7 +59,8 @@ class _Commands(TyperGroup):
             loaded = entry_point.load()
         except ModuleNotFoundError as error:
             # --help omits a command that cannot be loaded; a call of it deserves the reason.
-            is_called = ctx.invoked_subcommand == cmd_name or cmd_name in sys.argv[1:2]
+            is_first = cmd_name in sys.argv[1:2]
+            is_called = is_first or ctx.invoked_subcommand == cmd_name
             if not is_called:
                 return None
             print(
@@ -66,7 +68,9 @@ class _Commands(TyperGroup):
                 file=sys.stderr,
             )
             raise typer.Exit(BAD_INPUT) from None
-        typer_app = loaded if isinstance(loaded, typer.Typer) else _app_of(cmd_name, loaded)
+        typer_app = loaded
+        if not isinstance(typer_app, typer.Typer):
+            typer_app = _app_of(cmd_name, loaded)
         command = typer.main.get_command(typer_app)
         command.name = cmd_name
         # Typer's help reads this attribute.
@@ -79,19 +83,22 @@ def _app_of(name: str, function: Callable[..., None]) -> typer.Typer:
     typer_app = typer.Typer(
         add_completion=False, pretty_exceptions_enable=False, context_settings=_SETTINGS
     )
-    typer_app.command(name, cls=SpacedCommand, context_settings=_SETTINGS)(function)
+    register = typer_app.command(name, cls=SpacedCommand, context_settings=_SETTINGS)
+    register(function)
     return typer_app
 
 
 def _entry_points() -> dict[str, EntryPoint]:
-    return {entry_point.name: entry_point for entry_point in entry_points(group=_GROUP)}
+    registered = entry_points(group=_GROUP)
+    return {entry_point.name: entry_point for entry_point in registered}
 
 
 def _help_position(name: str) -> tuple[int, str]:
     """Return the sort key of a command in ``--help``: our order, then the alphabet."""
     ordered = list(_PANELS)
-    position = ordered.index(name) if name in ordered else len(ordered)
-    return position, name
+    if name in ordered:
+        return ordered.index(name), name
+    return len(ordered), name
 
 
 app = typer.Typer(

@@ -76,7 +76,8 @@ def measure_table(
     if as_geojson:
         _write_geojson(output, rows)
     else:
-        write_table(output, (row.flat() for row in rows), TARGET_COLUMNS)
+        flat_rows = [row.flat() for row in rows]
+        write_table(output, flat_rows, TARGET_COLUMNS)
     _print_summary(output, rows)
     if all(row.error is not None for row in rows):
         print("no target could be measured", file=sys.stderr)
@@ -85,7 +86,8 @@ def measure_table(
 
 def _check_images(targets_by_image: Iterable[str], images: Iterable[str]) -> None:
     """Check that all targets lie in the images of the command."""
-    unknown = sorted(set(targets_by_image) - {canonical_path(image) for image in images})
+    measured = {canonical_path(image) for image in images}
+    unknown = sorted(set(targets_by_image) - measured)
     if unknown:
         raise PromptError(
             f"a target is in {unknown[0]!r}, which is not one of the images: files are named "
@@ -104,13 +106,17 @@ def _write_geojson(output: Path, rows: Iterable[TargetRow]) -> None:
 
 def _print_summary(output: Path, rows: Sequence[TargetRow]) -> None:
     """Print the first errors, and the numbers of targets by status."""
-    errors = [(row.target, row.error) for row in rows if row.error is not None]
-    for target, error in errors[:_SHOWN_ERRORS]:
-        name = f"{target.file} {target.name}".strip()
-        report(error, name)
     statuses: Counter[str] = Counter()
+    n_errors = 0
     for row in rows:
-        statuses["error" if row.record is None else row.record.status] += 1
+        status = "error" if row.record is None else row.record.status
+        statuses[status] += 1
+        if row.error is None:
+            continue
+        n_errors += 1
+        if n_errors <= _SHOWN_ERRORS:
+            name = f"{row.target.file} {row.target.name}".strip()
+            report(row.error, name)
     file = printable(str(output))
     targets = count(len(rows), "target")
     print(f"{file}: {targets} ({counts_text(statuses)})", file=sys.stderr)

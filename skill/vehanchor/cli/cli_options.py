@@ -81,16 +81,18 @@ class ParsedOptions:
         if self.file is None:
             return self.typed
         try:
-            from_file = tomllib.loads(self.file.read_text(encoding="utf-8"))
+            text = self.file.read_text(encoding="utf-8")
+            from_file = tomllib.loads(text)
         except (OSError, ValueError) as error:
             raise InvalidParameterError(
                 f"--options {str(self.file)!r} cannot be read: {error}"
             ) from None
         for name in from_file:
             if name not in self.names:
+                names = ", ".join(sorted(self.names))
                 raise InvalidParameterError(
                     f"--options {str(self.file)!r} has {name!r}: the options of this command are "
-                    f"{', '.join(sorted(self.names))}"
+                    f"{names}"
                 )
         return {**from_file, **self.typed}
 
@@ -102,7 +104,10 @@ class ParsedOptions:
             CalibrationFileError: the calibration cannot be read.
         """
         declared = declared_options()
-        keywords = {name: value for name, value in self.values.items() if name in declared}
+        keywords = {}
+        for name, value in self.values.items():
+            if name in declared:
+                keywords[name] = value
         return ScaleOptions.of(keywords)
 
     @property
@@ -122,9 +127,11 @@ class ParsedOptions:
         Raises:
             InvalidParameterError: the threads or the providers are invalid.
         """
-        fields = {
-            name: self.values[name] for name in ("threads", "providers") if name in self.values
-        }
+        values = self.values
+        fields = {}
+        for name in ("threads", "providers"):
+            if name in values:
+                fields[name] = values[name]
         return Runtime(**fields, progress=progress)
 
     def engine(
@@ -240,7 +247,8 @@ def _parameter(name: str, option: Option, *, kind: Any, default: Any) -> inspect
     A flag takes a bool. Any other option takes texts, which its group reads.
     """
     is_flag = kind is bool
-    flag = option.flag or re.sub("_(px|m)$", "", name).replace("_", "-")
+    without_unit = re.sub("_(px|m)$", "", name)
+    flag = option.flag or without_unit.replace("_", "-")
     metavar = option.metavar
     if not metavar and typing.get_origin(kind) is Literal:
         metavar = "|".join(typing.get_args(kind))

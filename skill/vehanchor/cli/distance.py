@@ -15,9 +15,9 @@ from vehanchor.cli.terminal import Strict
 from vehanchor.records.text import with_interval
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from vehanchor.analysis.measurement_analysis import DistanceAnalysis
+    from vehanchor.cli.terminal import Facts
+    from vehanchor.models.runtime import Progress
     from vehanchor.records import DistanceMeasurement
 
 
@@ -58,7 +58,7 @@ def distance(
     The scale comes from cars in the image, unless you give one.
     """
 
-    def analyse(progress: Callable[[int, int], None]) -> DistanceAnalysis:
+    def analyse(progress: Progress) -> DistanceAnalysis:
         path = [parse_point("--point", text) for text in point or ()]
         known_scale = read_scale(scale, image)
         return chosen.engine().analyse_distance(
@@ -74,7 +74,7 @@ def distance(
     show_measurement(image, analyse, facts=_facts, files=files, as_json=as_json, strict=strict)
 
 
-def _facts(record: DistanceMeasurement) -> list[tuple[str, str]]:
+def _facts(record: DistanceMeasurement) -> Facts:
     """List the facts of the record without its scale."""
     distance = with_interval(
         record.distance_m,

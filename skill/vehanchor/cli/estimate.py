@@ -34,8 +34,12 @@ from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.records.text import advice_for, count, scale_text, significant
 
 if TYPE_CHECKING:
+    from vehanchor.cli.terminal import Facts
     from vehanchor.engine import Engine
     from vehanchor.records import EstimateDetails, GsdEstimate, TiltEstimate
+
+    Records: TypeAlias = list[tuple[str, GsdEstimate]]
+    """Records with the names of their images."""
 
 _STEM = "{stem}"
 _SHORT_SHA = 12
@@ -149,47 +153,54 @@ def _output_files(
         if pattern:
             option = f"--{name.replace('_', '-')}"
             paths_by_name[name] = _expand_pattern(images, option, pattern)
-    outputs = [(name, path) for name, paths in paths_by_name.items() for path in paths]
-    check_outputs(images, outputs)
-    return [
-        {name: paths[number] for name, paths in paths_by_name.items()}
-        for number in range(len(images))
-    ]
+    all_outputs: list[tuple[str, Path]] = []
+    outputs_by_image: list[dict[str, Path]] = [{} for _ in images]
+    for name, paths in paths_by_name.items():
+        for path, outputs in zip(paths, outputs_by_image, strict=True):
+            all_outputs.append((name, path))
+            outputs[name] = path
+    check_outputs(images, all_outputs)
+    return outputs_by_image
 
 
 def _expand_pattern(images: Sequence[str], option: str, pattern: str) -> list[Path]:
     """Replace ``{stem}`` in the name of an output by the name of each image."""
     if len(images) > 1 and _STEM not in pattern:
+        suffix = Path(pattern).suffix
         raise InvalidParameterError(
             f"{option} {pattern!r} names one file for {len(images)} images: add {_STEM} to the "
-            f"name, as in {option} '{_STEM}_{option.lstrip('-')}{Path(pattern).suffix}'"
+            f"name, as in {option} '{_STEM}_{option.lstrip('-')}{suffix}'"
         )
-    return [Path(pattern.replace(_STEM, Path(source).stem)) for source in images]
+    stems = [Path(source).stem for source in images]
+    return [Path(pattern.replace(_STEM, stem)) for stem in stems]
 
 
 def _estimate_all(
     images: Sequence[str], engine: Engine, outputs: Sequence[Mapping[str, Path]], *, as_json: bool
-) -> tuple[list[tuple[str, GsdEstimate]], int, int]:
+) -> tuple[Records, int, int]:
     """Estimate all images, and write their outputs.
 
     Returns:
         Images with their records; number of errors; number of images without a single usable scale,
         whose outputs in metres are not written.
     """
-    records: list[tuple[str, GsdEstimate]] = []
+    records: Records = []
     n_failed = 0
     n_refused = 0
     # A bar on the terminal would mix with the JSON lines there.
-    with work_progress("tiles", lines=as_json and sys.stdout.isatty()) as tell:
+    no_bar = as_json and sys.stdout.isatty()
+    with work_progress("tiles", lines=no_bar) as tell:
         for number, source in enumerate(images, start=1):
             name = Path(source).name
             if len(images) > 1:
                 name = f"{number}/{len(images)} {name}"
             try:
+                progress = partial(tell, name=name)
                 with failures_as_json([source], as_json):
-                    analysis = engine.analyse_scale(source, progress=partial(tell, name=name))
+                    analysis = engine.analyse_scale(source, progress=progress)
                 if as_json:
-                    print_json({"source": source, **analysis.estimate.model_dump(mode="json")})
+                    fields = analysis.estimate.model_dump(mode="json")
+                    print_json({"source": source, **fields})
                 records.append((source, analysis.estimate))
                 why_refused = write_outputs(analysis, outputs[number - 1])
             except VehAnchorError as error:
@@ -203,20 +214,21 @@ def _estimate_all(
     return records, n_failed, n_refused
 
 
-def _print_records(records: Sequence[tuple[str, GsdEstimate]], *, several: bool) -> None:
+def _print_records(records: Records, *, several: bool) -> None:
     """Print the facts of one image, or a table of several; the warnings follow on stderr."""
     if several:
         _print_table(records)
     else:
-        ((source, record),) = records
+        [(source, record)] = records
         print_facts(source, _facts(record))
     for source, record in records:
         print_warnings(record.warnings, source if several else "")
 
 
-def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
+def _facts(record: GsdEstimate) -> Facts:
     """List the facts of a record for people, with their names."""
-    other_rulers = any(ruler.sets_scale and ruler.kind != "vehicles" for ruler in record.rulers)
+    setting = [ruler.kind for ruler in record.rulers if ruler.sets_scale]
+    other_rulers = any(kind != "vehicles" for kind in setting)
     confidence = f"{record.confidence:.2f}   {STATUS_TEXTS[record.status]}"
     if record.details.resolution_guard and not other_rulers:
         confidence += "; the vehicles are too coarse"
@@ -230,8 +242,9 @@ def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
     advice = advice_for(record, "look at --overlay, then --drop what is not a car")
     if advice is not None:
         facts.append(("not usable", f"{advice.why}: {advice.helps}"))
-    if record.gsd_m_per_px is not None and record.mode_length_px is not None:
-        facts.append(("modal length", _length_text(record.mode_length_px, record.details)))
+    mode_px = record.mode_length_px
+    if record.gsd_m_per_px is not None and mode_px is not None:
+        facts.append(("modal length", _length_text(mode_px, record.details)))
     if record.tilt is not None:
         facts.append(("tilt", _tilt_text(record.tilt)))
     facts.append(("image", _size_text(record)))
@@ -241,13 +254,14 @@ def _facts(record: GsdEstimate) -> list[tuple[str, str]]:
         facts.append(("your frame", text))
     georeference_gsd = record.georeference_gsd_m_per_px
     if georeference_gsd is not None:
-        facts.append(("file's own scale", f"{significant(georeference_gsd, 4)} m/px"))
+        gsd = significant(georeference_gsd, 4)
+        facts.append(("file's own scale", f"{gsd} m/px"))
     sha256 = record.details.model_sha256[:_SHORT_SHA]
     facts.append(("model", f"{record.model} ({sha256})"))
     return facts
 
 
-def _ruler_facts(record: GsdEstimate) -> list[tuple[str, str]]:
+def _ruler_facts(record: GsdEstimate) -> Facts:
     """List the rulers below one name."""
     facts = []
     name = "rulers"
@@ -291,15 +305,20 @@ def _tilt_text(tilt: TiltEstimate) -> str:
     return f"{text}; the scale is that of the centre, {smallest} to {largest} m/px over the image"
 
 
-def _print_table(records: Sequence[tuple[str, GsdEstimate]]) -> None:
+def _print_table(records: Records) -> None:
     """Print a table with one row per image."""
     folder, names = under_one_folder([source for source, _ in records])
     columns = {
         "image": "text",
-        **dict.fromkeys(("m/px", "95 %", "confidence", "vehicles"), "number"),
+        "m/px": "number",
+        "95 %": "number",
+        "confidence": "number",
+        "vehicles": "number",
         "status": "word",
     }
-    rows = [(name, *_cells(record)) for name, (_, record) in zip(names, records, strict=True)]
+    rows = []
+    for name, (_, record) in zip(names, records, strict=True):
+        rows.append((name, *_cells(record)))
     title = f"{count(len(records), 'image')} in {folder}" if folder else ""
     print_rows(columns, rows, title)
 

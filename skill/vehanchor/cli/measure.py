@@ -16,9 +16,11 @@ from vehanchor.options.models import SEGMENTER
 from vehanchor.records.text import significant, with_interval
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from vehanchor.analysis.measurement_analysis import AreaAnalysis
+    from vehanchor.cli.terminal import Facts
+    from vehanchor.models.runtime import Progress
     from vehanchor.records import AreaMeasurement, OtherObject
 
 _SHORT_SHA = 12
@@ -81,7 +83,7 @@ def measure(
     The scale comes from cars in the image, unless you give one.
     """
 
-    def analyse(progress: Callable[[int, int], None]) -> AreaAnalysis:
+    def analyse(progress: Progress) -> AreaAnalysis:
         engine = chosen.engine(segmenter=segmenter)
         known_scale = read_scale(scale, image)
         return engine.analyse_area(
@@ -112,7 +114,7 @@ def _read_points(
     return points or None
 
 
-def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
+def _facts(record: AreaMeasurement) -> Facts:
     """List the facts of the record without its scale."""
     area = with_interval(
         record.area_m2,
@@ -132,7 +134,7 @@ def _facts(record: AreaMeasurement) -> list[tuple[str, str]]:
     return facts
 
 
-def _size_facts(record: AreaMeasurement) -> list[tuple[str, str]]:
+def _size_facts(record: AreaMeasurement) -> Facts:
     """List sides, perimeter and largest circle of the object."""
     length = significant(record.length_m or 0, 4)
     width = significant(record.width_m or 0, 4)

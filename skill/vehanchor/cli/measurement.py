@@ -20,15 +20,17 @@ from vehanchor.cli.terminal import (
 from vehanchor.records.text import scale_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
+    from vehanchor.cli.terminal import Facts
+    from vehanchor.models.runtime import Progress
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
 
 
 def show_measurement(
     image: str,
-    measure: Callable[[Callable[[int, int], None]], Any],
-    facts: Callable[[Any], Sequence[tuple[str, str]]],
+    measure: Callable[[Progress], Any],
+    facts: Callable[[Any], Facts],
     files: Mapping[str, Path | None],
     *,
     as_json: bool,
@@ -44,28 +46,36 @@ def show_measurement(
         as_json: print one JSON object and nothing else.
         strict: exit with another status if the record is not ok.
     """
-    outputs = {name: path for name, path in files.items() if path is not None}
+    outputs = {}
+    for option, path in files.items():
+        if path is not None:
+            outputs[option] = path
+    name = Path(image).name
     with failures_as_json([image], as_json):
         check_outputs([image], outputs.items())
         with work_progress("tiles", lines=as_json) as tell:
-            analysis = measure(partial(tell, name=Path(image).name))
+            analysis = measure(partial(tell, name=name))
     record = analysis.measurement
     if as_json:
-        print_json({"source": image, **record.model_dump(mode="json")})
+        fields = record.model_dump(mode="json")
+        print_json({"source": image, **fields})
     else:
-        all_facts = [*facts(record), *_scale_facts(record), ("status", record.status)]
-        print_facts(image, all_facts)
+        status = ("status", record.status)
+        print_facts(image, [*facts(record), *_scale_facts(record), status])
         print_warnings(record.warnings)
     write_outputs(analysis, outputs)
     exit_strictly(strict, [record.status])
 
 
-def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> list[tuple[str, str]]:
+def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> Facts:
     """List the facts of the scale behind a measurement."""
     estimate = record.estimate
     if estimate is not None:
         status = estimate.status
-        facts = [("scale", scale_text(estimate)), ("vehicles", vehicles_text(estimate))]
+        facts = [
+            ("scale", scale_text(estimate)),
+            ("vehicles", vehicles_text(estimate)),
+        ]
     else:
         status = record.status
         facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}")]

@@ -89,9 +89,16 @@ def _print_rulers(*, as_json: bool) -> None:
     rulers = [ruler_class(kind) for kind in RULERS]
     if as_json:
         for ruler in rulers:
-            print_json({"kind": ruler.kind, "needs": ruler.help, "sets_scale": ruler.sets_scale})
+            print_json(
+                {
+                    "kind": ruler.kind,
+                    "needs": ruler.help,
+                    "sets_scale": ruler.sets_scale,
+                }
+            )
         return
-    print_facts("rulers, and what each needs", [(ruler.kind, ruler.help) for ruler in rulers])
+    facts = [(ruler.kind, ruler.help) for ruler in rulers]
+    print_facts("rulers, and what each needs", facts)
 
 
 def _check_installation(providers: list[str] | None) -> None:
@@ -105,7 +112,8 @@ def _check_installation(providers: list[str] | None) -> None:
     record = installation.check_picture(Engine(runtime=runtime))
     gsd = record.gsd_m_per_px or 0.0
     true_gsd = installation.GSD_M_PER_PX
-    passed = record.status == "ok" and abs(gsd / true_gsd - 1) <= _MAX_CHECK_ERROR
+    relative_error = abs(gsd / true_gsd - 1)
+    passed = record.status == "ok" and relative_error <= _MAX_CHECK_ERROR
     facts = [
         ("check", "passed" if passed else "FAILED: reinstall, or report this"),
         ("measured", f"{scale_text(record)}, {record.status}; true: {true_gsd:g} m/px"),
@@ -138,7 +146,10 @@ def _print_segmenter(engine: Engine, *, as_json: bool) -> None:
     """Print the metadata of the segmenter's files."""
     segmenter = engine.segmenter
     card = segmenter.card
-    files = {"encoder": str(segmenter.encoder_path), "decoder": str(segmenter.decoder_path)}
+    files = {
+        "encoder": str(segmenter.encoder_path),
+        "decoder": str(segmenter.decoder_path),
+    }
     if as_json:
         print_json({"kind": "segmenter", **files, **asdict(card)})
         return
@@ -199,7 +210,8 @@ def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_
             "errors_file": None if errors_path is None else str(errors_path),
             "fixed_size_px": detector.fixed_size,
         }
-        print_json({**about, **file, **card.model_dump(mode="json")})
+        fields = card.model_dump(mode="json")
+        print_json({**about, **file, **fields})
         return
 
     input_size = "any"
@@ -214,9 +226,8 @@ def _print_detector(engine: Engine, title: str, about: dict[str, object], *, as_
     lengths = card.bodies or card
     mean = lengths.reference_length_m
     sd = lengths.reference_length_sd_m
-    regions = [
-        f"{name} {length:.4g} m" for name, length in sorted(lengths.region_lengths_m.items())
-    ]
+    lengths_by_region = sorted(lengths.region_lengths_m.items())
+    regions = [f"{name} {length:.4g} m" for name, length in lengths_by_region]
     errors_source = "defaults"
     if errors_path is not None:
         errors_source = errors_path.name

@@ -50,8 +50,8 @@ def _separate_values(option: str, rest: list[str]) -> int:
     n_values = _N_VALUES.get(option, 0)
     if not rest:
         return 0
-    in_first_text = len(rest[0].replace(",", " ").split())
-    if in_first_text >= n_values:
+    first_text = rest[0].replace(",", " ")
+    if len(first_text.split()) >= n_values:
         return 0
     last_words = _LAST_WORDS.get(option, ())
     if len(rest) > n_values and rest[n_values] in last_words:

@@ -89,13 +89,17 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         elif name in _SHAPES:
             write_shapes(path, analysis)
         elif name == "mask":
-            mask = analysis.full_mask()[:, :, None].repeat(3, axis=2)
-            write_picture(path, mask.view("uint8") * 255)
+            mask = analysis.full_mask()
+            rgb_mask = mask[:, :, None].repeat(3, axis=2)
+            write_picture(path, rgb_mask.view("uint8") * 255)
         elif name == "plot":
             from vehanchor.pictures.plot import write_plot
 
             write_plot(path, analysis.plot())
-    metric = {name: outputs[name] for name in _METRIC if name in outputs}
+    metric = {}
+    for name in _METRIC:
+        if name in outputs:
+            metric[name] = outputs[name]
     if not metric:
         return None
     why_refused = refusal(analysis.estimate)

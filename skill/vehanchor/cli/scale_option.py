@@ -60,7 +60,8 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
     from vehanchor.records.gsd_estimate import read_known_scale
 
     try:
-        record: Any = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        record: Any = json.loads(text)
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)
         return read_known_scale(record)

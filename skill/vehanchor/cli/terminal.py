@@ -20,6 +20,9 @@ from vehanchor.records.text import by_hand_text
 if TYPE_CHECKING:
     from vehanchor.records import GsdEstimate, Notice
 
+    Facts: TypeAlias = list[tuple[str, str]]
+    """Values of a record with their names, as text for people."""
+
 # Exit statuses.
 BAD_INPUT = 2
 UNFORESEEN = 1
@@ -173,13 +176,15 @@ def printable(text: str, *, lines: bool = False) -> str:
         lines: keep line ends, for texts of our own.
     """
     if lines:
-        return "\n".join(on_one_line(line) for line in text.split("\n"))
+        own_lines = text.split("\n")
+        return "\n".join(on_one_line(line) for line in own_lines)
     return on_one_line(text)
 
 
 def print_facts(title: str, facts: Iterable[tuple[str, str]]) -> None:
     """Print names and values in two columns under a title."""
-    print_rows({"name": "name", "value": "text"}, facts, title, heading=False)
+    columns = {"name": "name", "value": "text"}
+    print_rows(columns, facts, title, heading=False)
 
 
 def print_rows(
@@ -244,7 +249,8 @@ def print_warnings(warnings: Iterable[Notice], about: str = "") -> None:
     """Print the warnings of a record on stderr, one per line."""
     prefix = f"{about}: " if about else ""
     for notice in warnings:
-        print(printable(f"warning[{notice.code}]: {prefix}{notice.message}"), file=sys.stderr)
+        line = f"warning[{notice.code}]: {prefix}{notice.message}"
+        print(printable(line), file=sys.stderr)
 
 
 @contextmanager
@@ -272,8 +278,9 @@ def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
     Returns:
         The folder and the names; the folder is empty if the images share none.
     """
+    folders = [PurePath(name).parent for name in names]
     try:
-        folder = os.path.commonpath([PurePath(name).parent for name in names])
+        folder = os.path.commonpath(folders)
     except ValueError:  # Some names are absolute and others are not.
         folder = ""
     if folder in ("", "."):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, assert_never
 
@@ -35,11 +36,14 @@ from vehanchor.models.zoo import BUNDLED_MODELS, auxiliary_model, errors_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from typing import Self
+    from typing import Self, TypeAlias
 
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
+
+    Tile: TypeAlias = NDArray[np.uint8]
+    """``[h, w, 3]`` RGB."""
 
 # Grey level of Ultralytics' padding.
 _PADDING_LEVEL = 114
@@ -81,7 +85,7 @@ class PreparedTile(NamedTuple):
         batch: ``[1, 3, H, W]`` in 0..1, padded right and below.
     """
 
-    pixels: NDArray[np.uint8]
+    pixels: Tile
     batch: NDArray[Any]
 
 
@@ -220,11 +224,7 @@ class Detector(LoadedModel):
         (image,) = inputs
         if image.type not in ("tensor(float)", "tensor(float16)"):
             raise self._refuse(f"input {image.name!r} is {image.type}")
-        # A side that is not fixed is None or has a name.
-        is_image = len(image.shape) == 4 and (
-            image.shape[1] in (3, None) or isinstance(image.shape[1], str)
-        )
-        if not is_image:
+        if not _is_image_shape(image.shape):
             raise self._refuse(f"input {image.name!r} has shape {image.shape}")
         return image
 
@@ -234,7 +234,7 @@ class Detector(LoadedModel):
         Raises:
             ModelContractError: the batch is not 1, or the input is too large.
         """
-        sides = [side if isinstance(side, int) else None for side in self._input.shape]
+        sides = [_fixed_side(side) for side in self._input.shape]
         batch, _, height, width = sides
         if batch not in (None, 1):
             raise ModelContractError(
@@ -257,13 +257,16 @@ class Detector(LoadedModel):
 
     def _output_shapes(self) -> list[tuple[int, ...]]:
         """List the shapes of the outputs; if the file leaves them open, run a blank image."""
-        shapes = [tuple(output.shape) for output in self._session.get_outputs()]
-        if all(isinstance(side, int) for shape in shapes for side in shape[1:]):
+        declared = self._session.get_outputs()
+        shapes = [tuple(output.shape) for output in declared]
+        sides = chain.from_iterable(shape[1:] for shape in shapes)
+        if all(isinstance(side, int) for side in sides):
             return shapes
         probe_px = self.card.stride_px * _PROBE_STRIDES
         height, width = self.fixed_size or (probe_px, probe_px)
+        blank = np.zeros((1, 3, height, width), dtype=self._dtype)
         try:
-            outputs = self._run(np.zeros((1, 3, height, width), dtype=self._dtype))
+            outputs = self._run(blank)
         except ModelContractError as error:
             raise self._refuse(
                 f"it does not take a blank {width} x {height} image ({error})"
@@ -281,7 +284,7 @@ class Detector(LoadedModel):
         )
         return [np.asarray(output) for output in outputs]
 
-    def prepared(self, pixels: NDArray[np.uint8]) -> PreparedTile:
+    def prepared(self, pixels: Tile) -> PreparedTile:
         """Convert a tile to the model's input.
 
         Args:
@@ -291,12 +294,15 @@ class Detector(LoadedModel):
         height, width = tile.shape[:2]
         full_height, full_width = self._input_size(height, width)
         if (full_height, full_width) != (height, width):
-            padded = np.full((full_height, full_width, 3), _PADDING_LEVEL, dtype=np.uint8)
+            shape = (full_height, full_width, 3)
+            padded = np.full(shape, _PADDING_LEVEL, dtype=np.uint8)
             padded[:height, :width] = tile
             tile = padded
         batch = np.empty((1, 3, full_height, full_width), dtype=self._dtype)
-        for plane, channel in zip(batch[0], cv2.split(tile), strict=True):
-            np.multiply(channel, np.float32(1 / 255), out=plane, casting="unsafe")
+        channels = cv2.split(tile)
+        level = np.float32(1 / 255)
+        for plane, channel in zip(batch[0], channels, strict=True):
+            np.multiply(channel, level, out=plane, casting="unsafe")
         return PreparedTile(pixels, batch)
 
     def _input_size(self, height: int, width: int) -> tuple[int, int]:
@@ -304,7 +310,10 @@ class Detector(LoadedModel):
         if self.fixed_size:
             return self.fixed_size
         stride = self.card.stride_px
-        return -(-height // stride) * stride, -(-width // stride) * stride
+        # Floor division of negative numbers rounds the strides up.
+        n_down = -(-height // stride)
+        n_across = -(-width // stride)
+        return n_down * stride, n_across * stride
 
     def detect_tile(self, tile: PreparedTile, min_score: float) -> TileDetections:
         """Detect objects in one tile, without non-maximum suppression.
@@ -327,10 +336,10 @@ class Detector(LoadedModel):
             ran_out = self._contract.ran_out(outputs)
         # The outputs have other shapes than for the blank image.
         except (LookupError, ValueError, TypeError) as error:
-            shapes = ", ".join(str(list(output.shape)) for output in outputs)
+            shapes = [str(list(output.shape)) for output in outputs]
             raise ModelContractError(
-                f"the detector {self.path} returned outputs of shape {shapes}, which do not match "
-                "its layout; export it again"
+                f"the detector {self.path} returned outputs of shape {', '.join(shapes)}, which do "
+                "not match its layout; export it again"
             ) from error
         return TileDetections(
             self._sane_objects(vehicles, tile.pixels),
@@ -338,7 +347,7 @@ class Detector(LoadedModel):
             ran_out,
         )
 
-    def _sane_objects(self, objects: Objects, tile: NDArray[np.uint8]) -> Objects:
+    def _sane_objects(self, objects: Objects, tile: Tile) -> Objects:
         """Select the objects with possible boxes, and convert these to canonical form.
 
         A possible box is finite, no larger than the tile and centred in it.
@@ -356,18 +365,36 @@ class Detector(LoadedModel):
         boxes = objects.boxes
         centres = boxes[:, :2]
         sides = boxes[:, 2:4]
+        diagonal = math.hypot(width, height)
+        sides_fit = (sides > 0) & (sides <= diagonal)
+        centres_fit = (centres >= 0) & (centres <= [width, height])
         is_sane = (
             np.isfinite(boxes).all(axis=1)
-            & (sides > 0).all(axis=1)
-            & (sides <= math.hypot(width, height)).all(axis=1)
+            & sides_fit.all(axis=1)
+            & centres_fit.all(axis=1)
             & (np.abs(boxes[:, 4]) < _MAX_ANGLE)
-            & ((centres >= 0) & (centres <= [width, height])).all(axis=1)
         )
         return Objects(
             canonical_boxes(boxes[is_sane]),
             np.clip(objects.scores[is_sane], 0.0, 1.0),
             objects.classes[is_sane],
         )
+
+
+def _is_image_shape(shape: Sequence[int | str | None]) -> bool:
+    """Test whether a shape is ``[batch, 3, height, width]``."""
+    if len(shape) != 4:
+        return False
+    # A side that is not fixed is None or has a name.
+    n_channels = shape[1]
+    return n_channels in (3, None) or isinstance(n_channels, str)
+
+
+def _fixed_side(side: int | str | None) -> int | None:
+    """Return the length of a side of an input; None if the model leaves it open."""
+    if isinstance(side, int):
+        return side
+    return None
 
 
 _opened = file_cached(max_models=4)(Detector)
@@ -420,7 +447,8 @@ def networks_sha256(card: DetectorCard) -> str:
                 checksum = getattr(card, f"{model.name}_sha256")
                 digest.update(f"{checksum}\n".encode())
             case "ruler":
-                digest.update(models_sha256(read_model(model.path)).encode())
+                checksum = models_sha256(read_model(model.path))
+                digest.update(checksum.encode())
             case "segmenter":
                 # No scale depends on it.
                 pass

@@ -19,12 +19,24 @@ from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.tiles import read_around
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import NDArray
 
+    from vehanchor.detection.boxes import Boxes
     from vehanchor.detection.chips import ChipNetwork
     from vehanchor.detection.detector_errors import StretchLimits
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
+
+    Box: TypeAlias = NDArray[np.float64]
+    """``[5]`` row ``(x, y, length, width, angle)``."""
+
+    Logits: TypeAlias = NDArray[np.float64]
+    """``[n]`` log odds that chips show cars."""
+
+    Chips: TypeAlias = NDArray[np.uint8]
+    """``[n, side, side, 3]`` RGB."""
 
 # The image's width is multiplied and divided by it, an error of 18 % in each direction.
 _FACTOR = 1.4
@@ -44,9 +56,7 @@ _MAX_OF_FEW = 5
 _PARALLEL = 0.75
 
 
-def stretch(
-    raster: Raster, boxes: NDArray[np.float64], network: Verifier, limits: StretchLimits
-) -> float | None:
+def stretch(raster: Raster, boxes: Boxes, network: Verifier, limits: StretchLimits) -> float | None:
     """Compute how clearly the vehicles prefer a narrower or a wider image.
 
     The measure is the mean difference of the logits over its standard deviation.
@@ -66,18 +76,20 @@ def stretch(
         return None
     best = boxes[:_MAX_VEHICLES]
 
-    def logits(width: float) -> NDArray[np.float64]:
+    def logits(width: float) -> Logits:
         squares = _chips(raster, best, width, verifier.CHIP_PX, verifier.CHIP_LENGTH_PX)
         return np.clip(network.logits(squares), -_MAX_LOGIT, _MAX_LOGIT)
 
     gains = logits(1 / _FACTOR) - logits(_FACTOR)
     # Vehicles of one image share a place, whose error more vehicles do not reduce.
-    variance = (float(gains.var(ddof=1)) + limits.vehicle_sd**2) / len(gains) + limits.image_sd**2
-    return float(gains.mean()) / math.sqrt(variance) / limits.limit_sds
+    gain_variance = float(gains.var(ddof=1)) + limits.vehicle_sd**2
+    variance = gain_variance / len(gains) + limits.image_sd**2
+    gain_in_sds = float(gains.mean()) / math.sqrt(variance)
+    return gain_in_sds / limits.limit_sds
 
 
 def stretch_of_few(
-    raster: Raster, boxes: NDArray[np.float64], network: ChipNetwork, limits: StretchLimits
+    raster: Raster, boxes: Boxes, network: ChipNetwork, limits: StretchLimits
 ) -> float | None:
     """Compute how clearly a few vehicles prefer a narrower or a wider image, by the chip network.
 
@@ -103,24 +115,25 @@ def stretch_of_few(
     def mean_logit(width: float) -> float:
         squares = _chips(raster, best, width, chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX)
         logits = network.answers(chips.middle(squares)).logit
-        return float(np.clip(logits, -_MAX_LOGIT, _MAX_LOGIT).mean())
+        limited = np.clip(logits, -_MAX_LOGIT, _MAX_LOGIT)
+        return float(limited.mean())
 
     narrower = mean_logit(1 / _FACTOR)
     same = mean_logit(1.0)
     wider = mean_logit(_FACTOR)
-    too_wide = max(0.0, min(narrower - same, (narrower - wider) / 3))
-    too_high = max(0.0, min(wider - same, (wider - narrower) / 3))
+    too_wide = min(narrower - same, (narrower - wider) / 3)
+    too_high = min(wider - same, (wider - narrower) / 3)
+    preference = max(0.0, too_wide) - max(0.0, too_high)
     # Doubled headings: cars that face each other are parallel, too.
+    headings = np.exp(2j * best[:, 4])
     limit = limits.few_crossed_limit
-    if abs(np.exp(2j * best[:, 4]).mean()) >= _PARALLEL:
+    if abs(headings.mean()) >= _PARALLEL:
         limit = limits.few_parallel_limit
-    return (too_wide - too_high) / limit
+    return preference / limit
 
 
-def _chips(
-    raster: Raster, boxes: NDArray[np.float64], width: float, side_px: int, length_px: float
-) -> NDArray[np.uint8]:
-    """Cut chips ``[n, side, side, 3]`` from the image with its width multiplied by a factor.
+def _chips(raster: Raster, boxes: Boxes, width: float, side_px: int, length_px: float) -> Chips:
+    """Cut chips from the image with its width multiplied by a factor.
 
     Args:
         raster: the image.
@@ -133,7 +146,9 @@ def _chips(
     reach = _REACH * math.sqrt(0.5) * side_px / length_px
     for box in boxes:
         # The coarsest power of two that leaves twice the chip's detail.
-        factor = 2 ** max(0, math.floor(math.log2(box[2] / (2 * length_px))))
+        spare_detail = box[2] / (2 * length_px)
+        exponent = math.floor(math.log2(spare_detail))
+        factor = 2 ** max(0, exponent)
         pixels, box_there = read_around(raster, box, factor=factor, reach=reach)
         rows, columns = pixels.shape[:2]
         resized_columns = max(1, round(columns * width))
@@ -152,7 +167,7 @@ def _chips(
     return np.stack(squares)
 
 
-def _box_after_resizing(box: NDArray[np.float64], across: float) -> list[float]:
+def _box_after_resizing(box: Box, across: float) -> list[float]:
     """Predict the detector's box after the image's width has changed by a factor.
 
     The detector keeps a stretched car's area and gives its box the usual proportions.

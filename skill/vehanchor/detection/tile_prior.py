@@ -15,10 +15,21 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_preview
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import NDArray
 
     from vehanchor.detection.detector_errors import TilePriorOdds
     from vehanchor.imagery.raster import Raster
+
+    Preview: TypeAlias = NDArray[np.uint8]
+    """``[h, w, 3]`` RGB at an eighth of the image's resolution."""
+
+    Gradients: TypeAlias = NDArray[np.float32]
+    """``[h, w]`` grey levels per pixel."""
+
+    Chances: TypeAlias = NDArray[np.float64]
+    """``[rows, columns]`` of cells, probability of cars in 0..1."""
 
 CELL_PX = 512
 """Side of the cells of a tile-prior map, pixels of the image."""
@@ -30,10 +41,10 @@ _PREVIEW_CELL_PX = CELL_PX // _PREVIEW_FACTOR
 _BLOCK_PX = 4 * _PREVIEW_CELL_PX
 
 NOISE_GRADIENT = 0.5
-"""Grey levels per pixel, the gradient of noise, added before the log is taken."""
+"""Gradient of noise, grey levels per pixel; it is added to gradients before their log."""
 
 
-def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
+def gradient(coarse: Preview) -> Gradients:
     """Compute the gradient of the grey levels at each pixel.
 
     Args:
@@ -42,14 +53,16 @@ def gradient(coarse: NDArray[np.uint8]) -> NDArray[np.float32]:
     Returns:
         ``[h, w]`` grey levels per pixel.
     """
-    grey = cv2.cvtColor(coarse, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    across = cv2.Sobel(grey, cv2.CV_32F, 1, 0)
-    down = cv2.Sobel(grey, cv2.CV_32F, 0, 1)
+    grey = cv2.cvtColor(coarse, cv2.COLOR_RGB2GRAY)
+    levels = grey.astype(np.float32)
+    across = cv2.Sobel(levels, cv2.CV_32F, 1, 0)
+    down = cv2.Sobel(levels, cv2.CV_32F, 0, 1)
     # The weights of a Sobel kernel sum to 8 grey levels per pixel.
-    return np.asarray(np.hypot(across, down) / 8, np.float32)
+    slopes = np.hypot(across, down) / 8
+    return np.asarray(slopes, np.float32)
 
 
-def car_prior(coarse: NDArray[np.uint8], odds: TilePriorOdds) -> NDArray[np.float64]:
+def car_prior(coarse: Preview, odds: TilePriorOdds) -> Chances:
     """Compute the probability of cars in each cell of a preview from its mean gradient.
 
     Args:
@@ -63,15 +76,17 @@ def car_prior(coarse: NDArray[np.uint8], odds: TilePriorOdds) -> NDArray[np.floa
     slopes = gradient(coarse)
     tops = range(0, slopes.shape[0], side)
     lefts = range(0, slopes.shape[1], side)
-    means = np.array(
-        [[slopes[y : y + side, x : x + side].mean() for x in lefts] for y in tops],
-        dtype=np.float64,
-    )
-    log_odds = odds.log_odds_at_one + odds.log_odds_slope * np.log(means + NOISE_GRADIENT)
+    rows = []
+    for top in tops:
+        band = slopes[top : top + side]
+        rows.append([band[:, left : left + side].mean() for left in lefts])
+    means = np.array(rows, dtype=np.float64)
+    log_gradients = np.log(means + NOISE_GRADIENT)
+    log_odds = odds.log_odds_at_one + odds.log_odds_slope * log_gradients
     return np.asarray(1 / (1 + np.exp(-log_odds)))
 
 
-def tile_prior_map(raster: Raster, odds: TilePriorOdds) -> NDArray[np.float64]:
+def tile_prior_map(raster: Raster, odds: TilePriorOdds) -> Chances:
     """Compute the probability of cars in each cell of an image.
 
     Args:
@@ -99,7 +114,7 @@ def tile_prior_map(raster: Raster, odds: TilePriorOdds) -> NDArray[np.float64]:
     return np.concatenate(rows)
 
 
-def tile_prior_of(cells: NDArray[np.float64], window: Window, factor: int) -> float:
+def tile_prior_of(cells: Chances, window: Window, factor: int) -> float:
     """Average the cells that a tile touches.
 
     Args:
@@ -116,4 +131,5 @@ def tile_prior_of(cells: NDArray[np.float64], window: Window, factor: int) -> fl
     # Rounded up, to include cells that the tile touches in part.
     right = max(math.ceil(right_px / CELL_PX), left + 1)
     bottom = max(math.ceil(bottom_px / CELL_PX), top + 1)
-    return float(cells[top:bottom, left:right].mean())
+    touched = cells[top:bottom, left:right]
+    return float(touched.mean())

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 _SUPPORTED_PHOTOMETRIC = (1, 2, 3, 6)
-"""TIFF's codes of grey from black, RGB, palette and YCbCr, of those that are read by windows."""
+"""TIFF's codes of colours that are read by windows: grey from black, RGB, palette and YCbCr."""
 
 _OPENJPEG_SAMPLE_BYTES = 4
 
@@ -149,8 +149,9 @@ def _check_extra(header: ImageHeader, source: str, *, by_windows: bool) -> None:
         MissingExtraError: it is not.
     """
     image_format = IMAGE_FORMATS[header.format]
-    if image_format.extra is not None and not any(map(_is_installed, image_format.extra.modules)):
-        raise missing_decoder(image_format.name, image_format.extra, source)
+    extra = image_format.extra
+    if extra is not None and not any(map(_is_installed, extra.modules)):
+        raise missing_decoder(image_format.name, extra, source)
     if by_windows and not _is_installed("rasterio"):
         raise missing_rasterio(header, source)
 

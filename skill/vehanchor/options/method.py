@@ -197,7 +197,8 @@ class Reference:
     )
 
     def __post_init__(self) -> None:
-        sources = [field.name for field in fields(self) if getattr(self, field.name) is not None]
+        names = [field.name for field in fields(self)]
+        sources = [name for name in names if getattr(self, name) is not None]
         if len(sources) > 1:
             raise InvalidParameterError(
                 f"give {' or '.join(sources)}, not both: each sets the reference length"

@@ -81,7 +81,11 @@ class Limits(NamedTuple):
     @property
     def schema(self) -> dict[str, float]:
         """Limits by their names in JSON Schema."""
-        limits = {"minimum": self.least, "maximum": self.most, "exclusiveMinimum": self.above}
+        limits = {
+            "minimum": self.least,
+            "maximum": self.most,
+            "exclusiveMinimum": self.above,
+        }
         schema: dict[str, float] = {}
         for name, limit in limits.items():
             if limit is None:
@@ -131,7 +135,8 @@ class Limits(NamedTuple):
         """Read a number of any library, or a text with a number; NaN for anything else."""
         if isinstance(value, str):
             return self._read_text(value)
-        if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if not is_number:
             return math.nan
         try:
             return float(value)
@@ -162,13 +167,15 @@ class Limits(NamedTuple):
             try:
                 return self.check("", value)
             except InvalidParameterError:
-                raise PydanticCustomError("number", "use {limits}", {"limits": str(self)}) from None
+                context = {"limits": str(self)}
+                raise PydanticCustomError("number", "use {limits}", context) from None
 
         return core_schema.no_info_plain_validator_function(read)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         """Describe the numbers."""
-        return {"type": "integer" if self.whole else "number", **self.schema}
+        kind = "integer" if self.whole else "number"
+        return {"type": kind, **self.schema}
 
 
 UNLISTED_KEY = "x-unlisted"
@@ -258,9 +265,10 @@ def refusal(kind: Any, error: ValidationError) -> VehAnchorError:
     if isinstance(cause, VehAnchorError):
         return cause
     # Names that are neither fields nor indices are pydantic's own, such as "function-before".
-    path = [
-        str(part) for part in detail["loc"] if isinstance(part, int) or str(part).isidentifier()
-    ]
+    path = []
+    for part in detail["loc"]:
+        if isinstance(part, int) or part.isidentifier():
+            path.append(str(part))
     error_class = _error_class(kind, path)
     value = _shown(detail["input"])
     return error_class(f"{'.'.join(path)} is {value}: {_expectation(detail)}")
@@ -271,7 +279,9 @@ def _error_class(kind: Any, path: list[str]) -> type[InvalidParameterError]:
     if hasattr(kind, "error"):
         group_error: type[InvalidParameterError] = kind.error
         return group_error
-    field = kind.__pydantic_fields__.get(path[0]) if path else None
+    if not path:
+        return InvalidParameterError
+    field = kind.__pydantic_fields__.get(path[0])
     if field is None:
         return InvalidParameterError
     for annotation in field.metadata:
@@ -285,7 +295,8 @@ def _expectation(detail: Any) -> str:
     kind = detail["type"]
     if kind == "literal_error":
         # Pydantic writes "'a', 'b' or 'c'".
-        names = detail["ctx"]["expected"].replace(" or ", ", ").replace("'", "")
+        expected = detail["ctx"]["expected"]
+        names = expected.replace(" or ", ", ").replace("'", "")
         return f"use one of {names}"
     message: str = detail["msg"]
     return _EXPECTED.get(kind) or message.replace("Input should be", "use")
@@ -302,7 +313,8 @@ def in_order(*names: str) -> BeforeValidator:
             return values
         # Surplus values get the names "0", "1", ..., which no group has, so pydantic refuses them.
         surplus = map(str, range(64))
-        return dict(zip((*names, *surplus), values, strict=False))
+        keys = (*names, *surplus)
+        return dict(zip(keys, values, strict=False))
 
     return BeforeValidator(read)
 

@@ -99,7 +99,9 @@ class Frame:
     @property
     def size(self) -> tuple[int, int] | None:
         """Width and height of the copy, pixels; None without a copy."""
-        return None if self.frame is None else (self.frame.width_px, self.frame.height_px)
+        if self.frame is None:
+            return None
+        return self.frame.width_px, self.frame.height_px
 
     def check(self, width_px: int, height_px: int) -> None:
         """Check that the frame has the aspect ratio of the image.
@@ -182,11 +184,13 @@ class CoordinateFrame:
         tolerance = _EDGE_TOLERANCE
         if self.frame.coordinates == "fraction":
             tolerance = _EDGE_TOLERANCE_FRACTION
-        return all(
-            -tolerance < coordinate < side + tolerance
-            for place in places
-            for coordinate, side in zip(place, self.extent, strict=True)
-        )
+        x_limit, y_limit = self.extent
+        for x, y in places:
+            x_inside = -tolerance < x < x_limit + tolerance
+            y_inside = -tolerance < y < y_limit + tolerance
+            if not (x_inside and y_inside):
+                return False
+        return True
 
     def in_image(self, x: float, y: float) -> Place:
         """Convert a place to pixels of the full image; clamp it to the image."""
@@ -197,7 +201,9 @@ class CoordinateFrame:
 
     def other_reading(self, places: Sequence[Place]) -> str:
         """Suggest other coordinates for invalid places; empty without a suggestion."""
-        if self.frame.coordinates != "pixels" or min(min(place) for place in places) < 0:
+        if self.frame.coordinates != "pixels":
+            return ""
+        if any(min(place) < 0 for place in places):
             return ""
         first = tuple(places[0])
         if len(places) > 1 and all(tuple(place) == first for place in places):

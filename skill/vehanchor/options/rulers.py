@@ -80,9 +80,9 @@ class Segment:
         if size is None:
             return
         width, height = size
-        x_inside = 0 <= self.x1 <= width and 0 <= self.x2 <= width
-        y_inside = 0 <= self.y1 <= height and 0 <= self.y2 <= height
-        if not (x_inside and y_inside):
+        first_inside = 0 <= self.x1 <= width and 0 <= self.y1 <= height
+        second_inside = 0 <= self.x2 <= width and 0 <= self.y2 <= height
+        if not (first_inside and second_inside):
             raise error(
                 f"{name}, from ({self.x1:g}, {self.y1:g}) to ({self.x2:g}, {self.y2:g}), leaves "
                 f"the picture of {width} x {height} px: give both ends in its pixels"

@@ -124,17 +124,19 @@ class ScaleOptions:
 
         def scaled(line: _Line) -> _Line:
             return replace(
-                line, x1=line.x1 * across, y1=line.y1 * down, x2=line.x2 * across, y2=line.y2 * down
+                line,
+                x1=line.x1 * across,
+                y1=line.y1 * down,
+                x2=line.x2 * across,
+                y2=line.y2 * down,
             )
 
-        known_lengths = tuple(scaled(line) for line in self.rulers.known_lengths)
-        added = tuple(scaled(axis) for axis in self.by_hand.add)
-        return replace(
-            self,
-            rulers=replace(self.rulers, known_lengths=known_lengths),
-            by_hand=replace(self.by_hand, add=added),
-            frame=replace(self.frame, coordinates="pixels"),
-        )
+        known_lengths = [scaled(line) for line in self.rulers.known_lengths]
+        added = [scaled(axis) for axis in self.by_hand.add]
+        rulers = replace(self.rulers, known_lengths=tuple(known_lengths))
+        by_hand = replace(self.by_hand, add=tuple(added))
+        frame = replace(self.frame, coordinates="pixels")
+        return replace(self, rulers=rulers, by_hand=by_hand, frame=frame)
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> ScaleOptions:
@@ -155,7 +157,8 @@ class ScaleOptions:
         if self.method.preset is not None:
             # Reset what the preset has set, so that only the caller's values are compared with it.
             preset_names = PRESETS[self.method.preset]
-            reset = {name: declared_options()[name].default for name in preset_names}
+            declared = declared_options()
+            reset = {name: declared[name].default for name in preset_names}
             keywords = {**reset, **keywords}
         options = self._with_values(keywords)
         return options._with_preset()
@@ -230,7 +233,8 @@ def declared_options() -> dict[str, DeclaredOption]:
         kinds = typing.get_type_hints(type(group))
         for keyword, default in vars(group).items():
             annotation = annotations[keyword]
-            option = next(part for part in annotation.__metadata__ if isinstance(part, Option))
+            parts = annotation.__metadata__
+            option = next(part for part in parts if isinstance(part, Option))
             declared[keyword] = DeclaredOption(
                 keyword=keyword,
                 group=group_name,

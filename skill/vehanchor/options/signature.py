@@ -31,7 +31,11 @@ def set_signature(
         parameters: its parameters; their annotations are types, not texts.
         returns: annotation of its result.
     """
-    keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
+    keywords = []
+    annotations = {}
+    for parameter in parameters:
+        keywords.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+        annotations[parameter.name] = parameter.annotation
     signature = inspect.Signature(keywords, return_annotation=returns)
     function.__signature__ = signature  # type: ignore[attr-defined]
-    function.__annotations__ = {parameter.name: parameter.annotation for parameter in keywords}
+    function.__annotations__ = annotations

@@ -69,7 +69,8 @@ def _field_values(name: str, value: Any) -> dict[str, Any]:
     if value is None:
         return {}
     if isinstance(value, BaseModel):
-        return {_joined(name, inner): item for inner, item in flat_row(value).items()}
+        inner_row = flat_row(value)
+        return {_joined(name, inner): item for inner, item in inner_row.items()}
     if not isinstance(value, tuple):
         return {name: value}
     if name == "warnings":
@@ -87,7 +88,8 @@ def _field_values(name: str, value: Any) -> dict[str, Any]:
 def _field_columns(name: str, kind: Any) -> dict[str, type]:
     """List the columns of a field with the types of their values."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return {_joined(name, inner): item for inner, item in flat_columns(kind).items()}
+        inner_columns = flat_columns(kind)
+        return {_joined(name, inner): item for inner, item in inner_columns.items()}
     if get_origin(kind) is not tuple:
         return {name: kind}
     if name == "warnings":

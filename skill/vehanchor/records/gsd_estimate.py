@@ -298,7 +298,8 @@ class GsdEstimate(Record):
     @property
     def probable_rulers(self) -> list[RulerScale]:
         """Rulers that can set a scale and are probably right, the leading one first."""
-        right = [ruler for ruler in self.rulers if ruler.sets_scale and ruler.probably_right]
+        setting = [ruler for ruler in self.rulers if ruler.sets_scale]
+        right = [ruler for ruler in setting if ruler.probably_right]
         return sorted(right, key=lambda ruler: ruler.kind != self.leading_ruler)
 
 

@@ -100,7 +100,8 @@ class OutlineRing(Record):
     @property
     def closed(self) -> list[list[float]]:
         """Coordinates of GeoJSON, which repeats the first corner."""
-        return _coordinates((*self.points, self.points[0]))
+        ring = (*self.points, self.points[0])
+        return _coordinates(ring)
 
 
 class OutlinePolygon(Record):

@@ -62,9 +62,9 @@ class Record(BaseModel):
 
         row = flat_row(self)
         columns = flat_columns(type(self))
-        data = {
-            name: pd.array([row[name]], dtype=_FRAME_TYPES[kind]) for name, kind in columns.items()
-        }
+        data = {}
+        for name, kind in columns.items():
+            data[name] = pd.array([row[name]], dtype=_FRAME_TYPES[kind])
         return pd.DataFrame(data)
 
     def _repr_html_(self) -> str:
@@ -80,8 +80,8 @@ class Record(BaseModel):
                 shown.append((name, str(value)))
         for notice in values.get("warnings") or ():
             shown.append((notice["code"], notice["message"]))
-        rows = "".join(
-            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(text)}</td></tr>"
-            for name, text in shown
-        )
+        rows = ""
+        for name, text in shown:
+            heading = f"<th style='text-align:left'>{escape(name)}</th>"
+            rows += f"<tr>{heading}<td>{escape(text)}</td></tr>"
         return f"<table>{rows}</table>"

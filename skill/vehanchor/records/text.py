@@ -135,7 +135,8 @@ def advice_for(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> Adv
     find_cause = _CAUSES.get(estimate.reason)
     if find_cause is not None:
         advice = find_cause(estimate) or advice
-    return advice._replace(helps=advice.helps.replace(CHECK_VEHICLES, check))
+    helps = advice.helps.replace(CHECK_VEHICLES, check)
+    return advice._replace(helps=helps)
 
 
 # One function a reason: it looks in the record for the cause of the reason, and returns None if it

@@ -136,7 +136,8 @@ class Camera(Ruler):
         notices = []
         if camera.refused:
             message = f"A part of the camera metadata is not used: {camera.refused}."
-            notices.append(Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+            notice = Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)
+            notices.append(notice)
         if tilt_deg is None:
             condition = "camera, tilt unknown"
             tilt_log_sd = RELIABILITY[condition].log_sd
@@ -170,7 +171,8 @@ class Camera(Ruler):
         """Report why the metadata cannot be used; empty causes are left out."""
         stated = "; ".join(cause for cause in causes if cause)
         message = f"The camera metadata are not usable: {stated}."
-        return unusable(self.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+        notice = Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)
+        return unusable(self.kind, notice)
 
 
 def lens_error(optics: Lens) -> Shared:

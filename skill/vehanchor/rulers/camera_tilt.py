@@ -24,6 +24,8 @@ from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import NDArray
 
     from vehanchor.detection.detections import Detections
@@ -31,6 +33,21 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.options import ScaleOptions
     from vehanchor.records import GsdEstimate, KnownPlane
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """``[n, 2]`` x, y in focal lengths from the image's centre."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """``[n]`` lengths, or logs of them."""
+
+    Slopes: TypeAlias = NDArray[np.float64]
+    """``[2]`` slopes along x and y."""
+
+    Covariance: TypeAlias = NDArray[np.float64]
+    """``[2, 2]`` covariance of slopes."""
 
 # An image with a smaller tilt counts as taken at nadir.
 NADIR_TOLERANCE_DEG = 10.0
@@ -82,7 +99,10 @@ class CameraTilt(NamedTuple):
     def plane(self, image: ImageFacts, gsd_m_per_px: float = 1.0) -> GroundPlane:
         """Make the ground plane of an image, with a scale at its centre."""
         return ground_plane(
-            self, image.width_px, height_px=image.height_px, gsd_m_per_px=gsd_m_per_px
+            self,
+            image.width_px,
+            height_px=image.height_px,
+            gsd_m_per_px=gsd_m_per_px,
         )
 
     def record(self, image: ImageFacts, gsd_m_per_px: float | None) -> TiltEstimate:
@@ -118,16 +138,23 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
         TooObliqueError: the horizon is in the image or close to it.
     """
     camera = image.camera
-    if camera is None or camera.off_nadir_deg is None or not options.rulers.metadata:
+    if not options.rulers.metadata:
         return None
-    if camera.off_nadir_deg <= NADIR_TOLERANCE_DEG or taken_ratio(image, camera) is None:
+    if camera is None or camera.off_nadir_deg is None:
+        return None
+    if camera.off_nadir_deg <= NADIR_TOLERANCE_DEG:
+        return None
+    if taken_ratio(image, camera) is None:
         return None
     focal_px, focal_is_known = focal_length(image, options)
+    source = "metadata"
+    if not focal_is_known:
+        source = "metadata; focal length unknown"
     tilt = CameraTilt(
         camera.off_nadir_deg,
         camera.roll_deg or 0.0,
         focal_length_px=focal_px,
-        source="metadata" if focal_is_known else "metadata; focal length unknown",
+        source=source,
     )
     try:
         tilt.plane(image).check()
@@ -175,7 +202,8 @@ def with_scale(tilt: TiltEstimate, record: GsdEstimate, gsd_m_per_px: float | No
             gsd_m_per_px=gsd_m_per_px,
         )
         smallest, largest = plane.gsd_range
-    return tilt.model_copy(update={"gsd_least_m_per_px": smallest, "gsd_largest_m_per_px": largest})
+    scales = {"gsd_least_m_per_px": smallest, "gsd_largest_m_per_px": largest}
+    return tilt.model_copy(update=scales)
 
 
 def ground_plane(
@@ -215,15 +243,18 @@ def suspected_tilt(
     if len(boxes) < MIN_CARS:
         return None
     # Log of the square root of a box's area, over its place in focal lengths from the centre.
-    places = (boxes[:, :2] - [width_px / 2, height_px / 2]) / focal_px
-    log_sizes = np.log(boxes[:, 2] * boxes[:, 3]) / 2
+    centre = [width_px / 2, height_px / 2]
+    places = (boxes[:, :2] - centre) / focal_px
+    areas = boxes[:, 2] * boxes[:, 3]
+    log_sizes = np.log(areas) / 2
     slopes, covariance = _fitted_slopes(places, log_sizes, log_size_sd)
 
     slope = float(np.hypot(*slopes))
     direction = np.array([1.0, 0.0])
     if slope > 0:
         direction = slopes / slope
-    slope_sd = float(np.sqrt(direction @ covariance @ direction))
+    variance = direction @ covariance @ direction
+    slope_sd = float(np.sqrt(variance))
     least_slope = slope - _SURE_SDS * slope_sd
     nadir_slope = _EXPONENT * math.tan(math.radians(NADIR_TOLERANCE_DEG))
     if least_slope <= nadir_slope:
@@ -231,9 +262,7 @@ def suspected_tilt(
     return math.degrees(math.atan(slope / _EXPONENT))
 
 
-def _fitted_slopes(
-    places: NDArray[np.float64], log_sizes: NDArray[np.float64], log_sd: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _fitted_slopes(places: Points, log_sizes: Lengths, log_sd: float) -> tuple[Slopes, Covariance]:
     """Fit log sizes by a plane over the image; Cauchy's loss makes it robust against lorries.
 
     Args:
@@ -244,18 +273,23 @@ def _fitted_slopes(
     Returns:
         ``[2]`` slopes of the plane, and their covariance ``[2, 2]``.
     """
-    design = np.column_stack([np.ones(len(places)), places])
+    n_cars = len(places)
+    design = np.column_stack([np.ones(n_cars), places])
     plane = np.array([np.median(log_sizes), 0.0, 0.0])
     information = np.eye(3)
     # Iterated least squares: the weights of Cauchy's loss follow from the last fit.
     for _ in range(_N_STEPS):
         deviations = (design @ plane - log_sizes) / log_sd
         weights = 1.0 / (1.0 + deviations**2)
-        information = design.T @ (design * weights[:, None]) + _WEAK_INFORMATION
-        plane = np.linalg.solve(information, design.T @ (weights * log_sizes))
-    independent_share = min(_INDEPENDENT_SHARE, _MAX_INDEPENDENT / len(places))
-    covariance = log_sd**2 / independent_share * np.linalg.inv(information)
-    return np.asarray(plane[1:]), np.asarray(covariance[1:, 1:])
+        weighted_design = design * weights[:, None]
+        information = design.T @ weighted_design + _WEAK_INFORMATION
+        moments = design.T @ (weights * log_sizes)
+        plane = np.linalg.solve(information, moments)
+    independent_share = min(_INDEPENDENT_SHARE, _MAX_INDEPENDENT / n_cars)
+    variance = log_sd**2 / independent_share
+    covariance = variance * np.linalg.inv(information)
+    slopes = np.asarray(plane[1:])
+    return slopes, np.asarray(covariance[1:, 1:])
 
 
 def tilt_notice(
@@ -304,8 +338,8 @@ def tilt_notice(
     return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
 
 
-def _whole_cars(detections: Detections, width_px: int, height_px: int) -> NDArray[np.float64]:
-    """Select boxes ``[n, 5]`` of likely cars that lie completely in the image."""
+def _whole_cars(detections: Detections, width_px: int, height_px: int) -> Boxes:
+    """Select the boxes of likely cars that lie completely in the image."""
     boxes = detections.boxes[detections.scores >= _MIN_SCORE]
     if len(boxes) == 0:
         return boxes
@@ -314,10 +348,11 @@ def _whole_cars(detections: Detections, width_px: int, height_px: int) -> NDArra
     lengths = boxes[:, 2]
     # In whatever direction a car points, it lies within half of its length.
     reach = lengths / 2
-    inside = (x > reach) & (x < width_px - reach) & (y > reach) & (y < height_px - reach)
+    x_inside = (x > reach) & (x < width_px - reach)
+    y_inside = (y > reach) & (y < height_px - reach)
     ratios = lengths / np.median(lengths)
     likely = (ratios < _MAX_RATIO) & (ratios > 1 / _MAX_RATIO)
-    return np.asarray(boxes[inside & likely])
+    return np.asarray(boxes[x_inside & y_inside & likely])
 
 
 def rectified(detections: Detections, plane: GroundPlane, errors: DetectorErrors) -> Detections:
@@ -328,19 +363,19 @@ def rectified(detections: Detections, plane: GroundPlane, errors: DetectorErrors
         plane: ground plane, with one metre per pixel at the image's centre.
         errors: errors of the detector, with the proportions of its boxes.
     """
-    proportions = errors.length_over_width(of_bodies=detections.appearance is not None)
+    are_bodies = detections.appearance is not None
+    proportions = errors.length_over_width(of_bodies=are_bodies)
     long_axis, short_axis = box_axes(detections.boxes)
     lengths = plane.length(*long_axis)
     widths = plane.length(*short_axis)
     boxes = detections.boxes.copy()
     boxes[:, 2] = length_off_nadir(lengths, widths, length_over_width=proportions)
-    boxes[:, 3] = boxes[:, 2] / errors.boxes.length_over_width
+    lengths_at_nadir = boxes[:, 2]
+    boxes[:, 3] = lengths_at_nadir / errors.boxes.length_over_width
     return replace(detections, boxes=boxes)
 
 
-def length_off_nadir(
-    lengths: NDArray[np.float64], widths: NDArray[np.float64], *, length_over_width: float
-) -> NDArray[np.float64]:
+def length_off_nadir(lengths: Lengths, widths: Lengths, *, length_over_width: float) -> Lengths:
     """Combine lengths and widths on the ground to lengths that do not depend on the direction.
 
     Args:
@@ -352,4 +387,5 @@ def length_off_nadir(
         ``[n]`` weighted geometric means of the lengths, and of the lengths that the widths imply.
     """
     implied = length_over_width * widths
-    return np.asarray(lengths ** (1 - _WIDTH_SHARE) * implied**_WIDTH_SHARE)
+    length_share = 1 - _WIDTH_SHARE
+    return np.asarray(lengths**length_share * implied**_WIDTH_SHARE)

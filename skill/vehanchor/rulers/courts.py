@@ -37,7 +37,8 @@ class Courts(Ruler):
         """Find courts, and weigh them by how well each was fitted; None without pixels."""
         if view.raster is None:
             return None
-        return witness_of(find_courts(view.raster, view.prior, view.runtime))
+        courts = find_courts(view.raster, view.prior, view.runtime)
+        return witness_of(courts)
 
 
 def witness_of(courts: Sequence[Court]) -> Witness | None:
@@ -54,22 +55,26 @@ def witness_of(courts: Sequence[Court]) -> Witness | None:
         return None
     # Courts of one image have one scale. The reference is the court nearest to the median, because
     # the median of two lies between them.
-    median = float(np.median([math.log(court.gsd_m_per_px) for court in courts]))
+    log_gsds = [math.log(court.gsd_m_per_px) for court in courts]
+    median = float(np.median(log_gsds))
     reference = min(courts, key=lambda court: abs(math.log(court.gsd_m_per_px) - median))
     consistent = []
     for court in courts:
-        log_distance = abs(math.log(court.gsd_m_per_px / reference.gsd_m_per_px))
-        if log_distance <= _MAX_LOG_DISTANCE:
+        log_ratio = math.log(court.gsd_m_per_px / reference.gsd_m_per_px)
+        if abs(log_ratio) <= _MAX_LOG_DISTANCE:
             consistent.append(court)
 
     # Mean by the precisions; the error is that of the mean, but no less than the courts' spread and
     # the error of the rules.
     reliability = RELIABILITY[Courts.kind]
-    weights = np.array([1 / (court.log_sd**2 + reliability.log_sd**2) for court in consistent])
+    rules_variance = reliability.log_sd**2
+    weights = np.array([1 / (court.log_sd**2 + rules_variance) for court in consistent])
+    total_weight = weights.sum()
     log_scales = np.log([court.gsd_m_per_px for court in consistent])
-    mean = float(weights @ log_scales / weights.sum())
-    spread = float(np.sqrt(weights @ (log_scales - mean) ** 2 / weights.sum()))
-    mean_log_sd = float(weights.sum() ** -0.5)
+    mean = float(weights @ log_scales / total_weight)
+    squared_deviations = (log_scales - mean) ** 2
+    spread = float(np.sqrt(weights @ squared_deviations / total_weight))
+    mean_log_sd = float(total_weight**-0.5)
     return point_witness(
         Courts.kind,
         math.exp(mean),
@@ -105,6 +110,7 @@ def _subject_and_verb(courts: list[Court]) -> str:
     if len(courts) == 1:
         return f"A {_GAMES[courts[0].kind]} gives"
     if len(kinds) == 1:
-        game, _, rules = _GAMES[courts[0].kind].partition(" court")
+        description = _GAMES[courts[0].kind]
+        game, _, rules = description.partition(" court")
         return f"{len(courts)} {game} courts{rules} give"
     return f"{len(courts)} sports courts give"

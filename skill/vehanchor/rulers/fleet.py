@@ -12,16 +12,33 @@ from vehanchor.scale.density import GRID
 from vehanchor.scale.lengths import MIN_SCORE, dominant_group, inlier_mask
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import NDArray
 
     from vehanchor.detection.detections import Appearance, Detections
     from vehanchor.options import Lengths
     from vehanchor.scale.density import Density
 
+    Mask: TypeAlias = NDArray[np.bool_]
+    """``[n]`` whether each detection is in the fleet."""
+
+    Centres: TypeAlias = NDArray[np.float64]
+    """``[m, 2]`` x, y in pixels of the image."""
+
+    LengthsPx: TypeAlias = NDArray[np.float64]
+    """``[m]`` lengths of the fleet, pixels of the image."""
+
+    Scores: TypeAlias = NDArray[np.float64]
+    """``[m]`` detection scores of the fleet."""
+
+    Weights: TypeAlias = NDArray[np.float64]
+    """``[n]`` weights of all detections."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """Vehicles behind the scale.
+    """Vehicles behind the scale; shapes name all detections ``n`` and those of the fleet ``m``.
 
     Attributes:
         detections: all detections.
@@ -33,28 +50,29 @@ class Fleet:
     """
 
     detections: Detections
-    kept: NDArray[np.bool_]
+    kept: Mask
     main_reduction: float | None
     rival_share: float = 0.0
 
     @property
     def is_stated(self) -> bool:
         """Whether the caller states that most of these vehicles are cars."""
-        n_stated = int((self.detections.stated & self.kept).sum())
+        stated_cars = self.detections.stated & self.kept
+        n_stated = int(stated_cars.sum())
         return bool(2 * n_stated > self.kept.sum())
 
     @property
-    def centres(self) -> NDArray[np.float64]:
+    def centres(self) -> Centres:
         """``[m, 2]`` centres x, y in pixels of the image."""
         return np.asarray(self.detections.boxes[self.kept, :2])
 
     @property
-    def lengths(self) -> NDArray[np.float64]:
+    def lengths(self) -> LengthsPx:
         """``[m]`` lengths in pixels of the image."""
         return np.asarray(self.detections.boxes[self.kept, 2])
 
     @property
-    def scores(self) -> NDArray[np.float64]:
+    def scores(self) -> Scores:
         """``[m]`` detection scores."""
         return np.asarray(self.detections.scores[self.kept])
 
@@ -80,10 +98,11 @@ def select(detections: Detections, lengths: Lengths, expected: Density | None = 
     Args:
         detections: vehicles in pixels of the image.
         lengths: options with the filter's factor.
-        expected: ``[g]`` density of the scale to identify cars; None without any.
+        expected: ``[g]`` density of the scale by other rulers or the scene-scale prior, which
+            identifies cars; None without any.
 
     Returns:
-        The fleet, empty if nothing was found.
+        The fleet, empty if there are no vehicles.
     """
     lengths_px = detections.boxes[:, 2]
     rival_share = 0.0
@@ -94,10 +113,11 @@ def select(detections: Detections, lengths: Lengths, expected: Density | None = 
         weights = _evidence_of_cars(detections, expected)
         kept, rival_share = dominant_group(lengths_px, weights)
         kept[kept] = inlier_mask(lengths_px[kept], lengths.alpha)
-    return Fleet(detections, kept, _main_reduction(detections, kept), rival_share)
+    main_reduction = _main_reduction(detections, kept)
+    return Fleet(detections, kept, main_reduction, rival_share)
 
 
-def _evidence_of_cars(detections: Detections, expected: Density | None) -> NDArray[np.float64]:
+def _evidence_of_cars(detections: Detections, expected: Density | None) -> Weights:
     """Weigh each box ``[n]`` by its squared score, and by how likely it is as long as a car.
 
     The square reduces the weight of false alarms, most of which have low scores.
@@ -112,16 +132,20 @@ def _evidence_of_cars(detections: Detections, expected: Density | None) -> NDArr
     # The scale at which each box would be as long as a car, and how likely that scale is.
     log_scales = np.log(CAR_LENGTH_M / detections.boxes[:, 2])
     likely = np.interp(log_scales, GRID, expected / expected.max())
-    return np.asarray(np.where(detections.stated, 1.0, likely) * weights)
+    # The caller states that added vehicles are cars, whatever scale follows from their lengths.
+    likely = np.where(detections.stated, 1.0, likely)
+    return np.asarray(likely * weights)
 
 
-def _main_reduction(detections: Detections, kept: NDArray[np.bool_]) -> float | None:
+def _main_reduction(detections: Detections, kept: Mask) -> float | None:
     """Find the reduction with most of the kept vehicles, by score; the finer of equals."""
     if not kept.any():
         return None
     if detections.reductions is None:
         return 1.0
     # Negative reductions sort finer copies first; argmax takes the first of equals.
-    negative, inverse = np.unique(-detections.reductions[kept], return_inverse=True)
+    reductions = detections.reductions[kept]
+    negative, inverse = np.unique(-reductions, return_inverse=True)
     scores = np.bincount(inverse, weights=detections.scores[kept])
-    return float(-negative[np.argmax(scores)])
+    best = np.argmax(scores)
+    return float(-negative[best])

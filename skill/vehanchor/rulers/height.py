@@ -85,7 +85,8 @@ class GivenHeight(Ruler):
 def _unusable(cause: str) -> Witness:
     """Report why the given height cannot be used."""
     message = f"The given height is not usable: {cause}."
-    return unusable(GivenHeight.kind, Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message))
+    notice = Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)
+    return unusable(GivenHeight.kind, notice)
 
 
 def _repeats_metadata(view: View, height_m: float) -> bool:
@@ -94,11 +95,14 @@ def _repeats_metadata(view: View, height_m: float) -> bool:
     The same number is one witness: a copy would confirm it without new evidence.
     """
     camera = view.image.camera
-    if camera is None or camera.height_m is None or not uses(view.options.rulers, "camera"):
+    if camera is None or camera.height_m is None:
+        return False
+    if not uses(view.options.rulers, "camera"):
         return False
     if lens(view.image, camera) is None:
         return False
-    return abs(height_m - camera.height_m) <= SAME_NUMBER * camera.height_m
+    difference_m = abs(height_m - camera.height_m)
+    return difference_m <= SAME_NUMBER * camera.height_m
 
 
 def _repeated(height_m: float) -> Notice:

@@ -73,7 +73,8 @@ def read_image_table(
                 except ValueError as problem:
                     raise error(f"{str(table)!r}, line {reader.line_num}: {problem}") from None
                 image = canonical_path(table.parent / file)
-                rows[image] = (*rows.get(image, ()), row)
+                earlier_rows = rows.get(image, ())
+                rows[image] = (*earlier_rows, row)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None
     if not rows:

@@ -22,6 +22,7 @@ from vehanchor.scale.reliability import CALLER, MEASURING, RECOGNITION, RELIABIL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
@@ -30,12 +31,25 @@ if TYPE_CHECKING:
     from vehanchor.scale.density import Density
     from vehanchor.scale.plane import GroundPlane
 
+    Point: TypeAlias = tuple[float, float]
+    """x, y in pixels of the image."""
+
+    Points: TypeAlias = NDArray[np.float64]
+    """``[n, 2]`` x, y in pixels of the image."""
+
+    Direction: TypeAlias = NDArray[np.float64]
+    """``[2]`` x, y of a unit vector."""
+
+    Lines: TypeAlias = Sequence["_DrawnLine"]
+
 # Error of a drawn end, in pixels of the picture in which it was drawn: by somebody who measures,
 # and by somebody who recognises a thing. Choices.
 _END_SD_PX = {"measured": 1.0, "assumed": 2.0}
-# Largest distance of ends, in these errors, at which two lines are one.
+# Largest difference between two lines, in standard deviations of their ends and of their scales, at
+# which they are parts of one line. A choice.
 _SAME_LINE_SDS = 3.0
-# Least chance that one thing of known size is mistaken, beside the caller's chance to mistake all.
+# Smallest chance that one line at a thing of exact size is wrong, beside the chance that the caller
+# mistakes all such things. A choice.
 _MIN_CHANCE_WRONG = 0.01
 # Two lines disagree if neither density has this mass within 20 % of the other line's scale.
 _MIN_AGREED_MASS = 0.05
@@ -60,7 +74,8 @@ class KnownLengths(Ruler):
         lines = view.options.rulers.known_lengths
         drawn = [_draw(line, view) for line in lines]
         groups = _groups(drawn)
-        witnesses = [_witness(group, view.options.reference.region) for group in groups]
+        region = view.options.reference.region
+        witnesses = [_witness(group, region) for group in groups]
         measured = [
             witness
             for witness, group in zip(witnesses, groups, strict=True)
@@ -77,16 +92,19 @@ class KnownLengths(Ruler):
         statement = f"{subject} {in_words(combined.gsd_m_per_px, combined.interval)}."
         if view.plane is not None:
             statement += " This is the scale of the image's centre."
+        marks = [Mark(line.ends, _label(line.known_length)) for line in drawn]
         witness = replace(
             combined,
             n=len(lines),
             notices=_disagreement(groups, witnesses),
             statement=statement,
-            marks=tuple(Mark(line.ends, _label(line.known_length)) for line in drawn),
+            marks=tuple(marks),
         )
         if measured:
             return replace(witness, shared=(*witness.shared, MEASURING))
-        return as_assumed(witness, RECOGNITION if _differ_in_kind(lines) else CALLER)
+        if _differ_in_kind(lines):
+            return as_assumed(witness, RECOGNITION)
+        return as_assumed(witness, CALLER)
 
 
 def _differ_in_kind(lines: Sequence[KnownLength]) -> bool:
@@ -95,8 +113,15 @@ def _differ_in_kind(lines: Sequence[KnownLength]) -> bool:
     A caller who recognises a court and a container hardly mistakes both. Several guesses, or
     several things of one kind, can be one mistake.
     """
-    kinds = {None if line.what is None else exact_kind(line.what) for line in lines}
-    return None not in kinds and len(kinds) > 1
+    kinds = set()
+    for line in lines:
+        kind = None
+        if line.what is not None:
+            kind = exact_kind(line.what)
+        if kind is None:
+            return False
+        kinds.add(kind)
+    return len(kinds) > 1
 
 
 class _DrawnLine(NamedTuple):
@@ -111,7 +136,7 @@ class _DrawnLine(NamedTuple):
     """
 
     known_length: KnownLength
-    ends: tuple[tuple[float, float], tuple[float, float]]
+    ends: tuple[Point, Point]
     length_px: float
     log_sd: float
     end_sd_px: float
@@ -119,16 +144,15 @@ class _DrawnLine(NamedTuple):
 
 def _draw(line: KnownLength, view: View) -> _DrawnLine:
     """Convert a line from the caller's copy of the image to the image."""
-    frame_width, frame_height = view.options.frame.size or (
-        view.image.width_px,
-        view.image.height_px,
-    )
-    x_factor = view.image.width_px / frame_width
-    y_factor = view.image.height_px / frame_height
+    image = view.image
+    frame_size = view.options.frame.size
+    frame_width, frame_height = frame_size or (image.width_px, image.height_px)
+    x_factor = image.width_px / frame_width
+    y_factor = image.height_px / frame_height
     first = (line.x1 * x_factor, line.y1 * y_factor)
     second = (line.x2 * x_factor, line.y2 * y_factor)
     length_px, tilt_log_sd = _length_at_centre(first, second, view.plane)
-    # Both ends have the error of drawing.
+    # Both ends have the error of drawing, in pixels of the caller's copy.
     end_sd_px = _END_SD_PX[line.basis]
     drawing_log_sd = math.sqrt(2) * end_sd_px / line.length_px
     return _DrawnLine(
@@ -141,7 +165,7 @@ def _draw(line: KnownLength, view: View) -> _DrawnLine:
 
 
 def _length_at_centre(
-    first: tuple[float, float], second: tuple[float, float], plane: GroundPlane | None
+    first: Point, second: Point, plane: GroundPlane | None
 ) -> tuple[float, float]:
     """Compute the length of a line in pixels of the image's centre.
 
@@ -155,16 +179,18 @@ def _length_at_centre(
     """
     if plane is None:
         return math.dist(first, second), 0.0
-    # With 1 m/px at the centre, metres on the ground are pixels of the centre.
+    # With 1 m/px at the centre, metres on the ground are pixels of the centre. The same line on a
+    # plane that is less tilted by one standard deviation shows the error of the tilt.
     unit_plane = replace(plane, gsd_m_per_px=1.0)
     less_tilted = replace(unit_plane, tilt_deg=plane.tilt_deg - TILT_SD_DEG)
-    length_px = float(unit_plane.length([first], [second])[0])
-    other_px = float(less_tilted.length([first], [second])[0])
-    return length_px, abs(math.log(length_px / other_px))
+    [length_px] = unit_plane.length([first], [second])
+    [less_tilted_px] = less_tilted.length([first], [second])
+    log_ratio = math.log(float(length_px) / float(less_tilted_px))
+    return float(length_px), abs(log_ratio)
 
 
-def _groups(drawn: Sequence[_DrawnLine]) -> list[list[_DrawnLine]]:
-    """Group the lines at things of one kind, and the pieces and copies of one line.
+def _groups(drawn: Lines) -> list[list[_DrawnLine]]:
+    """Group the lines at things of one kind, and the parts and copies of one line.
 
     Each other line is a group of its own.
     """
@@ -184,43 +210,55 @@ def _groups(drawn: Sequence[_DrawnLine]) -> list[list[_DrawnLine]]:
 
 def _belong_together(first: _DrawnLine, second: _DrawnLine) -> bool:
     """Test whether two lines have one length on the ground, or are parts of one line."""
-    if first.known_length.what is not None or second.known_length.what is not None:
-        return first.known_length.what == second.known_length.what
-    if first.known_length.basis != second.known_length.basis:
+    one = first.known_length
+    other = second.known_length
+    if one.what is not None or other.what is not None:
+        return one.what == other.what
+    if one.basis != other.basis:
         return False
     return _are_one_line(first, second) and _have_one_scale(first, second)
 
 
 def _are_one_line(first: _DrawnLine, second: _DrawnLine) -> bool:
     """Test whether lines are collinear, and overlap or adjoin, within the error of their ends."""
-    tolerance_px = _SAME_LINE_SDS * math.hypot(first.end_sd_px, second.end_sd_px)
+    end_sd_px = math.hypot(first.end_sd_px, second.end_sd_px)
+    tolerance_px = _SAME_LINE_SDS * end_sd_px
     ends = np.array([*first.ends, *second.ends])
     along = _direction(ends)
     across = np.array([-along[1], along[0]])
     if np.ptp(ends @ across) > tolerance_px:
         return False
     positions = (ends @ along).reshape(2, 2)
-    gap_px = positions.min(axis=1).max() - positions.max(axis=1).min()
+    later_start = positions.min(axis=1).max()
+    earlier_end = positions.max(axis=1).min()
+    # The gap is negative if the lines overlap.
+    gap_px = later_start - earlier_end
     return bool(gap_px <= tolerance_px)
 
 
-def _direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Find the direction ``[2]`` of a line through points ``[n, 2]``: their principal axis."""
-    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+def _direction(points: Points) -> Direction:
+    """Find the direction of a line through points: their principal axis."""
+    offsets = points - points.mean(axis=0)
+    _, _, axes = np.linalg.svd(offsets, full_matrices=False)
     return np.asarray(axes[0])
 
 
 def _have_one_scale(first: _DrawnLine, second: _DrawnLine) -> bool:
     """Test whether the scales of two lines in metres agree within their errors."""
     log_ratio = _log_gsd(first) - _log_gsd(second)
-    log_sds = [math.hypot(line.log_sd, _log_sd_of_metres(line)) for line in (first, second)]
-    return abs(log_ratio) <= _SAME_LINE_SDS * math.hypot(*log_sds)
+    log_ratio_sd = math.hypot(_log_gsd_sd(first), _log_gsd_sd(second))
+    return abs(log_ratio) <= _SAME_LINE_SDS * log_ratio_sd
 
 
 def _log_gsd(line: _DrawnLine) -> float:
     """Compute the log of the scale by a line in metres."""
     assert line.known_length.length_m is not None
     return math.log(line.known_length.length_m / line.length_px)
+
+
+def _log_gsd_sd(line: _DrawnLine) -> float:
+    """Compute the log standard deviation of that scale, by the drawing and by the metres."""
+    return math.hypot(line.log_sd, _log_sd_of_metres(line))
 
 
 def _log_sd_of_metres(line: _DrawnLine) -> float:
@@ -238,7 +276,7 @@ def _label(line: KnownLength) -> str:
     return line.what.replace("_", " ")
 
 
-def _witness(group: Sequence[_DrawnLine], region: str | None) -> Witness:
+def _witness(group: Lines, region: str | None) -> Witness:
     """Make the witness of the parts of one line, or of all lines at things of one kind.
 
     Things of one kind in one image share their size, so that their lines are averaged. So are
@@ -255,30 +293,49 @@ def _witness(group: Sequence[_DrawnLine], region: str | None) -> Witness:
     variants: tuple[Variant, ...]
     if line.length_m is not None:
         chance_wrong = RELIABILITY[line.basis].chance_wrong
-        # The same metres in several pieces have one error, that of the most exact statement.
-        variants = (Variant(line.length_m, min(_log_sd_of_metres(part) for part in group)),)
+        # The same metres in several parts have one error, that of the most exact statement.
+        log_sd = min(_log_sd_of_metres(part) for part in group)
+        variants = (Variant(line.length_m, log_sd),)
         length_px, drawing_log_sd = _whole_length(group, line.length_m)
     else:
         assert line.what is not None
         standard, variants = lengths_of(line.what, region)
         # The chance that the caller mistakes all things is a shared error; see RECOGNITION.
-        chance_wrong = max(_MIN_CHANCE_WRONG, standard.chance_wrong - RECOGNITION.chance_wrong)
+        own_chance = standard.chance_wrong - RECOGNITION.chance_wrong
+        chance_wrong = max(_MIN_CHANCE_WRONG, own_chance)
         length_px, drawing_log_sd = _mean_length(group)
-
-    possible = [variant for variant in variants if on_grid(variant.metres / length_px)]
-    if not possible:
-        raise _impossible(variants[0].metres, length_px)
-    # A thing of several usual lengths gives a mixture of densities.
-    total = sum(variant.weight for variant in possible)
-    right = np.zeros(1)
-    for variant in possible:
-        log_sd = math.hypot(variant.log_sd, drawing_log_sd)
-        density = lognormal(variant.metres / length_px, log_sd)
-        right = right + variant.weight / total * density
+    right = _mixture(variants, length_px, drawing_log_sd)
     return _of_density(right, chance_wrong)
 
 
-def _whole_length(parts: Sequence[_DrawnLine], metres: float) -> tuple[float, float]:
+def _mixture(variants: Sequence[Variant], length_px: float, drawing_log_sd: float) -> Density:
+    """Mix the densities of the scale by each usual length of a thing, by their weights.
+
+    Args:
+        variants: the usual lengths; those with an impossible scale do not count.
+        length_px: length of the line, pixels of the image's centre.
+        drawing_log_sd: standard deviation of the log of ``length_px``.
+
+    Returns:
+        ``[g]`` density.
+
+    Raises:
+        KnownLengthError: all scales are impossible.
+    """
+    possible = [variant for variant in variants if on_grid(variant.metres / length_px)]
+    if not possible:
+        raise _impossible(variants[0].metres, length_px)
+    total_weight = sum(variant.weight for variant in possible)
+    mixture = np.zeros(1)
+    for variant in possible:
+        log_sd = math.hypot(variant.log_sd, drawing_log_sd)
+        density = lognormal(variant.metres / length_px, log_sd)
+        share = variant.weight / total_weight
+        mixture = mixture + share * density
+    return mixture
+
+
+def _whole_length(parts: Lines, metres: float) -> tuple[float, float]:
     """Average the scales of the parts and copies of one line, as pixels of a length on the ground.
 
     Args:
@@ -289,33 +346,25 @@ def _whole_length(parts: Sequence[_DrawnLine], metres: float) -> tuple[float, fl
         The mean, and the standard deviation of its log. It is that of one line over all parts: a
         line is no more exact in pieces, nor if it is given twice.
     """
-    mean = [part._replace(length_px=metres / math.exp(_log_gsd(part))) for part in parts]
-    length_px, _ = _mean_length(mean)
+    # Each part gives the pixels of the same metres at its scale, with the weight of its own error.
+    lines = []
+    for part in parts:
+        gsd_m_per_px = math.exp(_log_gsd(part))
+        lines.append(part._replace(length_px=metres / gsd_m_per_px))
+    length_px, _ = _mean_length(lines)
+
     ends = np.array([part.ends for part in parts]).reshape(-1, 2)
-    along = ends @ _direction(ends)
-    whole_px = float(np.ptp(along))
-    log_sds = [part.log_sd * math.dist(*part.ends) / whole_px for part in parts]
+    positions = ends @ _direction(ends)
+    whole_px = float(np.ptp(positions))
+    # The ends have the same error in pixels, which is a smaller share of the whole line.
+    log_sds = []
+    for part in parts:
+        part_px = math.dist(*part.ends)
+        log_sds.append(part.log_sd * part_px / whole_px)
     return length_px, min(log_sds)
 
 
-def _of_density(right: Density, chance_wrong: float) -> Witness:
-    """Make a witness whose own scale is the median of a density ``[g]``."""
-    return Witness(KnownLengths.kind, quantile(right, 0.5), right=right, chance_wrong=chance_wrong)
-
-
-def _combined(witnesses: Sequence[Witness]) -> Witness:
-    """Combine the witnesses of all lines.
-
-    Each line may be wrong by itself, which its density includes. Contradictions show as several
-    modes of the product.
-    """
-    if len(witnesses) == 1:
-        return witnesses[0]
-    densities = [witness.density for witness in witnesses]
-    return _of_density(product(*densities), chance_wrong=0.0)
-
-
-def _mean_length(group: Sequence[_DrawnLine]) -> tuple[float, float]:
+def _mean_length(group: Lines) -> tuple[float, float]:
     """Average lines of one length by their precisions, pixels.
 
     Returns:
@@ -324,12 +373,15 @@ def _mean_length(group: Sequence[_DrawnLine]) -> tuple[float, float]:
     """
     weights = [1 / line.log_sd**2 for line in group]
     log_lengths = [math.log(line.length_px) for line in group]
-    weighted = [weight * log for weight, log in zip(weights, log_lengths, strict=True)]
-    mean = sum(weighted) / sum(weights)
-    deviations = [
-        abs(log - mean) / line.log_sd for log, line in zip(log_lengths, group, strict=True)
-    ]
-    log_sd = max(1.0, *deviations) / math.sqrt(sum(weights))
+    pairs = zip(weights, log_lengths, strict=True)
+    total = sum(weight * log_length for weight, log_length in pairs)
+    mean = total / sum(weights)
+    # The largest deviation, in standard deviations of its line, widens the error of the mean.
+    widening = 1.0
+    for line, log_length in zip(group, log_lengths, strict=True):
+        deviation = abs(log_length - mean) / line.log_sd
+        widening = max(widening, deviation)
+    log_sd = widening / math.sqrt(sum(weights))
     return math.exp(mean), log_sd
 
 
@@ -345,34 +397,48 @@ def _impossible(metres: float, length_px: float) -> KnownLengthError:
     )
 
 
-def _disagreement(
-    groups: Sequence[Sequence[_DrawnLine]], witnesses: Sequence[Witness]
-) -> tuple[Notice, ...]:
+def _of_density(right: Density, chance_wrong: float) -> Witness:
+    """Make a witness whose own scale is the median of a density ``[g]``."""
+    median = quantile(right, 0.5)
+    return Witness(KnownLengths.kind, median, right=right, chance_wrong=chance_wrong)
+
+
+def _combined(witnesses: Sequence[Witness]) -> Witness:
+    """Combine the witnesses of all lines.
+
+    Each line may be wrong by itself, which its density includes. Contradictions show as several
+    modes of the product.
+    """
+    if len(witnesses) == 1:
+        return witnesses[0]
+    densities = [witness.density for witness in witnesses]
+    return _of_density(product(*densities), chance_wrong=0.0)
+
+
+def _disagreement(groups: Sequence[Lines], witnesses: Sequence[Witness]) -> tuple[Notice, ...]:
     """Warn of lines that exclude each other's scale; name the line without which all agree.
 
     Args:
         groups: the lines.
         witnesses: witness of each group.
     """
-    contradictions = [
-        (a, b)
-        for a, b in combinations(range(len(witnesses)), 2)
-        if not _agree(witnesses[a], witnesses[b])
-    ]
+    numbers = range(len(witnesses))
+    contradictions = []
+    for a, b in combinations(numbers, 2):
+        if not _agree(witnesses[a], witnesses[b]):
+            contradictions.append((a, b))
     if not contradictions:
         return ()
     cause = "A line is wrong, or the camera was tilted."
     # With more than two lines, one that is in all contradictions is probably the wrong one.
     suspects = []
     if len(witnesses) > 2:
-        suspects = [k for k in range(len(witnesses)) if all(k in pair for pair in contradictions)]
+        suspects = [k for k in numbers if all(k in pair for pair in contradictions)]
     if len(suspects) == 1:
-        suspect = suspects[0]
+        [suspect] = suspects
         label = _label(groups[suspect][0].known_length)
-        cause = (
-            f"Without the line {label} ({witnesses[suspect].gsd_m_per_px:.4g} m/px) they agree: "
-            "check it."
-        )
+        gsd = witnesses[suspect].gsd_m_per_px
+        cause = f"Without the line {label} ({gsd:.4g} m/px) they agree: check it."
     scales = [witness.gsd_m_per_px or 0.0 for witness in witnesses]
     message = f"The given lines disagree, from {min(scales):.4g} to {max(scales):.4g} m/px. {cause}"
     return (Notice(code=NoticeCode.KNOWN_LENGTHS_DISAGREE, message=message),)
@@ -382,8 +448,6 @@ def _agree(first: Witness, second: Witness) -> bool:
     """Test whether one of two lines allows the scale of the other."""
     assert first.gsd_m_per_px is not None
     assert second.gsd_m_per_px is not None
-    masses = (
-        mass_within(first.density, second.gsd_m_per_px),
-        mass_within(second.density, first.gsd_m_per_px),
-    )
-    return max(masses) >= _MIN_AGREED_MASS
+    mass_by_first = mass_within(first.density, second.gsd_m_per_px)
+    mass_by_second = mass_within(second.density, first.gsd_m_per_px)
+    return max(mass_by_first, mass_by_second) >= _MIN_AGREED_MASS

@@ -22,7 +22,6 @@ KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
 """Lines by the absolute path of their image."""
 
 _COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
-_OPTIONAL = ("basis", "tolerance_m", "what")
 
 
 def lines_in(
@@ -51,7 +50,8 @@ def lines_in(
     lines = read_image_table(
         path, "known lengths", needed=_COLUMNS, read_row=_line, error=KnownLengthError
     )
-    strangers = sorted(set(lines) - {canonical_path(image) for image in images})
+    measured = {canonical_path(image) for image in images}
+    strangers = sorted(set(lines) - measured)
     if strangers:
         n_others = len(strangers) - 1
         verb = "is" if n_others == 1 else "are"
@@ -82,11 +82,15 @@ def _line(row: Mapping[str, str | None]) -> KnownLength:
     Raises:
         ValueError: a cell is invalid.
     """
-    basis, tolerance, what = (row.get(name) or None for name in _OPTIONAL)
-    coordinates = [row[name] for name in _COLUMNS[1:5]]
+    coordinates = [row[name] for name in ("x1", "y1", "x2", "y2")]
+    # An empty cell is the default.
+    basis = row.get("basis") or "assumed"
+    tolerance = row.get("tolerance_m") or None
+    what = row.get("what") or None
+    metres = row["metres"] or what
     # The options model reads the texts of the cells, as it reads those of the command line.
-    values: Any = (*coordinates, row["metres"] or what, basis or "assumed", tolerance)
-    (line,) = Rulers(known_lengths=(values,)).known_lengths
+    values: Any = (*coordinates, metres, basis, tolerance)
+    [line] = Rulers(known_lengths=(values,)).known_lengths
     check_name(line.what)
     line.check("the line of known length", KnownLengthError)
     return line

@@ -13,12 +13,19 @@ from vehanchor.scale.reliability import RELIABILITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.posterior import Witness
+
+    EastNorth: TypeAlias = NDArray[np.float64]
+    """``[n, 2]`` metres east and north, NaN if unknown."""
+
+    ComplexPoints: TypeAlias = NDArray[np.complex128]
+    """``[n]`` points x + iy."""
 
 _EARTH_M = 6_371_009.0
 _MIN_POSITIONS = 2
@@ -51,7 +58,7 @@ class Positions(Ruler):
         return None
 
 
-def camera_positions_m(images: Sequence[ImageFacts]) -> NDArray[np.float64] | None:
+def camera_positions_m(images: Sequence[ImageFacts]) -> EastNorth | None:
     """Read the positions of photographs.
 
     Args:
@@ -61,28 +68,32 @@ def camera_positions_m(images: Sequence[ImageFacts]) -> NDArray[np.float64] | No
         ``[n, 2]`` metres east and north of the first known position, NaN for unknown ones; None if
         all are unknown.
     """
-    degrees = np.full((len(images), 2), math.nan)
+    shape = (len(images), 2)
+    degrees = np.full(shape, math.nan)
     for k, image in enumerate(images):
         camera = image.camera
-        if camera is None or camera.latitude_deg is None or camera.longitude_deg is None:
+        if camera is None:
+            continue
+        if camera.latitude_deg is None or camera.longitude_deg is None:
             continue
         degrees[k] = camera.latitude_deg, camera.longitude_deg
-    known = np.flatnonzero(np.isfinite(degrees[:, 0]))
+    is_known = np.isfinite(degrees[:, 0])
+    known = np.flatnonzero(is_known)
     if len(known) == 0:
         return None
     first = degrees[known[0]]
     north, east = np.radians(degrees - first).T
     # Across the 180th meridian, longitudes jump by a full turn.
-    east = np.where(east > math.pi, east - 2 * math.pi, east)
-    east = np.where(east < -math.pi, east + 2 * math.pi, east)
+    full_turn = 2 * math.pi
+    east = np.where(east > math.pi, east - full_turn, east)
+    east = np.where(east < -math.pi, east + full_turn, east)
     # A degree of longitude is shorter by the cosine of the latitude.
-    east = east * math.cos(math.radians(first[0]))
+    latitude = math.radians(first[0])
+    east = east * math.cos(latitude)
     return np.column_stack([east, north]) * _EARTH_M
 
 
-def baseline(
-    layout: NDArray[np.complex128], places: NDArray[np.float64], width_px: float
-) -> Witness | None:
+def baseline(layout: ComplexPoints, places: EastNorth, width_px: float) -> Witness | None:
     """Measure the scale by the layout of photographs and their positions.
 
     Args:
@@ -97,11 +108,15 @@ def baseline(
     known = np.isfinite(places).all(axis=1)
     # Complex numbers, for which a rotation is a factor; north is up, and y points down.
     pixels = layout[known]
-    metres = places[known, 0] - 1j * places[known, 1]
+    east, north = places[known].T
+    metres = east - 1j * north
     if len(pixels) < _MIN_POSITIONS:
         return None
     fit = _fit(pixels, metres)
-    if fit is None or fit.agreement < _MIN_AGREEMENT or fit.n < _MIN_POSITIONS - 0.5:
+    if fit is None or fit.agreement < _MIN_AGREEMENT:
+        return None
+    # The number of positions that fit is a sum of weights.
+    if fit.n < _MIN_POSITIONS - 0.5:
         return None
     if not on_grid(fit.gsd_m_per_px):
         return None
@@ -111,13 +126,15 @@ def baseline(
     place_sd_m = math.hypot(_POSITION_SD_M, _AIM_SHARE * width_px * fit.gsd_m_per_px)
     expected_sd = place_sd_m / (radius_m * math.sqrt(fit.n))
     degrees_of_freedom = 2 * max(fit.n - 2, 0.5)
-    misfit_sd = math.sqrt((1 - fit.agreement**2) / degrees_of_freedom) / fit.agreement
+    unexplained = 1 - fit.agreement**2
+    misfit_sd = math.sqrt(unexplained / degrees_of_freedom) / fit.agreement
+    fit_sd = max(expected_sd, misfit_sd)
     reliability = RELIABILITY[Positions.kind]
     n_known = int(known.sum())
     return point_witness(
         Positions.kind,
         fit.gsd_m_per_px,
-        log_sd=math.hypot(max(expected_sd, misfit_sd), reliability.log_sd),
+        log_sd=math.hypot(fit_sd, reliability.log_sd),
         chance_wrong=reliability.chance_wrong,
         statement=f"The positions of {n_known} overlapping photographs give {{}}.",
         n=n_known,
@@ -140,7 +157,7 @@ class _Fit(NamedTuple):
     spread_m2: float
 
 
-def _fit(pixels: NDArray[np.complex128], metres: NDArray[np.complex128]) -> _Fit | None:
+def _fit(pixels: ComplexPoints, metres: ComplexPoints) -> _Fit | None:
     """Fit a similarity transform to points ``[m]`` by iterated reweighting, robust to outliers.
 
     Returns:
@@ -157,13 +174,18 @@ def _fit(pixels: NDArray[np.complex128], metres: NDArray[np.complex128]) -> _Fit
             return None
         # The angle of the product is the rotation, and its size gives the correlation of both sets.
         # Rounding can lift the correlation above 1.
-        product = complex(weights @ (np.conj(in_px) * in_m))
-        agreement = min(1.0, abs(product) / math.sqrt(spread_px2 * spread_m2))
+        products = np.conj(in_px) * in_m
+        product = complex(weights @ products)
+        correlation = abs(product) / math.sqrt(spread_px2 * spread_m2)
+        agreement = min(1.0, correlation)
         # Both sets have errors: the geometric mean of the two regressions.
         gsd = math.sqrt(spread_m2 / spread_px2)
         rotation = product / max(abs(product), 1e-12)
         errors_m = np.abs(in_m - gsd * rotation * in_px)
-        typical_m = max(float(np.median(errors_m)) / _MEDIAN_OVER_RMS, 1e-6)
+        median_m = float(np.median(errors_m))
+        typical_m = max(median_m / _MEDIAN_OVER_RMS, 1e-6)
         # Weights of Geman and McClure: a far point counts little, and never drops out abruptly.
-        weights = 1.0 / (1.0 + (errors_m / (_REACH * typical_m)) ** 2) ** 2
-    return _Fit(gsd, agreement, n=float(weights.sum()), spread_m2=spread_m2)
+        relative_errors = errors_m / (_REACH * typical_m)
+        weights = 1.0 / (1.0 + relative_errors**2) ** 2
+    n = float(weights.sum())
+    return _Fit(gsd, agreement, n=n, spread_m2=spread_m2)

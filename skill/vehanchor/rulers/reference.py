@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
-# Share of the spread that remains if the caller gives the length; a choice.
+# Share of the model's spread that remains if the caller states the length. A choice.
 _KNOWN_LENGTH = 0.5
-# Cars of the usual length that stand for those out of sight: (0.09 / 0.06)**2, the spreads of
-# lengths within fleets and between them.
+# Number of cars of the usual length that stand for those out of sight: about (0.09 / 0.06)**2, the
+# squared ratio of the spreads of log lengths within fleets and between them.
 _USUAL_CARS = 2.0
 
 
@@ -35,8 +35,8 @@ class ReferenceLength(NamedTuple):
         source: source of the length.
         log_sd: standard deviation of its log between places.
         log_mean: mean error of its log.
-        by_appearance: log of the factor on the vehicles' lengths by their appearance; None if these
-            are not used.
+        by_appearance: log of the factor on the vehicles' lengths by their appearance; None if the
+            lengths by appearance are not used.
         guess_m: length that the caller states without a calibration, metres; None without one. It
             is a guess beside this length.
         guess_log_sd: standard deviation of the log of the guess.
@@ -99,28 +99,43 @@ def reference_length(
         log_sd = _KNOWN_LENGTH * sd_m / guess_m
         if trusts_caller:
             return ReferenceLength(guess_m, "given", log_sd)
-        without = reference_length(card, replace(reference, reference_length_m=None), appearance)
-        return without._replace(guess_m=guess_m, guess_log_sd=log_sd)
+        without_guess = replace(reference, reference_length_m=None)
+        length = reference_length(card, without_guess, appearance)
+        return length._replace(guess_m=guess_m, guess_log_sd=log_sd)
     if card.bodies is not None and appearance is not None:
-        return _by_appearance(
-            card.bodies, appearance, errors=card.errors.appearance, region=reference.region
-        )
+        errors = card.errors.appearance
+        return _by_appearance(card.bodies, appearance, errors=errors, region=reference.region)
     if reference.region is not None:
-        lengths_m: dict[str, float] = {}
-        if card.bodies is not None:
-            # Lengths of bodies stand in for regions without measured boxes.
-            lengths_m.update(card.bodies.region_lengths_m)
-        lengths_m.update(card.region_lengths_m)
-        length_m = _region_length(reference.region, lengths_m)
-        return ReferenceLength(length_m, "region", KNOWN_REGION * sd_m / length_m)
+        length_m = _region_length(reference.region, _box_lengths_m(card))
+        log_sd = KNOWN_REGION * sd_m / length_m
+        return ReferenceLength(length_m, "region", log_sd)
     length_m = card.reference_length_m
     return ReferenceLength(length_m, "model", sd_m / length_m)
+
+
+def _box_lengths_m(card: DetectorCard) -> Mapping[str, float]:
+    """Collect the lengths of boxes by region; lengths of bodies stand in for missing regions."""
+    lengths_m: dict[str, float] = {}
+    if card.bodies is not None:
+        lengths_m.update(card.bodies.region_lengths_m)
+    lengths_m.update(card.region_lengths_m)
+    return lengths_m
 
 
 def _by_appearance(
     bodies: BodyLengths, appearance: Appearance, *, errors: AppearanceErrors, region: str | None
 ) -> ReferenceLength:
-    """Read the reference length from appearances, and move it towards that of a region."""
+    """Read the reference length from appearances, and move it towards that of a region.
+
+    Args:
+        bodies: lengths of vehicle bodies, to which appearances refer.
+        appearance: appearance of the vehicles of the fleet.
+        errors: errors of a fleet's mean length by appearance.
+        region: name of a region or country; None if unknown.
+
+    Raises:
+        InvalidParameterError: the model does not know the region.
+    """
     log_length = float(appearance.log_lengths.mean())
     if region is None:
         return ReferenceLength(
@@ -133,14 +148,16 @@ def _by_appearance(
     # The region is about the whole fleet. Cars out of sight are taken to have the usual length, so
     # that few unusual cars do not count as an unusual fleet.
     n = len(appearance)
-    usual = math.log(bodies.reference_length_m)
-    fleet = (n * log_length + _USUAL_CARS * usual) / (n + _USUAL_CARS)
+    usual_log_length = math.log(bodies.reference_length_m)
+    log_total = n * log_length + _USUAL_CARS * usual_log_length
+    fleet_log_length = log_total / (n + _USUAL_CARS)
 
     # Precision-weighted mean of both lengths: variances of the appearance and within the region.
     region_log_sd = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
-    region_share = errors.log_sd**2 / (errors.log_sd**2 + region_log_sd**2)
-    region_length = math.log(_region_length(region, bodies.region_lengths_m))
-    moved = region_share * (region_length - fleet)
+    variance = errors.log_sd**2
+    region_share = variance / (variance + region_log_sd**2)
+    region_length_m = _region_length(region, bodies.region_lengths_m)
+    moved = region_share * (math.log(region_length_m) - fleet_log_length)
     return ReferenceLength(
         math.exp(log_length + moved),
         "region",
@@ -163,7 +180,8 @@ def _region_length(name: str, lengths_m: Mapping[str, float]) -> float:
     Raises:
         InvalidParameterError: the place is unknown; the message names the nearest ones.
     """
-    words = name.lower().replace("_", " ").replace("-", " ").split()
+    spaced = name.lower().replace("_", " ").replace("-", " ")
+    words = spaced.split()
     length_m = lengths_m.get("_".join(words))
     if not length_m:
         country = COUNTRY_CODES.get(" ".join(words), name)
@@ -174,7 +192,8 @@ def _region_length(name: str, lengths_m: Mapping[str, float]) -> float:
     if not nearest:
         nearest = get_close_matches(name.upper(), COUNTRY_REGIONS)
     hint = f" (nearest: {', '.join(nearest)})" if nearest else ""
+    regions = ", ".join(sorted(lengths_m))
     raise InvalidParameterError(
-        f"region is {name!r}: this model knows {', '.join(sorted(lengths_m))}, and countries there "
-        f"by name or ISO code, such as FR{hint}. For another place, leave region out"
+        f"region is {name!r}: this model knows {regions}, and countries there by name or ISO code, "
+        f"such as FR{hint}. For another place, leave region out"
     )

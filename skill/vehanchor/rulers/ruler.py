@@ -18,6 +18,7 @@ from vehanchor.scale.reliability import CALLER, FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
     from vehanchor.scale.plane import GroundPlane
     from vehanchor.scale.posterior import Remark
     from vehanchor.scale.reliability import Shared
+
+    Centres: TypeAlias = NDArray[np.float64]
+    """``[n, 2]`` x, y in pixels of the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +64,7 @@ class View:
     detections: Detections
     card: DetectorCard
     options: ScaleOptions
-    measure_detail_share: Callable[[NDArray[np.float64], float], float]
+    measure_detail_share: Callable[[Centres, float], float]
     raster: Raster | None = None
     runtime: Runtime | None = None
     prior: SceneScalePrior | None = None
@@ -135,7 +139,8 @@ class Ruler:
 
 def mark_of_height(image: ImageFacts, height_m: float) -> Mark:
     """Mark the height of the camera in the middle of the image."""
-    return Mark(((image.width_px / 2, image.height_px / 2),), f"{height_m:.4g} m up")
+    centre = (image.width_px / 2, image.height_px / 2)
+    return Mark((centre,), f"{height_m:.4g} m up")
 
 
 def unusable(kind: str, *notices: Remark) -> Witness:

@@ -54,7 +54,8 @@ class Variant(NamedTuple):
             return True
         if COUNTRY_REGIONS.get(code) in self.countries:
             return True
-        return any(COUNTRY_REGIONS.get(country) == place for country in self.countries)
+        regions = [COUNTRY_REGIONS.get(country) for country in self.countries]
+        return place in regions
 
 
 class Standard(NamedTuple):
@@ -87,7 +88,11 @@ class Standard(NamedTuple):
         if not variants:
             variants = self.variants
         total = sum(variant.weight for variant in variants)
-        return tuple(variant._replace(weight=variant.weight / total) for variant in variants)
+        weighted = []
+        for variant in variants:
+            share = variant.weight / total
+            weighted.append(variant._replace(weight=share))
+        return tuple(weighted)
 
 
 @cache
@@ -95,7 +100,9 @@ def standards() -> Mapping[str, Standard]:
     """Read the catalogue, by name."""
     file = files("vehanchor.rulers").joinpath("standards.toml")
     table = tomllib.loads(file.read_text(encoding="utf-8"))
-    entries = {name: {"name": name, **entry} for name, entry in table.items()}
+    entries = {}
+    for name, entry in table.items():
+        entries[name] = {"name": name, **entry}
     return TypeAdapter(dict[str, Standard]).validate_python(entries)
 
 
@@ -140,13 +147,15 @@ def check_name(what: str | None) -> None:
     if name not in standards():
         shown = name[:_MAX_SHOWN_CHARS]
         # Without a cutoff there are always nearest names, however far off.
-        names = get_close_matches(shown.lower(), standards(), n=_MAX_NEAREST, cutoff=0.0)
-        nearest = "; ".join(f"{thing}: {standards()[thing].between}" for thing in names)
+        catalogue = standards()
+        names = get_close_matches(shown.lower(), catalogue, n=_MAX_NEAREST, cutoff=0.0)
+        nearest = "; ".join(f"{thing}: {catalogue[thing].between}" for thing in names)
         raise KnownLengthError(
             f"there is no thing of known size {shown!r}. The nearest are {nearest}. For all names, "
             "run 'vehanchor models --sizes'"
         )
-    is_code = len(country) == 2 and country.isascii() and country.isupper()
+    are_capitals = country.isascii() and country.isupper()
+    is_code = are_capitals and len(country) == 2
     if slash and not is_code:
         raise KnownLengthError(
             f"the country in {what!r} is {country!r}: use two capital letters, as in {name}/DE"

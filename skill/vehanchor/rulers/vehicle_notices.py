@@ -10,28 +10,18 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.detection.detections import Appearance, Detections
     from vehanchor.detection.detector_errors import LookAlikeLimits
     from vehanchor.rulers.fleet import Fleet
 
+    Notices: TypeAlias = tuple[Notice, ...]
+
 # Interquartile range of a normal distribution, in standard deviations.
 _QUARTILES_PER_SD = 1.349
-
-
-def added_outliers(fleet: Fleet) -> tuple[Notice, ...]:
-    """Warn of vehicles that the caller added, and whose lengths do not fit the fleet."""
-    outliers = fleet.detections.stated & ~fleet.kept
-    if not outliers.any():
-        return ()
-    ratio = float(np.median(fleet.detections.boxes[outliers, 2]) / np.median(fleet.lengths))
-    cause = "a lorry?" if ratio > 1 else "only a part of one?"
-    message = (
-        f"A vehicle that you added is {ratio:.1f} times as long as the {fleet.kept.sum()} others: "
-        f"{cause} It does not count. If the others are not cars, drop them."
-    )
-    return (Notice(code=NoticeCode.ADDED_VEHICLE_UNLIKE, message=message),)
 
 
 _STRETCHED = Notice(
@@ -51,9 +41,25 @@ _LOOK_ALIKES = Notice(
     ),
 )
 DOUBT_CODES = (_STRETCHED.code, _LOOK_ALIKES.code)
+"""Codes of the notices that ``doubts`` returns."""
 
 
-def doubts(fleet: Fleet, stretch: float | None, limits: LookAlikeLimits) -> tuple[Notice, ...]:
+def added_outliers(fleet: Fleet) -> Notices:
+    """Warn of vehicles that the caller added, and whose lengths do not fit the fleet."""
+    outliers = fleet.detections.stated & ~fleet.kept
+    if not outliers.any():
+        return ()
+    outlier_lengths = fleet.detections.boxes[outliers, 2]
+    ratio = float(np.median(outlier_lengths) / np.median(fleet.lengths))
+    cause = "a lorry?" if ratio > 1 else "only a part of one?"
+    message = (
+        f"A vehicle that you added is {ratio:.1f} times as long as the {fleet.kept.sum()} others: "
+        f"{cause} It does not count. If the others are not cars, drop them."
+    )
+    return (Notice(code=NoticeCode.ADDED_VEHICLE_UNLIKE, message=message),)
+
+
+def doubts(fleet: Fleet, stretch: float | None, limits: LookAlikeLimits) -> Notices:
     """Doubt that the vehicles are cars of true proportions, after a search over scales.
 
     Without such a search, the vehicles were not chosen by their length, and no doubt arises. A
@@ -63,24 +69,26 @@ def doubts(fleet: Fleet, stretch: float | None, limits: LookAlikeLimits) -> tupl
     Args:
         fleet: the vehicles.
         stretch: see ``vehanchor.detection.detections.Detections``; None if it is not doubted.
-        limits: of look-alikes.
+        limits: the detector's limits of look-alikes.
     """
     if fleet.detections.reductions is None:
         return ()
-    doubts = []
+    notices = []
     if stretch is not None and abs(stretch) > 1.0:
-        doubts.append(_STRETCHED)
-    if not fleet.is_stated and look_alikes(fleet.lengths, fleet.appearance, limits):
-        doubts.append(_LOOK_ALIKES)
-    return tuple(doubts)
+        notices.append(_STRETCHED)
+    if fleet.is_stated:
+        return tuple(notices)
+    if look_alikes(fleet.lengths, fleet.appearance, limits):
+        notices.append(_LOOK_ALIKES)
+    return tuple(notices)
 
 
 def look_alikes(lengths: ArrayLike, appearance: Appearance | None, limits: LookAlikeLimits) -> bool:
     """Test whether vehicles may be equal things, such as lorries, caravans or boats in rows.
 
-    One of two signs is enough. Either their lengths and their appearances
-    spread less than those of cars of different makes (interquartile range over 1.349), or they look
-    less like cars than any fleet.
+    One of two signs is enough. Either their lengths and their appearances spread less than those of
+    cars of different makes (interquartile range over 1.349), or they look less like cars than any
+    fleet.
 
     Args:
         lengths: ``[n]`` pixels.
@@ -90,7 +98,8 @@ def look_alikes(lengths: ArrayLike, appearance: Appearance | None, limits: LookA
     lengths_px = np.asarray(lengths, dtype=np.float64)
     if len(lengths_px) < limits.min_vehicles:
         return False
-    equal_lengths = _spread(np.log(lengths_px)) < limits.log_sd
+    log_lengths = np.log(lengths_px)
+    equal_lengths = _spread(log_lengths) < limits.log_sd
     if appearance is None or len(appearance) < limits.min_vehicles:
         return equal_lengths
     if appearance.logits.mean() < limits.min_mean_logit:
@@ -104,7 +113,7 @@ def _spread(values: NDArray[np.float64]) -> float:
     return float(high - low) / _QUARTILES_PER_SD
 
 
-def capped_tiles(detections: Detections) -> tuple[Notice, ...]:
+def capped_tiles(detections: Detections) -> Notices:
     """Warn of tiles in which the model returned its largest number of boxes."""
     if not detections.n_capped_tiles:
         return ()
@@ -116,7 +125,7 @@ def capped_tiles(detections: Detections) -> tuple[Notice, ...]:
     return (Notice(code=NoticeCode.DETECTIONS_CAPPED, message=message),)
 
 
-def detail_missing(length_px: float, guard_px: float, detail_share: float) -> tuple[Notice, ...]:
+def detail_missing(length_px: float, guard_px: float, detail_share: float) -> Notices:
     """Warn of vehicles that have enough pixels, but not enough detail.
 
     Args:

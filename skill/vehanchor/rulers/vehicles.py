@@ -63,6 +63,7 @@ from vehanchor.scale.reliability import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
@@ -73,6 +74,9 @@ if TYPE_CHECKING:
     from vehanchor.scale.defaults import Aggregation, Reason
     from vehanchor.scale.density import Density, Votes
     from vehanchor.scale.paper import PaperScale
+
+    Scores: TypeAlias = NDArray[np.float64]
+    """``[n]`` scores of all detections."""
 
 # Share of the fleet that fits a scale, below which the scale is that of other vehicles. A choice.
 _FITTING_SHARE = 0.5
@@ -113,6 +117,7 @@ class VehicleWitness(Witness):
         """Scale by the published method, computed on first use; a search does not need it."""
         reference = self.reference
         shortest_px, longest_px = self.card.length_range_px
+        shortest_px = max(self.card.min_length_px, shortest_px)
         return paper_scale(
             self.fleet.lengths,
             self.fleet.scores,
@@ -122,7 +127,7 @@ class VehicleWitness(Witness):
             reference_sd_m=reference.log_sd * reference.stated_m,
             reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
-            length_range_px=(max(self.card.min_length_px, shortest_px), longest_px),
+            length_range_px=(shortest_px, longest_px),
         )
 
     @property
@@ -153,13 +158,15 @@ class VehicleWitness(Witness):
     @property
     def doubted(self) -> bool:
         """Whether the vehicles may be look-alikes, stretched, or too coarse."""
-        return self.coarseness > 1.0 or any(notice.code in DOUBT_CODES for notice in self.notices)
+        if self.coarseness > 1.0:
+            return True
+        return any(notice.code in DOUBT_CODES for notice in self.notices)
 
     def fitted_to(self, gsd_m_per_px: float) -> VehicleWitness:
         """Keep the vehicles whose lengths fit a scale, if most of the fleet does not.
 
         All boxes vote, and other rulers count, so that the scale can be that of other vehicles than
-        the fleet. What is marked as kept follows the scale.
+        the fleet. The kept vehicles follow the scale.
 
         Args:
             gsd_m_per_px: the decided scale.
@@ -168,22 +175,30 @@ class VehicleWitness(Witness):
             These vehicles, or the same with another fleet; the same if no vehicle fits.
         """
         lengths_m = self.fleet.detections.boxes[:, 2] * gsd_m_per_px
-        fits = np.abs(np.log(lengths_m / self.reference.length_m)) <= GROUP_LOG_REACH
-        if not fits.any() or fits[self.fleet.kept].mean() >= _FITTING_SHARE:
+        log_ratios = np.log(lengths_m / self.reference.length_m)
+        fits = np.abs(log_ratios) <= GROUP_LOG_REACH
+        if not fits.any():
+            return self
+        fitting_share = fits[self.fleet.kept].mean()
+        if fitting_share >= _FITTING_SHARE:
             return self
         fleet = replace(self.fleet, kept=fits)
-        mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, self.aggregation)
+        lengths_px = fleet.lengths
+        mode_px, aggregation = modal_length(lengths_px, fleet.scores, self.aggregation)
         return replace(
             self,
             fleet=fleet,
-            n=len(fleet.lengths),
+            n=len(lengths_px),
             mode_length_px=mode_px,
             aggregation=aggregation,
             gsd_m_per_px=self.reference.stated_m / mode_px,
         )
 
     def with_votes(self) -> VehicleWitness:
-        """Add the evidence: votes of all boxes, the chance that they are wrong, and the lacks."""
+        """Add the evidence: votes of all boxes, the chance that they are wrong, and the lacks.
+
+        The witness must have vehicles.
+        """
         likelihood = self._likelihood(self.fleet.detections.scores)
         return replace(
             self,
@@ -192,7 +207,7 @@ class VehicleWitness(Witness):
             lacks=self._lacks(likelihood),
         )
 
-    def _likelihood(self, scores: NDArray[np.float64]) -> Density:
+    def _likelihood(self, scores: Scores) -> Density:
         """Compute the density ``[g]`` of the scale for a known fleet.
 
         A box that is a car has the length of its appearance, or else the reference length.
@@ -203,16 +218,21 @@ class VehicleWitness(Witness):
         detections = self.fleet.detections
         appearance = detections.appearance
         errors = self.card.errors
-        lengths_m = np.full(len(detections.boxes), self.reference.length_m)
-        log_sds = np.full(len(detections.boxes), errors.boxes.log_sd)
-        if self.reference.by_appearance is not None and appearance is not None:
+        reference = self.reference
+        n_boxes = len(detections.boxes)
+        lengths_m = np.full(n_boxes, reference.length_m)
+        log_sds = np.full(n_boxes, errors.boxes.log_sd)
+        if reference.by_appearance is not None and appearance is not None:
+            # Only the first detections have an appearance.
             n = len(appearance)
-            lengths_m[:n] = np.exp(appearance.log_lengths + self.reference.by_appearance)
-            log_sds[:n] = appearance.log_sds * appearance_error(
+            lengths_m[:n] = np.exp(appearance.log_lengths + reference.by_appearance)
+            # The more certainly a box is a car, the smaller is the error of its length.
+            factors = appearance_error(
                 scores[:n],
                 fair_odds=errors.appearance.fair_odds,
                 doubt_power=errors.appearance.doubt_power,
             )
+            log_sds[:n] = appearance.log_sds * factors
         if detections.corrections is not None:
             # Lengths of added vehicles have the error of the caller's pointing, too.
             log_sds = np.hypot(log_sds, detections.corrections.pointed_log_sds)
@@ -227,12 +247,12 @@ class VehicleWitness(Witness):
 
     @property
     def _votes(self) -> Votes:
-        """Votes of the detector; a default if nobody has fitted any."""
+        """Votes of the detector; default votes if none are fitted to it."""
         return self.card.votes or UNCALIBRATED
 
     @property
     def _coarse_errors(self) -> CoarseErrors:
-        """Errors of the vehicles in addition, if they are too coarse."""
+        """Further errors of vehicles that are too coarse; zero for others."""
         errors = self.card.errors.vehicles
         return unresolved(
             self.coarseness,
@@ -241,15 +261,16 @@ class VehicleWitness(Witness):
         )
 
     def _widened(self, likelihood: Density) -> Density:
-        """Widen a likelihood ``[g]`` by the errors of the fleet and of too coarse vehicles.
+        """Widen a likelihood ``[g]`` by the errors of the reference length and of coarse vehicles.
 
         A reference length that the caller guesses narrows it, where the vehicles allow it.
         """
-        log_sd = math.hypot(self.reference.log_sd, self._coarse_errors.log_sd)
-        widened = blurred(likelihood, log_sd, self.reference.log_mean)
-        if self.reference.guess_m is None:
+        reference = self.reference
+        log_sd = math.hypot(reference.log_sd, self._coarse_errors.log_sd)
+        widened = blurred(likelihood, log_sd, reference.log_mean)
+        if reference.guess_m is None:
             return widened
-        return product(widened, self._density_of_guess(self.reference.guess_m))
+        return product(widened, self._density_of_guess(reference.guess_m))
 
     def _density_of_guess(self, guess_m: float) -> Density:
         """Compute the density ``[g]`` of the scale by a reference length that the caller guesses.
@@ -259,7 +280,9 @@ class VehicleWitness(Witness):
         assert self.mode_length_px is not None
         mode_log_sd, _ = self.statistical_log_sds
         log_sd = math.hypot(self.reference.guess_log_sd, mode_log_sd)
-        p_right = (1.0 - RELIABILITY["assumed"].chance_wrong) * (1.0 - CALLER.chance_wrong)
+        own_p_right = 1.0 - RELIABILITY["assumed"].chance_wrong
+        caller_p_right = 1.0 - CALLER.chance_wrong
+        p_right = own_p_right * caller_p_right
         right = lognormal(guess_m / self.mode_length_px, log_sd)
         return p_right * right + (1.0 - p_right) * flat()
 
@@ -273,8 +296,11 @@ class VehicleWitness(Witness):
             chance = self.card.errors.vehicles.chance_wrong
         # The rival group is the fleet with these odds: its share of evidence, squared. A choice.
         rival_odds = self.fleet.rival_share**2
-        chance = max(chance, rival_odds / (1.0 + rival_odds))
-        return 1.0 - (1.0 - chance) * (1.0 - self._coarse_errors.chance_wrong)
+        chance_of_rival = rival_odds / (1.0 + rival_odds)
+        chance = max(chance, chance_of_rival)
+        # Coarse vehicles can be wrong by themselves, independently of the other causes.
+        fine_p_right = 1.0 - self._coarse_errors.chance_wrong
+        return 1.0 - (1.0 - chance) * fine_p_right
 
     def _lacks(self, likelihood: Density) -> tuple[Lack, ...]:
         """Compute what the vehicles would be without each of their weaknesses.
@@ -285,13 +311,15 @@ class VehicleWitness(Witness):
         # With enough detail, coarse vehicles add no error.
         detailed = replace(self, detail_share=math.inf)
         # All vehicles of the fleet are cars beyond doubt.
-        certain_scores = np.where(self.fleet.kept, _CLEAR_SCORE, self.fleet.detections.scores)
+        fleet = self.fleet
+        certain_scores = np.where(fleet.kept, _CLEAR_SCORE, fleet.detections.scores)
         certain = self._likelihood(certain_scores)
         # No other group of lengths competes with the fleet.
-        unrivalled = replace(self, fleet=replace(self.fleet, rival_share=0.0))
+        fleet_alone = replace(fleet, rival_share=0.0)
+        unrivalled = replace(self, fleet=fleet_alone)
         # There is one more car, of the fleet's median length.
         another = vehicle_likelihood(
-            [np.median(self.fleet.lengths)],
+            [np.median(fleet.lengths)],
             [_CLEAR_SCORE],
             lengths_m=self.reference.length_m,
             votes=self._votes,
@@ -309,9 +337,15 @@ class VehicleWitness(Witness):
         )
 
     def _lack(self, reason: Reason, likelihood: Density) -> Lack:
-        """Name a lack that this copy of the vehicles does not have."""
+        """Name a lack that this copy of the vehicles does not have.
+
+        Args:
+            reason: name of the lack.
+            likelihood: ``[g]`` density of the scale without the lack.
+        """
         right = self._widened(likelihood)
-        return Lack(reason, Witness(self.kind, right=right, chance_wrong=self._chance_wrong))
+        witness = Witness(self.kind, right=right, chance_wrong=self._chance_wrong)
+        return Lack(reason, witness)
 
 
 class Vehicles(Ruler):
@@ -346,11 +380,17 @@ class Vehicles(Ruler):
 
         # The paper takes the caller's length as it is. So do boxes that no search found, such as
         # labels: the model's own length is that of its boxes.
-        trusts_caller = view.options.method.preset == "paper" or detections.stopped_because is None
+        is_paper = view.options.method.preset == "paper"
+        trusts_caller = is_paper or detections.stopped_because is None
+        reference = reference_length(
+            card, view.options.reference, fleet.appearance, trusts_caller=trusts_caller
+        )
         mode_px = None
         aggregation = view.options.lengths.aggregation or card.aggregation
         if fleet.kept.any():
             mode_px, aggregation = modal_length(fleet.lengths, fleet.scores, aggregation)
+        reduction = fleet.main_reduction or 1.0
+        others_identify_cars = plane is not None and view.expected is not None
         vehicles = VehicleWitness(
             self.kind,
             n=len(fleet.lengths),
@@ -359,49 +399,58 @@ class Vehicles(Ruler):
             notices=capped_tiles(detections),
             fleet=fleet,
             card=card,
-            reference=reference_length(
-                card,
-                view.options.reference,
-                fleet.appearance,
-                trusts_caller=trusts_caller,
-            ),
+            reference=reference,
             mode_length_px=mode_px,
             aggregation=aggregation,
-            detail_share=view.measure_detail_share(fleet.centres, fleet.main_reduction or 1.0),
-            only_kept=fleet.is_stated or (plane is not None and view.expected is not None),
+            detail_share=view.measure_detail_share(fleet.centres, reduction),
+            only_kept=fleet.is_stated or others_identify_cars,
         )
         if mode_px is None:
             return vehicles
+        # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None
         return replace(
             vehicles.with_votes(),
-            gsd_m_per_px=vehicles.reference.stated_m / mode_px,
-            notices=(
-                *vehicles.notices,
-                *_unlikely_guess(vehicles),
-                *added_outliers(fleet),
-                *detail_missing(
-                    vehicles.seen_length_px,
-                    guard_px=vehicles.guard_length_px,
-                    detail_share=vehicles.detail_share,
-                ),
-                *doubts(fleet, stretch, card.errors.look_alikes),
-            ),
+            gsd_m_per_px=reference.stated_m / mode_px,
+            notices=(*vehicles.notices, *_notices(vehicles, stretch)),
         )
+
+
+def _notices(vehicles: VehicleWitness, stretch: float | None) -> tuple[Notice, ...]:
+    """Warn of what may be wrong with the vehicles of a fleet.
+
+    Args:
+        vehicles: witness with vehicles.
+        stretch: as in ``vehanchor.rulers.vehicle_notices.doubts``.
+    """
+    fleet = vehicles.fleet
+    missing = detail_missing(
+        vehicles.seen_length_px,
+        guard_px=vehicles.guard_length_px,
+        detail_share=vehicles.detail_share,
+    )
+    return (
+        *_unlikely_guess(vehicles),
+        *added_outliers(fleet),
+        *missing,
+        *doubts(fleet, stretch, vehicles.card.errors.look_alikes),
+    )
 
 
 def _unlikely_guess(vehicles: VehicleWitness) -> tuple[Notice, ...]:
     """Warn of a reference length from the caller that the vehicles exclude."""
+    mode_px = vehicles.mode_length_px
     guess_m = vehicles.reference.guess_m
-    if guess_m is None or vehicles.mode_length_px is None:
+    if guess_m is None or mode_px is None:
         return ()
-    without = replace(vehicles, reference=vehicles.reference._replace(guess_m=None)).with_votes()
+    without_guess = vehicles.reference._replace(guess_m=None)
+    without = replace(vehicles, reference=without_guess).with_votes()
     assert without.right is not None
     low, high = credible_interval(without.right)
-    if low <= guess_m / vehicles.mode_length_px <= high:
+    if low <= guess_m / mode_px <= high:
         return ()
-    low_m = low * vehicles.mode_length_px
-    high_m = high * vehicles.mode_length_px
+    low_m = low * mode_px
+    high_m = high * mode_px
     message = (
         f"The given reference length of {guess_m:g} m does not fit these vehicles, whose usual "
         f"length is between {low_m:.1f} and {high_m:.1f} m. It hardly changes the scale. If the "

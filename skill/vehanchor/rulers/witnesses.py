@@ -51,7 +51,8 @@ def measure_all(view: View, earlier: Sequence[Witness] | None = None) -> tuple[W
     if view.expected is None and view.plane is not None:
         view = replace(view, expected=expected_scale(earlier))
     of_boxes = [ruler for ruler in rulers if ruler.pooling_gain is None]
-    return (*_measure(of_boxes, view), *earlier)
+    by_boxes = _measure(of_boxes, view)
+    return (*by_boxes, *earlier)
 
 
 def expected_scale(witnesses: Iterable[Witness]) -> Density | None:
@@ -93,7 +94,8 @@ def _witness(ruler: Ruler, view: View) -> Witness | None:
         f"The camera was tilted by {view.plane.tilt_deg:.0f} degrees: the ruler {ruler.label} "
         "is left out, because it only measures nadir images."
     )
-    return unusable(ruler.kind, Notice(code=NoticeCode.CAMERA_TILTED, message=message))
+    notice = Notice(code=NoticeCode.CAMERA_TILTED, message=message)
+    return unusable(ruler.kind, notice)
 
 
 def with_doubts(
@@ -146,7 +148,8 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
     if answer.reason == "disagree" and not doubted:
         doubted = setting
     for pair in answer.contradictions:
-        doubted += [informative[k] for k in pair if informative[k] not in doubted]
+        contradicting = [informative[k] for k in pair]
+        doubted += [witness for witness in contradicting if witness not in doubted]
     notices = []
     # A single ruler has none to disagree with.
     if len(setting) > 1:
@@ -155,7 +158,8 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
                 f"{_stated_scale(witness)} m/px, and all rulers together "
                 f"{answer.gsd_m_per_px:.2g}. Check which is wrong before using either."
             )
-            notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
+            notice = Notice(code=NoticeCode.RULERS_DISAGREE, message=message)
+            notices.append(notice)
     return notices + _unit_notices(informative)
 
 
@@ -164,7 +168,9 @@ def _unit_notices(witnesses: Sequence[Witness]) -> list[Notice]:
     notices = {}
     for fact, other in permutations(witnesses, 2):
         is_fact = ruler_class(fact.kind).fact is not None
-        if not is_fact or fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
+        if not is_fact:
+            continue
+        if fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
             continue
         log_ratio = math.log(fact.gsd_m_per_px / other.gsd_m_per_px)
         if abs(abs(log_ratio) - _UNIT_LOG_RATIO) > _UNIT_LOG_TOLERANCE:

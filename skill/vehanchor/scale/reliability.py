@@ -1,9 +1,9 @@
 """Errors of each ruler: its spread, and how often it measures something else.
 
-The numbers of all rulers but the vehicles stand here, each with the number of finds behind it and
-its source. A measured chance of error is ``(false + 0.5) / (finds + 10)``. A number without data is
-a choice, and says so. The numbers of vehicles belong to a detector, and stand in a file beside it
-(``vehanchor.detection.detector_errors``); the functions here take them as arguments.
+This module has the numbers of all rulers but the vehicles, each with its source and the number of
+finds behind it. A measured chance of error is ``(false + 0.5) / (finds + 10)``. A number without
+data is a choice, and its text states so. The numbers of vehicles belong to a detector, and are in a
+file beside it (``vehanchor.detection.detector_errors``); the functions here take them as arguments.
 """
 
 from __future__ import annotations
@@ -16,7 +16,12 @@ import numpy as np
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import ArrayLike, NDArray
+
+    Factors: TypeAlias = NDArray[np.float64]
+    """``[n]`` factors on standard deviations."""
 
 
 class Reliability(NamedTuple):
@@ -47,10 +52,10 @@ MAX_CHANCE = 0.99
 """Largest chance: no estimate is certain. A choice."""
 
 SAME_NUMBER = 0.02
-"""Largest relative difference of two numbers of which one repeats the other. A choice."""
+"""Largest relative difference at which one number repeats another. A choice."""
 
 _NOT_MEASURED = 0.05
-"""Chance that a fact is wrong if nobody has counted its errors. A choice."""
+"""Chance that a fact is wrong if its errors have not been counted. A choice."""
 
 _MEASURED_WRONG = 0.02
 """Chance that one measured fact is wrong by itself, beside the chance that all measured facts of
@@ -61,8 +66,10 @@ _HEIGHT_WRONG = 0.04
 is ``_NOT_MEASURED``. A choice."""
 
 _ROUGH = 0.10
+"""Standard deviation of the log scale by a guess. A choice."""
+
 _EXACT = 0.01
-"""Standard deviations of the log scale by a guess, and by tape, plan, survey or rule. Choices."""
+"""Standard deviation of the log scale by tape, plan, survey or the rules of a game. A choice."""
 
 RELIABILITY: dict[str, Reliability] = {
     "courts": Reliability(
@@ -92,8 +99,10 @@ RELIABILITY: dict[str, Reliability] = {
 def uncalibrated_wrong(n_likely: int) -> float:
     """Choose the chance that vehicles are wrong, for a detector without fitted votes.
 
+    Each car below five adds the same chance.
+
     Args:
-        n_likely: number of boxes that are likely cars. Each car below five adds the same chance.
+        n_likely: number of boxes that are likely cars.
     """
     n_lacking = max(0, MIN_KDE_VEHICLES - n_likely)
     return _NOT_MEASURED * (1 + n_lacking)
@@ -127,9 +136,7 @@ def unresolved(
     return CoarseErrors(log_sd, min(1.0, chance_wrong))
 
 
-def appearance_error(
-    scores: ArrayLike, *, fair_odds: float, doubt_power: float
-) -> NDArray[np.float64]:
+def appearance_error(scores: ArrayLike, *, fair_odds: float, doubt_power: float) -> Factors:
     """Compute the factor on the errors of lengths by appearance that the network states.
 
     The factor is smaller, the more certain it is that a box is a car.
@@ -143,7 +150,8 @@ def appearance_error(
         ``[n]`` factors.
     """
     p_car = np.clip(scores, 1 - MAX_CHANCE, MAX_CHANCE)
-    return np.asarray((fair_odds * (1 - p_car) / p_car) ** doubt_power)
+    relative_odds = fair_odds * (1 - p_car) / p_car
+    return np.asarray(relative_odds**doubt_power)
 
 
 class Shared(NamedTuple):

@@ -83,7 +83,8 @@ def write_record(path: Path, record: BaseModel, *, indent: int = 1) -> None:
         OutputError: the file cannot be written.
     """
     with whole_file(path) as partial:
-        partial.write_text(record.model_dump_json(indent=indent) + "\n", encoding="utf-8")
+        text = record.model_dump_json(indent=indent)
+        partial.write_text(f"{text}\n", encoding="utf-8")
 
 
 def _sync_folder(path: Path) -> None:

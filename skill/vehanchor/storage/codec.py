@@ -16,6 +16,9 @@ from pydantic import BaseModel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+    from typing import TypeAlias
+
+    JsonObject: TypeAlias = dict[str, Any]
 
 # A JSON object with this key is an array or an object of the class that it names.
 _KIND = "="
@@ -56,12 +59,14 @@ class Codec:
             return [self.dump(item) for item in value]
         raise TypeError(f"{kind.__name__} is not a stored class: add it to those of the codec")
 
-    def _dump_fields(self, value: Any) -> dict[str, Any]:
+    def _dump_fields(self, value: Any) -> JsonObject:
         if isinstance(value, BaseModel):
             return value.model_dump(mode="json")
         if is_dataclass(value):
-            return {field.name: self.dump(getattr(value, field.name)) for field in fields(value)}
-        return {name: self.dump(getattr(value, name)) for name in value._fields}
+            names = [field.name for field in fields(value)]
+        else:
+            names = value._fields
+        return {name: self.dump(getattr(value, name)) for name in names}
 
     def load(self, stored: Any) -> Any:
         """Convert the result of ``dump`` back to the value; lists come back as tuples.
@@ -73,7 +78,8 @@ class Codec:
             return tuple(self.load(item) for item in stored)
         if not isinstance(stored, dict):
             return stored
-        name = self._former_names.get(stored[_KIND], stored[_KIND])
+        stored_name = stored[_KIND]
+        name = self._former_names.get(stored_name, stored_name)
         if name == _ARRAY:
             return _load_array(stored)
         kind = self._classes.get(name)
@@ -94,7 +100,7 @@ def _is_json_scalar(value: Any) -> bool:
     return isinstance(value, bool | int | float | str) and not is_subclass
 
 
-def _dump_array(array: np.ndarray) -> dict[str, Any]:
+def _dump_array(array: np.ndarray) -> JsonObject:
     data = np.ascontiguousarray(array).tobytes()
     return {
         _KIND: _ARRAY,
@@ -104,10 +110,11 @@ def _dump_array(array: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _load_array(stored: dict[str, Any]) -> np.ndarray:
+def _load_array(stored: JsonObject) -> np.ndarray:
     dtype = np.dtype(stored["dtype"])
     if dtype.hasobject:
         raise ValueError(f"an array of {dtype} cannot be stored")
     data = base64.b64decode(stored["data"])
+    array = np.frombuffer(data, dtype=dtype).reshape(stored["shape"])
     # The copy can be written to; the buffer itself cannot.
-    return np.frombuffer(data, dtype=dtype).reshape(stored["shape"]).copy()
+    return array.copy()

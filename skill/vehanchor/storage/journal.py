@@ -169,12 +169,14 @@ class Journal(Generic[Value]):
         keys = (_SETTINGS_KEY, _SETTINGS_KEY, self._settings_sha256)
         other_settings = database.execute(_SELECT_OTHER_SETTINGS, keys).fetchone()
         if sole and other_settings is not None:
-            difference = _difference(json.loads(other_settings[0]), self._settings)
+            earlier = json.loads(other_settings[0])
+            difference = _difference(earlier, self._settings)
             raise InvalidParameterError(
                 f"{str(self.path)!r} has results of an unfinished run with {difference}: finish "
                 f"that run with its options, or {self._remedy}"
             )
-        row = (self._settings_sha256, _SETTINGS_KEY, json.dumps(self._settings))
+        settings_text = json.dumps(self._settings)
+        row = (self._settings_sha256, _SETTINGS_KEY, settings_text)
         database.execute("INSERT OR IGNORE INTO results VALUES (?, ?, ?)", row)
 
     @contextmanager
@@ -207,8 +209,9 @@ class Journal(Generic[Value]):
             The first column of the first row; None without a row.
         """
         query = f"SELECT {columns} FROM results WHERE settings = ? AND {where_key}"
+        parameters = (self._settings_sha256, key)
         with self._lock, self._errors_converted():
-            row = self._database.execute(query, (self._settings_sha256, key)).fetchone()
+            row = self._database.execute(query, parameters).fetchone()
         return None if row is None else row[0]
 
     def __contains__(self, key: Key) -> bool:
