@@ -356,11 +356,14 @@ def _whole_length(parts: Lines, metres: float) -> tuple[float, float]:
     ends = np.array([part.ends for part in parts]).reshape(-1, 2)
     positions = ends @ _direction(ends)
     whole_px = float(np.ptp(positions))
-    # The ends have the same error in pixels, which is a smaller share of the whole line.
+    # The ends have the same error in pixels, which is a smaller share of the whole line. The rest of
+    # a part's error is that of the tilt, which all parts have in common.
     log_sds = []
     for part in parts:
-        part_px = math.dist(*part.ends)
-        log_sds.append(part.log_sd * part_px / whole_px)
+        ends_sd_px = math.sqrt(2) * part.end_sd_px
+        part_variance = (ends_sd_px / math.dist(*part.ends)) ** 2
+        tilt_variance = max(0.0, part.log_sd**2 - part_variance)
+        log_sds.append(math.hypot(ends_sd_px / whole_px, math.sqrt(tilt_variance)))
     return length_px, min(log_sds)
 
 
