@@ -356,8 +356,8 @@ def _whole_length(parts: Lines, metres: float) -> tuple[float, float]:
     ends = np.array([part.ends for part in parts]).reshape(-1, 2)
     positions = ends @ _direction(ends)
     whole_px = float(np.ptp(positions))
-    # The ends have the same error in pixels, which is a smaller share of the whole line. The rest of
-    # a part's error is that of the tilt, which all parts have in common.
+    # The ends have the same error in pixels, which is a smaller share of the whole line. The rest
+    # of a part's error is that of the tilt, which all parts have in common.
     log_sds = []
     for part in parts:
         ends_sd_px = math.sqrt(2) * part.end_sd_px
