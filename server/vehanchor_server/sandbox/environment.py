@@ -49,7 +49,8 @@ def minimal_environment() -> Iterator[None]:
                 kept[name] = os.pathsep.join(folders)
         try:
             for name in whole.keys() - kept.keys():
-                del os.environ[name]
+                # Another thread may have removed it meanwhile.
+                os.environ.pop(name, None)
             os.environ.update(kept)
             yield
         finally:
