@@ -250,16 +250,15 @@ def conclude(
         notices: notices of the tilt.
     """
     witnesses = with_doubts(_without_repetition(measured), notices)
+    is_paper = view.options.method.preset == "paper"
+    decided = None if is_paper else answer(witnesses)
+    if decided is not None:
+        witnesses = _fitted_to(decided, witnesses)
+        measured = _fitted_to(decided, measured)
     vehicles = vehicle_witness(witnesses)
-    decided: Answer | None = None
-    if view.options.method.preset == "paper":
+    if is_paper:
         decision = _decision_by_paper(vehicles)
     else:
-        decided = answer(witnesses)
-        if decided is not None:
-            witnesses = _fitted_to(decided, witnesses)
-            measured = _fitted_to(decided, measured)
-            vehicles = vehicle_witness(witnesses)
         decision = _decision(decided, witnesses)
 
     warnings = [*notices_of(view.image.notices)]
