@@ -15,11 +15,10 @@ import numpy as np
 
 from vehanchor.courts.templates import LENGTHS_M, Pose
 from vehanchor.detection.scheduler import WINDOWED_PIXELS
-from vehanchor.errors import ModelContractError
 from vehanchor.imagery.tiles import read_preview, read_reduced_window, tile_grid
 from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
-from vehanchor.models.session import open_session, run_session
+from vehanchor.models.session import check_tensors, open_session, run_session
 from vehanchor.models.zoo import bundled_file
 from vehanchor.scale.density import quantile
 
@@ -111,13 +110,7 @@ class CourtNetwork(LoadedModel):
         self.runtime = runtime or Runtime()
         content = read_model(path).content
         self._session = open_session(path, content=content, runtime=self.runtime)
-        inputs = self._session.get_inputs()
-        outputs = self._session.get_outputs()
-        names = [tensor.name for tensor in (*inputs, *outputs)]
-        if names != ["tiles", "courts"]:
-            raise ModelContractError(
-                f"{path} has {', '.join(names)}: expected the input tiles and the output courts"
-            )
+        check_tensors(self._session, path, input_name="tiles", output_name="courts")
 
     def propose(self, raster: Raster, factor: int) -> list[Proposal]:
         """Propose courts in an image reduced by a factor.

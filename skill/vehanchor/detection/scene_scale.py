@@ -23,7 +23,7 @@ from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
 from vehanchor.models.files import file_cached, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
-from vehanchor.models.session import open_session, run_session
+from vehanchor.models.session import check_tensors, open_session, run_session
 from vehanchor.models.zoo import bundled_file
 from vehanchor.scale.defaults import CAR_LENGTH_M
 from vehanchor.scale.density import GRID, blurred, flat, shifted
@@ -245,13 +245,7 @@ class SceneScaleNetwork(LoadedModel):
         self.runtime = runtime or Runtime()
         content = read_model(path).content
         self._session = open_session(path, content=content, runtime=self.runtime)
-        inputs = self._session.get_inputs()
-        outputs = self._session.get_outputs()
-        names = [tensor.name for tensor in (*inputs, *outputs)]
-        if names != ["tiles", "log_probs"]:
-            raise ModelContractError(
-                f"{path} has {', '.join(names)}: expected the input tiles, the output log_probs"
-            )
+        check_tensors(self._session, path, input_name="tiles", output_name="log_probs")
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.calibration = _read_calibration(path, metadata)
 

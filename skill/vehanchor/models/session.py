@@ -97,6 +97,26 @@ def open_session(
     return session
 
 
+def check_tensors(session: Session, path: Path, *, input_name: str, output_name: str) -> None:
+    """Check that a model has one input and one output of these names.
+
+    Args:
+        session: the open model.
+        path: path of its file, for the error.
+        input_name: name of the input.
+        output_name: name of the output.
+
+    Raises:
+        ModelContractError: it has others.
+    """
+    names = [tensor.name for tensor in (*session.get_inputs(), *session.get_outputs())]
+    if names != [input_name, output_name]:
+        raise ModelContractError(
+            f"{path} has {', '.join(names)}: expected the input {input_name} and the output "
+            f"{output_name}"
+        )
+
+
 def _session_options(model: str | bytes, runtime: Runtime) -> onnxruntime.SessionOptions:
     """Choose the options of a session: threads, messages and memory.
 
