@@ -104,6 +104,8 @@ def scale_reply(
 def part_window(raster: Raster, request: PictureRequest) -> Window:
     """Return the part that a picture shows, in whole pixels; all of the image without one.
 
+    A part that reaches beyond the image is clipped to it.
+
     Raises:
         PromptError: the part is outside the image, or too small.
     """
@@ -114,10 +116,6 @@ def part_window(raster: Raster, request: PictureRequest) -> Window:
     if corners is None:
         return Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
     coordinates = CoordinateFrame(request.frame, raster.width_px, raster.height_px)
-    if not coordinates.inside(corners):
-        numbers = ", ".join(f"{value:g}" for corner in corners for value in corner)
-        hint = coordinates.other_reading(corners)
-        raise PromptError(f"part {numbers} is not inside the {coordinates.name}{hint}")
     upper_left, lower_right = corners
     left, top = coordinates.in_image(*upper_left)
     right, bottom = coordinates.in_image(*lower_right)
@@ -126,9 +124,10 @@ def part_window(raster: Raster, request: PictureRequest) -> Window:
     width = round(right) - x
     height = round(bottom) - y
     if min(width, height) < _MIN_PART_PX:
+        numbers = ", ".join(f"{value:g}" for corner in corners for value in corner)
         hint = coordinates.other_reading(corners)
         raise PromptError(
-            f"the part is {width} x {height} px of the full image: give at least "
+            f"part {numbers} covers {width} x {height} px of the {coordinates.name}: give at least "
             f"{_MIN_PART_PX} px per side{hint}"
         )
     return Window(x, y, width_px=width, height_px=height)

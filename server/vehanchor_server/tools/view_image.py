@@ -18,6 +18,7 @@ from pydantic_core import from_json
 
 from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
+from vehanchor.options.reading import MAX_VIEW_ENLARGEMENT, VIEWED_SIDE_PX
 from vehanchor.records.text import count
 from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.base_model import FrozenModel
@@ -41,9 +42,7 @@ _DESCRIPTION = (
     "tool saw: numbered vehicles, masks, lines. Without image and of, it lists the images."
 )
 _MIN_SIDE_PX = 256
-_USUAL_SIDE_PX = 1024
 _MAX_SIDE_PX = 1568
-_MAX_ENLARGEMENT = 4.0  # a larger one shows nothing more
 _EXAMPLE_PART = {"x_min": 200, "y_min": 100, "x_max": 600, "y_max": 400}
 _IMAGES_PER_PAGE = 50
 
@@ -111,7 +110,7 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         ] = None,
         part: _Part = None,
         coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",
-        long_side_px: _Side = _USUAL_SIDE_PX,
+        long_side_px: _Side = VIEWED_SIDE_PX,
         page: _Page = 1,
     ) -> CallToolResult:
         request = PictureRequest(
@@ -147,7 +146,7 @@ def page_image_tool(services: Services) -> "StrictTool":
         ctx: Context[Any, Any],
         image: ImageArgument | None = None,
         part: _Part = None,
-        long_side_px: _Side = _USUAL_SIDE_PX,
+        long_side_px: _Side = VIEWED_SIDE_PX,
         page: _Page = 1,
     ) -> CallToolResult:
         if image is None:
@@ -265,7 +264,7 @@ def _view(
             raster,
             window,
             long_side_px=request.long_side_px,
-            max_enlargement=_MAX_ENLARGEMENT,
+            max_enlargement=MAX_VIEW_ENLARGEMENT,
             lines=request.kind == "evidence",
         )
         jpeg = small_jpeg(rgb)
@@ -312,7 +311,7 @@ def _words(viewed: ViewedImage, long_side_px: int) -> str:
     if max(viewed.picture_width_px, viewed.picture_height_px) < long_side_px - 1:
         reason = "as large as a result may be"
         if factor < 1:
-            reason = f"enlarged {_MAX_ENLARGEMENT:g} times, the most"
+            reason = f"enlarged {MAX_VIEW_ENLARGEMENT:g} times, the most"
         words += f". It is smaller than the {long_side_px} px asked for: it is {reason}"
     return (
         f"{words}. Grid lines are {viewed.grid_px} image pixels apart and numbered in image pixels."

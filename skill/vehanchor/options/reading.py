@@ -131,8 +131,12 @@ Place: TypeAlias = tuple[float, float]
 # Callers round coordinates, so that a point on the border may lie just outside.
 _EDGE_TOLERANCE = 1.0  # in pixels, or thousandths of a side
 _EDGE_TOLERANCE_FRACTION = 1e-3
-# Hosts show images to language models reduced to one of these long sides.
-_MODEL_SIDES_PX = (768, 1024, 1092, 1280, 1536, 1568, 2000, 2048, 2576)
+VIEWED_SIDE_PX = 1024
+"""Usual long side of the picture of an image that the tool ``view_image`` shows. A choice."""
+
+MAX_VIEW_ENLARGEMENT = 4.0
+"""Largest enlargement of that picture; a larger one shows nothing more. A choice."""
+
 _MAX_PER_MILLE = 1000
 
 
@@ -215,31 +219,27 @@ class CoordinateFrame:
                 "; as fractions of the sides it would be valid: for fractions, set "
                 'coordinates to "fraction"'
             )
-        # The caller may have seen an enlarged copy. A place inside the image needs none, because
-        # a larger copy only makes lengths smaller.
+        # The caller may have read the place in an enlarged picture. No other size is suggested: a
+        # place that fits some copy would pass, and measure something else. A place inside the
+        # image needs no copy, because a larger one only makes lengths smaller.
         if self.frame.size is not None or self.inside(places):
             return ""
-        copy = self._smallest_copy_with(x_max, y_max)
-        if copy is None:
+        width, height = self._viewed_size()
+        if width <= self.width_px or x_max > width or y_max > height:
             return ""
-        width, height = copy
         suggestion = (
-            f"; in a copy of {width} x {height} px it would be valid: for a copy, give its size as "
-            "the frame"
+            f"; if you read it in the picture of {width} x {height} px from view_image, give that "
+            "size as the frame"
         )
         if max(x_max, y_max) <= _MAX_PER_MILLE:
-            suggestion += ', or set coordinates to "per_mille" if they go to 1000'
+            suggestion += '; if your coordinates go to 1000, set coordinates to "per_mille"'
         return suggestion
 
-    def _smallest_copy_with(self, x: float, y: float) -> tuple[int, int] | None:
-        """Find the smallest enlarged copy, of those shown to models, that contains a place."""
-        for long_side in _MODEL_SIDES_PX:
-            factor = long_side / max(self.width_px, self.height_px)
-            width = round(self.width_px * factor)
-            height = round(self.height_px * factor)
-            if factor > 1 and x <= width and y <= height:
-                return width, height
-        return None
+    def _viewed_size(self) -> tuple[int, int]:
+        """Compute the width and height of the picture that ``view_image`` shows of the image."""
+        factor = VIEWED_SIDE_PX / max(self.width_px, self.height_px)
+        factor = min(factor, MAX_VIEW_ENLARGEMENT)
+        return round(self.width_px * factor), round(self.height_px * factor)
 
 
 def _clamp(coordinate: float, side_px: int) -> float:

@@ -131,6 +131,12 @@ async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(
     assert np.abs(middle - [40, 140, 210]).max() < 30
 
 
+async def test_a_part_beyond_the_image_is_clipped(server: MCPServer[object], images: Path) -> None:
+    beyond = {"x_min": 300, "y_min": 100, "x_max": 5000, "y_max": 300}
+    viewed = facts_in(await asked(server, images / "pool.png", part=beyond))
+    assert viewed["part"] == {**beyond, "x_max": viewed["image_width_px"]}
+
+
 async def test_a_part_may_be_given_in_fractions(server: MCPServer[object], images: Path) -> None:
     in_pixels = await asked(server, images / "pool.png", part=POOL_BOX, long_side_px=400)
     fractions = {
@@ -172,9 +178,9 @@ async def test_the_grids_lines_lie_where_their_numbers_say(tmp_path: Path) -> No
             "at least 16 px",
         ),
         (
-            {"part": {"x_min": 5, "y_min": 5, "x_max": 950, "y_max": 700}},
+            {"part": {"x_min": 905, "y_min": 5, "x_max": 990, "y_max": 700}},
             "invalid_prompt",
-            "copy of 1024 x 819 px",
+            "covers 0 x",
         ),
         (
             {"part": {"x_min": 90, "y_min": 5, "x_max": 50, "y_max": 90}},

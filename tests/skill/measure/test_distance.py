@@ -147,13 +147,9 @@ def test_without_vehicles_there_are_pixels_but_no_metres(detector: Detector) -> 
         (
             [(1, 1), (801.5, 5)],
             {},
-            r"in a copy of 1024 x 768 px it would.*or set coordinates to \"per_mille\"",
+            r"read it in the picture of 1024 x 768 px from view_image, .* to \"per_mille\"$",
         ),
-        (
-            [(1, 1), (1201.5, 5)],
-            {},
-            "copy of 1280 x 960 px it would be valid: for a copy, give its size as the frame$",
-        ),
+        ([(1, 1), (1201.5, 5)], {}, "is not inside the 800 x 600 px image$"),
         (
             [(0.1, 0.2), (0.9, 0.9)],
             {},
@@ -173,7 +169,7 @@ def test_an_invalid_path_is_refused_with_a_suggestion(path: Any, options: Any, w
 @pytest.mark.parametrize(
     ("box", "words"),
     [
-        ((700, 500, 950, 700), "copy of 1024 x 768"),
+        ((700, 500, 950, 700), "picture of 1024 x 768"),
         ((0.1, 0.1, 0.4, 0.6), "as fractions"),
     ],
 )
