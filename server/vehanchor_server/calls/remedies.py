@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
+from vehanchor.records.text import region_would_help
 from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
@@ -54,8 +55,6 @@ def _remedies(estimate: GsdEstimate) -> list[str]:
         return ["image", "line"]
     if reason in ("not_cars", "disagree"):
         return ["drop", "line"] if has_vehicles else ["line"]
-    # The region helps if the length of the cars is the model's or the looks' estimate.
-    is_fleet_unknown = estimate.details.reference_source in ("model", "appearance")
-    if has_vehicles and is_fleet_unknown:
+    if region_would_help(estimate):
         return ["region", "car", "line"]
     return ["car", "line"]

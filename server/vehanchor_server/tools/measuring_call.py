@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.records import GsdEstimate
 from vehanchor_server.calls.reply import MAX_SIDE_PX
 from vehanchor_server.errors import CallError
 from vehanchor_server.tools.messages import answer_of
@@ -56,7 +55,7 @@ async def run_measuring_call(
     _refuse_probable_fractions(all_points, options)
     reply = await services.run_call(ctx, image, work=work, question=question, more=more)
     hints = [
-        *_hints_about_scale(options, reply.record),
+        *_hints_about_scale(options),
         *_hints_about_coordinates(all_points, options, reply.record),
     ]
     return reply, answer_of(reply.records, hints, detail)
@@ -91,14 +90,9 @@ def _refuse_probable_fractions(
         )
 
 
-def _hints_about_scale(options: CallerOptions, record: AnyRecord) -> list[str]:
-    """State what the call made of a region or of a stated scale."""
+def _hints_about_scale(options: CallerOptions) -> list[str]:
+    """State what the call made of a stated scale."""
     hints = []
-    estimate = record if isinstance(record, GsdEstimate) else record.estimate
-    if "region" in options and estimate is not None:
-        details = estimate.details
-        if details.reference_source == "region":
-            hints.append(f"Region {options['region']}: cars of {details.reference_length_m:.2f} m.")
     if "gsd_m_per_px" in options and "gsd_tolerance" not in options:
         hints.append("The stated scale is taken as +- 10 %.")
     return hints

@@ -186,7 +186,7 @@ class Reference:
     region: Annotated[
         Annotated[str, Field(max_length=64)] | None,
         Option(
-            f"Country (ISO code such as FR) or region, if known: {', '.join(REGIONS)}.",
+            f"Country (ISO code such as FR), else a region, if known: {', '.join(REGIONS)}.",
             metavar="NAME",
             first=True,
             tools="all",

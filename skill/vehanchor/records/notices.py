@@ -26,6 +26,7 @@ class NoticeCode(StrEnum):
     LOOK_ALIKES = "look_alikes"
     ADDED_VEHICLE_UNLIKE = "added_vehicle_unlike"
     REFERENCE_LENGTH_UNLIKELY = "reference_length_unlikely"
+    REGION_UNMEASURED = "region_unmeasured"
     # About other rulers than vehicles.
     RULERS_DISAGREE = "rulers_disagree"
     CAMERA_TILTED = "camera_tilted"

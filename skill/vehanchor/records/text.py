@@ -148,7 +148,7 @@ def _cause_of_too_few(estimate: GsdEstimate) -> Advice | None:
         return _vehicles_unused("too_few")
     if estimate.n_vehicles == 0:
         return Advice("no car was found", f"{_DRAW_LINE}, or take a picture with cars")
-    if not _region_would_help(estimate):
+    if not region_would_help(estimate):
         return None
     vehicles = count(estimate.n_vehicles, "vehicle")
     return Advice(
@@ -159,7 +159,7 @@ def _cause_of_too_few(estimate: GsdEstimate) -> Advice | None:
 def _cause_of_imprecise(estimate: GsdEstimate) -> Advice | None:
     if estimate.n_vehicles is None:
         return _vehicles_unused("imprecise")
-    if estimate.n_vehicles == 0 or not _region_would_help(estimate):
+    if not region_would_help(estimate):
         return None
     return Advice(ADVICE["imprecise"].why, f"give the region, or {_DRAW_LINE}")
 
@@ -169,8 +169,10 @@ def _vehicles_unused(reason: Reason) -> Advice:
     return Advice(ADVICE[reason].why, f"also use the ruler vehicles, or {_DRAW_LINE}")
 
 
-def _region_would_help(estimate: GsdEstimate) -> bool:
-    """Test whether nobody stated the reference length: a region would make it more precise."""
+def region_would_help(estimate: GsdEstimate) -> bool:
+    """Test whether the caller may know a measured region, which makes the scale more precise."""
+    if not estimate.n_vehicles or _warns(estimate, "region_unmeasured"):
+        return False
     return estimate.details.reference_source in ("model", "appearance")
 
 

@@ -8,7 +8,9 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.scale.countries import COUNTRY_CODES, COUNTRY_REGIONS, country_length
+from vehanchor.records import Notice
+from vehanchor.records.notices import NoticeCode
+from vehanchor.scale.countries import COUNTRIES, country_code, country_length
 from vehanchor.scale.reliability import KNOWN_REGION
 
 if TYPE_CHECKING:
@@ -84,7 +86,7 @@ def reference_length(
         The length, its spread and its source.
 
     Raises:
-        InvalidParameterError: the model knows neither the region nor the country.
+        InvalidParameterError: the region is neither of the model nor a country.
         CalibrationMismatchError: the calibration was made for another model.
     """
     calibration = reference.calibration
@@ -106,9 +108,10 @@ def reference_length(
         errors = card.errors.appearance
         return _by_appearance(card.bodies, appearance, errors=errors, region=reference.region)
     if reference.region is not None:
-        length_m = _region_length(reference.region, _box_lengths_m(card))
-        log_sd = KNOWN_REGION * sd_m / length_m
-        return ReferenceLength(length_m, "region", log_sd)
+        region_length_m = _region_length(reference.region, _box_lengths_m(card))
+        if region_length_m is not None:
+            log_sd = KNOWN_REGION * sd_m / region_length_m
+            return ReferenceLength(region_length_m, "region", log_sd)
     length_m = card.reference_length_m
     return ReferenceLength(length_m, "model", sd_m / length_m)
 
@@ -134,10 +137,13 @@ def _by_appearance(
         region: name of a region or country; None if unknown.
 
     Raises:
-        InvalidParameterError: the model does not know the region.
+        InvalidParameterError: there is no such region or country.
     """
     log_length = float(appearance.log_lengths.mean())
-    if region is None:
+    region_length_m = None
+    if region is not None:
+        region_length_m = _region_length(region, bodies.region_lengths_m)
+    if region_length_m is None:
         return ReferenceLength(
             math.exp(log_length),
             "appearance",
@@ -156,7 +162,6 @@ def _by_appearance(
     region_log_sd = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
     variance = errors.log_sd**2
     region_share = variance / (variance + region_log_sd**2)
-    region_length_m = _region_length(region, bodies.region_lengths_m)
     moved = region_share * (math.log(region_length_m) - fleet_log_length)
     return ReferenceLength(
         math.exp(log_length + moved),
@@ -167,7 +172,19 @@ def _by_appearance(
     )
 
 
-def _region_length(name: str, lengths_m: Mapping[str, float]) -> float:
+def unmeasured_region(card: DetectorCard, reference: Reference) -> tuple[Notice, ...]:
+    """Warn of a country whose cars nobody has measured: the vehicles do without it."""
+    region = reference.region
+    if region is None or _region_length(region, _box_lengths_m(card)) is not None:
+        return ()
+    message = (
+        f"Nobody has measured the cars of {region}: for them, the region counts as unknown. Things "
+        "of known size there keep their sizes."
+    )
+    return (Notice(code=NoticeCode.REGION_UNMEASURED, message=message),)
+
+
+def _region_length(name: str, lengths_m: Mapping[str, float]) -> float | None:
     """Look up the reference length of a region or country.
 
     Args:
@@ -175,25 +192,31 @@ def _region_length(name: str, lengths_m: Mapping[str, float]) -> float:
         lengths_m: reference lengths by region, metres.
 
     Returns:
-        Metres.
+        Metres; None for a country whose cars nobody has measured.
 
     Raises:
-        InvalidParameterError: the place is unknown; the message names the nearest ones.
+        InvalidParameterError: there is no such place; the message names the nearest ones.
     """
     spaced = name.lower().replace("_", " ").replace("-", " ")
     words = spaced.split()
     length_m = lengths_m.get("_".join(words))
-    if not length_m:
-        country = COUNTRY_CODES.get(" ".join(words), name)
-        length_m = country_length(country, lengths_m)
-    if length_m is not None:
+    if length_m:
         return length_m
-    nearest = get_close_matches(name.lower(), lengths_m)
-    if not nearest:
-        nearest = get_close_matches(name.upper(), COUNTRY_REGIONS)
+    code = country_code(name)
+    if code is not None:
+        return country_length(code, lengths_m)
+    nearest = get_close_matches(spaced, _place_names(lengths_m))
     hint = f" (nearest: {', '.join(nearest)})" if nearest else ""
     regions = ", ".join(sorted(lengths_m))
     raise InvalidParameterError(
-        f"region is {name!r}: this model knows {regions}, and countries there by name or ISO code, "
-        f"such as FR{hint}. For another place, leave region out"
+        f"region is {name!r}: this model knows {regions}, and every country by its English name or "
+        f"ISO code, such as FR{hint}. If the place is unknown, leave region out"
     )
+
+
+def _place_names(lengths_m: Mapping[str, float]) -> list[str]:
+    """List the names of regions and countries."""
+    names = list(lengths_m)
+    for country in COUNTRIES.values():
+        names += country.names
+    return names

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pydantic import TypeAdapter
 
 from vehanchor.errors import KnownLengthError
-from vehanchor.scale.countries import COUNTRY_REGIONS
+from vehanchor.scale.countries import COUNTRY_REGIONS, country_code
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -47,9 +47,9 @@ class Variant(NamedTuple):
         A country also has the lengths of its region, a region those of its countries.
 
         Args:
-            place: code of a country, in any case, or name of a region.
+            place: code or English name of a country, or name of a region.
         """
-        code = place.upper()
+        code = country_code(place) or place.upper()
         if place in self.countries or code in self.countries:
             return True
         if COUNTRY_REGIONS.get(code) in self.countries:

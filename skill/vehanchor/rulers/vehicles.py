@@ -25,7 +25,7 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import rectified
 from vehanchor.rulers.fleet import select
-from vehanchor.rulers.reference import reference_length
+from vehanchor.rulers.reference import reference_length, unmeasured_region
 from vehanchor.rulers.ruler import Ruler
 from vehanchor.rulers.vehicle_notices import (
     DOUBT_CODES,
@@ -407,12 +407,13 @@ class Vehicles(Ruler):
         )
         if mode_px is None:
             return vehicles
+        unmeasured = unmeasured_region(card, view.options.reference)
         # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None
         return replace(
             vehicles.with_votes(),
             gsd_m_per_px=reference.stated_m / mode_px,
-            notices=(*vehicles.notices, *_notices(vehicles, stretch)),
+            notices=(*vehicles.notices, *unmeasured, *_notices(vehicles, stretch)),
         )
 
 

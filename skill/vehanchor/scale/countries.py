@@ -7,8 +7,12 @@ United States. The bundled networks have 0.94, 0.99 and 0.91 there.
 
 from __future__ import annotations
 
+import csv
 import math
-from typing import TYPE_CHECKING
+import re
+import unicodedata
+from importlib import resources
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,116 +35,69 @@ COUNTRY_LENGTHS_M: dict[str, float] = {
 }
 """Mean body length in metres, of the year nearest to a fleet's mean age of about ten years."""
 
-COUNTRY_CODES = {
-    "albania": "AL",
-    "argentina": "AR",
-    "austria": "AT",
-    "bangladesh": "BD",
-    "belarus": "BY",
-    "belgium": "BE",
-    "bhutan": "BT",
-    "bolivia": "BO",
-    "bosnia and herzegovina": "BA",
-    "brazil": "BR",
-    "bulgaria": "BG",
-    "canada": "CA",
-    "chile": "CL",
-    "colombia": "CO",
-    "costa rica": "CR",
-    "croatia": "HR",
-    "cuba": "CU",
-    "cyprus": "CY",
-    "czechia": "CZ",
-    "denmark": "DK",
-    "dominican republic": "DO",
-    "ecuador": "EC",
-    "el salvador": "SV",
-    "england": "GB",
-    "estonia": "EE",
-    "finland": "FI",
-    "france": "FR",
-    "germany": "DE",
-    "great britain": "GB",
-    "greece": "GR",
-    "guatemala": "GT",
-    "guyana": "GY",
-    "haiti": "HT",
-    "honduras": "HN",
-    "hungary": "HU",
-    "iceland": "IS",
-    "india": "IN",
-    "ireland": "IE",
-    "italy": "IT",
-    "jamaica": "JM",
-    "latvia": "LV",
-    "lithuania": "LT",
-    "luxembourg": "LU",
-    "maldives": "MV",
-    "malta": "MT",
-    "mexico": "MX",
-    "moldova": "MD",
-    "montenegro": "ME",
-    "nepal": "NP",
-    "netherlands": "NL",
-    "nicaragua": "NI",
-    "north macedonia": "MK",
-    "norway": "NO",
-    "pakistan": "PK",
-    "panama": "PA",
-    "paraguay": "PY",
-    "peru": "PE",
-    "poland": "PL",
-    "portugal": "PT",
-    "romania": "RO",
-    "russia": "RU",
-    "scotland": "GB",
-    "serbia": "RS",
-    "slovakia": "SK",
-    "slovenia": "SI",
-    "spain": "ES",
-    "sri lanka": "LK",
-    "suriname": "SR",
-    "sweden": "SE",
-    "switzerland": "CH",
-    "the netherlands": "NL",
-    "ukraine": "UA",
-    "united kingdom": "GB",
-    "united states": "US",
-    "uk": "GB",
-    "uruguay": "UY",
-    "usa": "US",
-    "venezuela": "VE",
-    "wales": "GB",
-}
-"""Codes by English names of countries, in lower case."""
-
 # Country in which the reference length of a region was measured, if its mean is published.
 _MEASURED_IN = {"europe": "FR", "north_america": "US", "south_asia": "IN"}
-_REGION_COUNTRIES = {
-    "europe": (
-        "AD AL AT BA BE BG BY CH CY CZ DE DK ES FR GB GG GI GR HR HU IE IM IT JE LI LU MC MD ME "
-        "MK MT NL PL PT RO RS RU SI SK SM UA VA"
-    ),
-    "northern_europe": "AX EE FI FO IS LT LV NO SE SJ",
-    "north_america": "BM CA GL PM US",
-    "south_america": (
-        "AG AI AR AW BB BL BO BQ BR BS BZ CL CO CR CU CW DM DO EC FK GD GF GP GT GY HN HT JM KN "
-        "KY LC MF MQ MS MX NI PA PE PR PY SR SV SX TC TT UY VC VE VG VI"
-    ),
-    "south_asia": "BD BT IN LK MV NP PK",
-}
-"""Codes by region, after the United Nations' geoscheme (M49), with four changes.
+_TABLE = "countries.csv"
 
-The British Isles and Denmark are in ``europe``, because ``northern_europe`` was measured in
-Estonia. Central America and the Caribbean are in ``south_america``. Afghanistan and Iran are left
-out of ``south_asia``, which was measured in Nepal.
-"""
-REGIONS = tuple(_REGION_COUNTRIES)
-"""Regions with a reference length in the bundled models; other models may have others."""
-COUNTRY_REGIONS: dict[str, str] = {
-    code: region for region, codes in _REGION_COUNTRIES.items() for code in codes.split()
+
+class Country(NamedTuple):
+    """Country by ISO 3166-1, and its region.
+
+    Attributes:
+        code: its alpha-2 code.
+        region: the region whose cars stand for its own, after the United Nations' geoscheme (M49)
+            with four changes; an empty string where no cars were measured. The British Isles and
+            Denmark are in ``europe``, because ``northern_europe`` was measured in Estonia. Central
+            America and the Caribbean are in ``south_america``. Afghanistan and Iran are not in
+            ``south_asia``, which was measured in Nepal.
+        names: its English names, in lower case without accents.
+    """
+
+    code: str
+    region: str
+    names: tuple[str, ...]
+
+
+def _read_countries() -> dict[str, Country]:
+    """Read all countries of ISO 3166-1 from the table beside this module, by code."""
+    countries = {}
+    text = resources.files(__package__).joinpath(_TABLE).read_text(encoding="utf-8")
+    for row in csv.DictReader(text.splitlines()):
+        names = tuple(row["names"].split("|"))
+        countries[row["code"]] = Country(row["code"], row["region"], names)
+    return countries
+
+
+COUNTRIES: Mapping[str, Country] = _read_countries()
+"""Countries by code."""
+
+COUNTRY_REGIONS: Mapping[str, str] = {
+    code: country.region for code, country in COUNTRIES.items() if country.region
 }
-"""Region by country."""
+"""Region by country, without countries whose cars nobody has measured."""
+
+REGIONS = tuple(sorted(set(COUNTRY_REGIONS.values())))
+"""Regions with a reference length in the bundled models; other models may have others."""
+
+
+def country_code(place: str) -> str | None:
+    """Find the code of a country by its code in any case, or by its English name in any spelling.
+
+    Returns:
+        The alpha-2 code; None if no country is called so.
+    """
+    code = place.strip().upper()
+    if code in COUNTRIES:
+        return code
+    straight = place.replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
+    decomposed = unicodedata.normalize("NFKD", straight)
+    ascii_name = decomposed.encode("ascii", "ignore").decode().lower().replace("&", " and ")
+    words = re.findall(r"[a-z']+", ascii_name)
+    name = " ".join(words)
+    for country in COUNTRIES.values():
+        if name in country.names:
+            return country.code
+    return None
 
 
 def country_length(country: str, region_lengths_m: Mapping[str, float]) -> float | None:

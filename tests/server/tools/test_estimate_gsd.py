@@ -82,7 +82,16 @@ async def test_arguments_reach_the_library(
     )
     by_region = await called(server, "estimate_gsd", images / "cars.png", region="europe")
     assert record_of(by_region)["details"]["reference_length_m"] == pytest.approx(4.5)
-    assert "Region europe: cars of 4.50 m." in text_of(by_region)
+    assert "europe" not in text_of(by_region)
+
+
+async def test_a_country_without_measured_cars_is_not_asked_for_again(
+    server: MCPServer[object], images: Path
+) -> None:
+    result = await called(server, "estimate_gsd", images / "cars.png", region="JP")
+    codes = [warning["code"] for warning in record_of(result)["warnings"]]
+    assert "region_unmeasured" in codes
+    assert "give the region" not in text_of(result)
 
 
 async def test_known_lengths_are_in_the_callers_frame(

@@ -18,10 +18,17 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Reference, ScaleOptions
-from vehanchor.rulers.reference import reference_length
+from vehanchor.rulers.reference import reference_length, unmeasured_region
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
-from vehanchor.scale.countries import COUNTRY_LENGTHS_M, COUNTRY_REGIONS, REGIONS, country_length
+from vehanchor.scale.countries import (
+    COUNTRIES,
+    COUNTRY_LENGTHS_M,
+    COUNTRY_REGIONS,
+    REGIONS,
+    country_code,
+    country_length,
+)
 from vehanchor.scale.density import Votes
 from vehanchor.scale.posterior import answer
 
@@ -143,7 +150,46 @@ def test_every_country_has_one_of_the_regions() -> None:
 
 
 def test_the_code_of_a_country_has_two_letters() -> None:
-    assert all(re.fullmatch("[A-Z]{2}", code) for code in COUNTRY_REGIONS)
+    assert all(re.fullmatch("[A-Z]{2}", code) for code in COUNTRIES)
+
+
+def test_no_name_belongs_to_two_countries() -> None:
+    names = [name for country in COUNTRIES.values() for name in country.names]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(
+    ("place", "code"),
+    [
+        ("jp", "JP"),
+        ("Japan", "JP"),
+        ("South Korea", "KR"),
+        ("Guinea-Bissau", "GW"),
+        ("Côte d\N{RIGHT SINGLE QUOTATION MARK}Ivoire", "CI"),
+        ("Antigua & Barbuda", "AG"),
+        ("The Netherlands", "NL"),
+        ("Atlantis", None),
+    ],
+)
+def test_a_country_is_found_by_its_name(place: str, code: str | None) -> None:
+    assert country_code(place) == code
+
+
+@pytest.mark.parametrize("place", ["JP", "korea", "Australia"])
+def test_a_country_without_measured_cars_counts_as_unknown(card: DetectorCard, place: str) -> None:
+    unknown = reference_length(card, Reference(), None)
+    assert reference_length(card, Reference(region=place), None) == unknown
+
+
+def test_a_country_without_measured_cars_is_named(card: DetectorCard) -> None:
+    (notice,) = unmeasured_region(card, Reference(region="JP"))
+    assert notice.code == "region_unmeasured"
+    assert "cars of JP" in notice.message
+
+
+@pytest.mark.parametrize("region", ["FR", "Mexico", "europe", None])
+def test_a_measured_region_is_not_warned_of(card: DetectorCard, region: str | None) -> None:
+    assert unmeasured_region(card, Reference(region=region)) == ()
 
 
 def test_a_published_length_is_converted_to_the_boxes_of_a_detector() -> None:
@@ -167,7 +213,7 @@ def test_a_region_is_found_in_any_case(card: DetectorCard) -> None:
     [
         ("eurpe", "nearest: europe"),
         ("south asai", "nearest: south_asia"),
-        ("TV", "leave region out"),
+        ("ZZ", "leave region out"),
     ],
 )
 def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, expected: str) -> None:
