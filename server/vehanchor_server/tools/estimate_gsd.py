@@ -38,36 +38,24 @@ if TYPE_CHECKING:
     from vehanchor_server.tools.strict_tool import StrictTool
 
 _KNOWN_SIZES = (
+    "parking_bay_width",
+    "lane_dash_cycle",
+    "zebra_bar",
     "railway_gauge",
     "iso_container_20ft",
-    "iso_container_40ft",
-    "semi_trailer",
-    "city_bus",
-    "parking_bay_width",
-    "parking_bay_length",
-    "motorway_lane_width",
-    "lane_dash_cycle",
-    "zebra_period",
-    "football_penalty_area_width",
-    "football_centre_circle",
-    "handball_court_length",
-    "beach_volleyball_court_length",
-    "padel_court_length",
+    "solar_panel_width",
     "tennis_court_length",
-    "basketball_court_length",
-    "baseball_base_distance",
-    "american_football_field_width",
-    "running_track_lane",
+    "football_penalty_area_width",
     "pool_25m",
-    "pool_50m",
 )
-"""Things of known size that can be seen from above; an error lists all."""
+"""Names that the description lists; ``view_image`` lists all with their meanings."""
 
 _DESCRIPTION = (
     "Measures the scale (metres per pixel) of a near-nadir aerial or satellite image from cars, "
     "known lengths, camera height or metadata. Call it before any metric statement; never "
     "estimate the scale by eye. Needs cars at 0.3 m/px or finer, or another ruler. "
-    f"{POLICY} Names for known_lengths: {', '.join(_KNOWN_SIZES)}."
+    f"{POLICY} Names for known_lengths, among others: {', '.join(_KNOWN_SIZES)}; view_image with "
+    "known_sizes explains all."
 )
 
 

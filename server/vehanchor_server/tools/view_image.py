@@ -112,7 +112,12 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",
         long_side_px: _Side = VIEWED_SIDE_PX,
         page: _Page = 1,
+        known_sizes: Annotated[
+            bool, Field(description="List the names for known_lengths with their ends and sizes.")
+        ] = False,
     ) -> CallToolResult:
+        if known_sizes:
+            return _with_picture(_known_sizes_in_words(), None)
         request = PictureRequest(
             "evidence",
             long_side_px,
@@ -232,6 +237,21 @@ def _listing_in_words(listing: _Listing) -> str:
         head += f", {shown} on page {listing.page} of {n_pages}"
     head += ":" if names else "."
     return "\n".join([head, *_by_folder(names)])
+
+
+def _known_sizes_in_words() -> str:
+    """List the things of known size: the ends of the line to draw, and their lengths."""
+    from vehanchor.rulers.standards import describe_lengths, standards
+
+    lines = [
+        "Things of known size for known_lengths: name, the two ends of the line, lengths with "
+        "their spread and countries. A line may span equal things in a row, such as "
+        '"9 x parking_bay_width"; a country is added as in "railway_gauge/ES".'
+    ]
+    for standard in standards().values():
+        lengths = "; ".join(describe_lengths(standard))
+        lines.append(f"{standard.name}: {standard.between}. {lengths}.")
+    return "\n".join(lines)
 
 
 def _by_folder(paths: Iterable[str]) -> list[str]:

@@ -63,7 +63,7 @@ def _show(
 
 def _print_sizes(*, as_json: bool) -> None:
     """Print the things of known size for --known-length X1 Y1 X2 Y2 NAME."""
-    from vehanchor.rulers.standards import standards
+    from vehanchor.rulers.standards import describe_lengths, standards
 
     for standard in standards().values():
         if as_json:
@@ -71,11 +71,7 @@ def _print_sizes(*, as_json: bool) -> None:
             print_json({**standard._asdict(), "variants": variants})
             continue
         facts = [("between", standard.between)]
-        for variant in standard.variants:
-            length = f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %"
-            if variant.countries:
-                length += f": {', '.join(variant.countries)}"
-            facts.append(("length", length))
+        facts += [("length", length) for length in describe_lengths(standard)]
         facts.append(("chance of misidentification", f"{100 * standard.chance_wrong:.0f} %"))
         facts.append(("source", standard.source))
         print_facts(standard.name, facts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
@@ -190,7 +191,9 @@ Basis: TypeAlias = Literal["assumed", "measured"]
 # Half of the 95 % interval of a stated scale without a tolerance, as a share of it; our choice.
 _STATED_TOLERANCE = 0.1
 _Length = Annotated[float, Limits(above=0, most=100_000, unit="m")]
-_Name = Annotated[str, Field(max_length=64, pattern="^[A-Za-z]")]
+# A line may span several equal things in a row, such as "9 x parking_bay_width".
+_COUNT_PATTERN = "[1-9][0-9]{0,2} *[x*] *"
+_Name = Annotated[str, Field(max_length=64, pattern=f"^({_COUNT_PATTERN})?[A-Za-z]")]
 # Survey aircraft fly at 10 km.
 Height: TypeAlias = Annotated[float, Limits(above=0, most=20_000, unit="m")]
 FocalLength: TypeAlias = Annotated[float, Limits(above=0, most=10_000, unit="mm")]
@@ -217,7 +220,8 @@ class KnownLength(Segment):
 
     Attributes:
         metres: length of the line; or the name of a thing of known size in
-            ``vehanchor.rulers.standards``, with an optional country, such as "railway_gauge/ES".
+            ``vehanchor.rulers.standards``, with an optional country, such as "railway_gauge/ES",
+            and the number of such things in a row, such as "9 x parking_bay_width".
         basis: how the length is known: assumed, or measured by tape, plan or survey.
         tolerance_m: half of the 95 % interval of the length, metres; None for the default of the
             basis.
@@ -240,8 +244,18 @@ class KnownLength(Segment):
 
     @property
     def what(self) -> str | None:
-        """Name of the thing of known size; None for a length in metres."""
-        return self.metres if isinstance(self.metres, str) else None
+        """Name of the thing of known size, without its count; None for a length in metres."""
+        if not isinstance(self.metres, str):
+            return None
+        return re.sub(f"^{_COUNT_PATTERN}", "", self.metres)
+
+    @property
+    def n_things(self) -> int:
+        """Number of equal things in a row that the line spans."""
+        if not isinstance(self.metres, str):
+            return 1
+        count = re.match("[0-9]+", self.metres)
+        return 1 if count is None else int(count.group())
 
     @property
     def length_m(self) -> float | None:
@@ -252,7 +266,7 @@ class KnownLength(Segment):
 def _split_line(value: Any) -> Any:
     """Split the text of a known length into its values; leave other values as they are.
 
-    The text is ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 NAME``.
+    The text is ``X1 Y1 X2 Y2 METRES[+-TOLERANCE] [measured]`` or ``X1 Y1 X2 Y2 [N x] NAME``.
     """
     if not isinstance(value, str):
         return value
@@ -260,12 +274,14 @@ def _split_line(value: Any) -> Any:
     basis = "assumed"
     if parts and parts[-1] in get_args(Basis):
         basis = parts.pop()
-    if len(parts) != 5:
+    is_row = len(parts) == 7 and parts[5] in ("x", "*")
+    if len(parts) != 5 and not is_row:
         raise KnownLengthError(
             f"the known length is {value!r}: use X1 Y1 X2 Y2 METRES, then 'measured' if it was, or "
             "X1 Y1 X2 Y2 and a name of 'vehanchor models --sizes'"
         )
-    *ends, length = parts
+    ends = parts[:4]
+    length = " ".join(parts[4:])
     metres, _, tolerance = length.partition("+-")
     return (*ends, metres, basis, tolerance or None)
 

@@ -130,7 +130,8 @@ class _DrawnLine(NamedTuple):
     Attributes:
         known_length: the line as the caller gives it.
         ends: x, y of its ends.
-        length_px: its length, in pixels of the image's centre.
+        length_px: its length, or that of one of several equal things in a row, in pixels of the
+            image's centre.
         log_sd: standard deviation of the log of that length.
         end_sd_px: error of an end, pixels of the image.
     """
@@ -158,7 +159,7 @@ def _draw(line: KnownLength, view: View) -> _DrawnLine:
     return _DrawnLine(
         line,
         (first, second),
-        length_px=length_px,
+        length_px=length_px / line.n_things,
         log_sd=math.hypot(drawing_log_sd, tilt_log_sd),
         end_sd_px=end_sd_px * max(x_factor, y_factor),
     )
@@ -213,10 +214,15 @@ def _belong_together(first: _DrawnLine, second: _DrawnLine) -> bool:
     one = first.known_length
     other = second.known_length
     if one.what is not None or other.what is not None:
-        return one.what == other.what
+        return _bare_name(one) == _bare_name(other)
     if one.basis != other.basis:
         return False
     return _are_one_line(first, second) and _have_one_scale(first, second)
+
+
+def _bare_name(line: KnownLength) -> str | None:
+    """Return the name of a thing of known size without its country; None for metres."""
+    return None if line.what is None else line.what.partition("/")[0]
 
 
 def _are_one_line(first: _DrawnLine, second: _DrawnLine) -> bool:
@@ -273,7 +279,8 @@ def _label(line: KnownLength) -> str:
     """Name a line in pictures and messages."""
     if line.what is None:
         return f"{line.length_m:g} m"
-    return line.what.replace("_", " ")
+    name = line.what.replace("_", " ")
+    return name if line.n_things == 1 else f"{line.n_things} x {name}"
 
 
 def _witness(group: Lines, region: str | None) -> Witness:

@@ -119,6 +119,17 @@ def lengths_of(what: str, region: str | None = None) -> tuple[Standard, tuple[Va
     return standard, standard.lengths_in(country or region)
 
 
+def describe_lengths(standard: Standard) -> list[str]:
+    """Describe each length of a thing with its spread and countries, such as "2.5 m +- 3 %: DE"."""
+    lengths = []
+    for variant in standard.variants:
+        length = f"{variant.metres:g} m +- {100 * variant.log_sd:.2g} %"
+        if variant.countries:
+            length += f": {', '.join(variant.countries)}"
+        lengths.append(length)
+    return lengths
+
+
 def exact_kind(what: str) -> str | None:
     """Return the kind of a thing whose size a rule fixes, such as "tennis"; None for a custom.
 
@@ -152,7 +163,7 @@ def check_name(what: str | None) -> None:
         nearest = "; ".join(f"{thing}: {catalogue[thing].between}" for thing in names)
         raise KnownLengthError(
             f"there is no thing of known size {shown!r}. The nearest are {nearest}. For all names, "
-            "run 'vehanchor models --sizes'"
+            "run 'vehanchor models --sizes', or call view_image with known_sizes"
         )
     are_capitals = country.isascii() and country.isupper()
     is_code = are_capitals and len(country) == 2

@@ -21,6 +21,7 @@ from mcp.types import CallToolResult
 from tests.models import blank_image
 from tests.server.conftest import POOL, POOL_BOX, paint_scene, with_pool, write_image
 from tests.server.conversation import error_of, picture_of, text_of
+from vehanchor.rulers.standards import standards
 from vehanchor_server.app import create_server
 from vehanchor_server.images import path_access
 from vehanchor_server.services import create_services
@@ -135,6 +136,12 @@ async def test_a_part_beyond_the_image_is_clipped(server: MCPServer[object], ima
     beyond = {"x_min": 300, "y_min": 100, "x_max": 5000, "y_max": 300}
     viewed = facts_in(await asked(server, images / "pool.png", part=beyond))
     assert viewed["part"] == {**beyond, "x_max": viewed["image_width_px"]}
+
+
+async def test_every_known_size_is_explained(server: MCPServer[object], images: Path) -> None:
+    text = text_of(await asked(server, images / "pool.png", known_sizes=True))
+    for standard in standards().values():
+        assert f"{standard.name}: {standard.between}. " in text
 
 
 async def test_a_part_may_be_given_in_fractions(server: MCPServer[object], images: Path) -> None:

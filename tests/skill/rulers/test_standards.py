@@ -79,7 +79,7 @@ def test_the_weights_of_all_lengths_add_up_to_1(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "variant"), VARIANTS)
 def test_a_length_with_its_spread_is_plausible(name: str, variant: Variant) -> None:
-    assert 1 <= variant.metres <= 120
+    assert 0.4 <= variant.metres <= 120
     assert 0.005 <= variant.log_sd <= WIDEST_CUSTOM
 
 
@@ -93,9 +93,9 @@ def test_a_length_names_countries_or_regions(name: str, variant: Variant) -> Non
 @pytest.mark.parametrize(("name", "variant"), VARIANTS)
 def test_a_thing_measures_by_the_length_of_its_country(name: str, variant: Variant) -> None:
     country = variant.countries[0] if variant.countries else None
-    witness = _evidence(name, 200.0, region=country)
+    witness = _evidence(name, 100.0, region=country)
     if len(standards()[name].lengths_in(country)) == 1:
-        assert witness.gsd_m_per_px == pytest.approx(variant.metres / 200, rel=0.01)
+        assert witness.gsd_m_per_px == pytest.approx(variant.metres / 100, rel=0.01)
     assert witness.assumed
 
 
@@ -178,6 +178,33 @@ def _record_of_things(*whats: str) -> GsdEstimate:
         metres = lengths_of(what)[1][0].metres
         lines.append((100, 100 + 9 * k, 100 + metres / 0.05, 100 + 9 * k, what))
     return record_of(0, known_lengths=lines)
+
+
+@pytest.mark.parametrize("count", ["9 x ", "9x", "9*"])
+def test_a_line_over_equal_things_is_as_long_as_all_of_them(count: str) -> None:
+    one = _evidence("running_track_lane", 50.0)
+    nine = _evidence(f"{count}running_track_lane", 450.0)
+    assert nine.gsd_m_per_px == pytest.approx(one.gsd_m_per_px, rel=0.01)
+
+
+def test_a_line_over_many_things_is_more_exact_than_over_one() -> None:
+    one = _evidence("railway_gauge/DE", 10.0)
+    nine = _evidence("9 x railway_gauge/DE", 90.0)
+    assert log_sd(nine) < 0.5 * log_sd(one)
+
+
+def test_a_row_and_one_of_its_things_are_one_kind() -> None:
+    one = (100, 100, 150, 100, "parking_bay_width/DE")
+    row = (100, 300, 550, 300, "9 x parking_bay_width")
+    alone = record_of(0, known_lengths=[row])
+    both = record_of(0, known_lengths=[row, one])
+    assert both.confidence == pytest.approx(alone.confidence, abs=0.01)
+
+
+def test_a_row_is_given_as_text() -> None:
+    options = ScaleOptions.of({"known_lengths": ["10 20 300 20 9 x parking_bay_width/DE"]})
+    (line,) = options.rulers.known_lengths
+    assert (line.what, line.n_things) == ("parking_bay_width/DE", 9)
 
 
 def test_two_things_of_one_family_are_one_witness() -> None:
