@@ -13,8 +13,8 @@ import numpy as np
 
 from vehanchor.analysis.pipeline import make_known_scale
 from vehanchor.records import Notice
+from vehanchor.records.advice import Advice, advice_for
 from vehanchor.records.notices import NoticeCode
-from vehanchor.records.text import Advice, advice_for
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
@@ -495,9 +495,9 @@ def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
     if advice is None:
         return None
     if unlinked:
-        advice = Advice(
-            f"{advice.why}, and no other photograph overlaps it",
-            f"{advice.helps}; or fly with more overlap",
+        advice = advice._replace(
+            why=f"{advice.why}, and no other photograph overlaps it",
+            also="fly with more overlap",
         )
     return _sentence(advice)
 
@@ -511,12 +511,14 @@ def _carried_advice(*, maybe_tilted: bool) -> str:
     if maybe_tilted:
         advice = Advice(
             "the overlaps fit a tilted camera as well as one that climbs",
-            "give photographs with the camera's angle in their metadata, or taken straight down",
+            (),
+            also="give photographs taken straight down, or with the camera's angle in the metadata",
         )
     else:
         advice = Advice(
             "its rulers are in other photographs, and the overlaps in between widen the interval",
-            "add photographs between them, or give the height",
+            (),
+            also="add photographs between them, or give the height",
         )
     return _sentence(advice)
 

@@ -35,7 +35,7 @@ from vehanchor.records import (
     Reason,
     SceneScaleEstimate,
 )
-from vehanchor.records.text import ADVICE, advice_for
+from vehanchor.records.advice import IN_WORDS, advice_for
 from vehanchor.scale.posterior import Witness
 from vehanchor.storage.codec import Codec
 
@@ -339,9 +339,9 @@ def estimate() -> GsdEstimate:
         (
             {"reason": "too_few", "n_vehicles": 0},
             "no car was found",
-            "draw a line over something of known size",
+            IN_WORDS["thing"],
         ),
-        ({"reason": "too_coarse"}, "the vehicles are only 32 px long", ADVICE["too_coarse"].helps),
+        ({"reason": "too_coarse"}, "the vehicles are only 32 px long", IN_WORDS["lower"]),
         (
             {
                 "reason": "too_coarse",
@@ -353,7 +353,7 @@ def estimate() -> GsdEstimate:
         (
             {"reason": "too_coarse", "n_vehicles": 0},
             "no car was found, and the scene looks too coarse for cars",
-            "send the full-resolution image",
+            "send the original image",
         ),
         (
             {"reason": "too_few", "n_vehicles": 1},
@@ -409,8 +409,9 @@ def test_every_reason_has_advice_without_gaps(
     changes = {"reason": reason, "n_vehicles": n_vehicles}
     advice = advice_for(estimate.model_copy(update=changes))
     assert advice is not None
-    assert "{" not in "".join(advice)
-    assert "overlay" not in "".join(advice), "measure_distance has none"
+    assert advice.why
+    assert advice.remedies
+    assert "overlay" not in advice.helps, "measure_distance has none"
 
 
 def test_journals_with_the_former_name_of_a_statement_are_read() -> None:

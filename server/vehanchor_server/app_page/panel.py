@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import FailFast, Field
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
-from vehanchor.records.text import advice_for, by_hand_text
+from vehanchor.records.advice import advice_for
+from vehanchor.records.text import by_hand_text
 from vehanchor_server.base_model import FrozenModel
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def _sentence_for_people(record: BaseModel) -> str | None:
         advice = advice_for(estimate)
     elif isinstance(record, GsdEstimate):
         estimate = record
-        advice = advice_for(record, "drop the boxes that are not cars")
+        advice = advice_for(record)
     else:
         return None
     if estimate is None:
@@ -100,7 +101,8 @@ def _sentence_for_people(record: BaseModel) -> str | None:
     if advice is None:
         words = f"measured from {', '.join(ruler.label for ruler in estimate.probable_rulers)}"
     else:
-        words = f"{advice.why}; {advice.helps}"
+        helps = advice.in_words({"drop": "drop the boxes that are not cars"})
+        words = f"{advice.why}; {helps}"
     sentence = f"{words[0].upper()}{words[1:]}."
     corrections = by_hand_text(estimate)
     if corrections:

@@ -8,22 +8,34 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
-from vehanchor.records.text import region_would_help
+from vehanchor.records.advice import advice_for
 from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pydantic import BaseModel
 
+    from vehanchor.records.advice import Remedy
+
 _MAX_REMEDIES = 2
-_REMEDIES = {
-    "image": "send the original image",
+_DRAW_LINE = "draw a line over a parking bay or lane dash (known_lengths)"
+_IN_WORDS: Mapping[Remedy, str] = {
+    "original": "send the original image",
+    "aspect": "send a copy with the aspect ratio of the original",
+    "nadir": "send an image taken straight down",
+    "lower": "send the original image",
     "drop": "drop boxes that are not cars, see view_image (drop)",
+    "cars": "add a car that has no box (add)",
+    "add": "add a car that has no box (add)",
     "region": "give the region (region)",
-    "car": "add a car that has no box (add)",
-    "line": "draw a line over {} (known_lengths)",
+    "line": _DRAW_LINE,
+    "thing": "if a car or a court, container or rail is in sight, mark it (add, known_lengths)",
+    "measured": "give a measured length or height, no further assumed one (basis)",
+    "facts": "check the facts that you gave, or leave out the wrong one",
+    "elsewhere": "give the camera's height (height_m) or photographs with cars (more_images)",
+    "vehicles": "also use the ruler vehicles (rulers)",
 }
-_BESIDE_CARS = "a parking bay or lane dash"
-_WITHOUT_CARS = "a container or court"
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"
 _ON_MASK = "look at it with view_image, and give a tight box drawn by eye"
@@ -34,27 +46,12 @@ def advice_on(record: BaseModel) -> str:
     if getattr(record, "status", "ok") == "ok":
         return ""
     estimate = record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
-    if estimate is not None and estimate.status != "ok":
-        line = _BESIDE_CARS if estimate.n_vehicles else _WITHOUT_CARS
-        names = _remedies(estimate)[:_MAX_REMEDIES]
-        return ", or ".join(_REMEDIES[name].format(line) for name in names)
+    advice = advice_for(estimate)
+    if advice is not None:
+        remedies = advice.remedies[:_MAX_REMEDIES]
+        return ", or ".join(_IN_WORDS[remedy] for remedy in remedies)
     if isinstance(record, AreaMeasurement):
         confidence = record.scale_confidence
         if confidence is None or confidence >= USABLE_CHANCE:
             return _ON_CHOICES if record.alternatives else _ON_MASK
     return _ON_STATED
-
-
-def _remedies(estimate: GsdEstimate) -> list[str]:
-    """Return names of remedies for a scale that is not usable, the best first."""
-    codes = {notice.code for notice in estimate.warnings}
-    reason = estimate.reason
-    has_vehicles = bool(estimate.n_vehicles)
-    # The original helps if this image was reduced too far, or stretched in one direction.
-    if reason == "too_coarse" or (reason == "disagree" and "stretched" in codes):
-        return ["image", "line"]
-    if reason in ("not_cars", "disagree"):
-        return ["drop", "line"] if has_vehicles else ["line"]
-    if region_would_help(estimate):
-        return ["region", "car", "line"]
-    return ["car", "line"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from vehanchor.records import GsdEstimate
+from vehanchor.records.text import significant
 from vehanchor_server.calls.reply import MAX_SIDE_PX
 from vehanchor_server.errors import CallError
 from vehanchor_server.tools.messages import answer_of
@@ -58,6 +60,8 @@ async def run_measuring_call(
         *_hints_about_scale(options),
         *_hints_about_coordinates(all_points, options, reply.record),
     ]
+    if more:
+        hints += _hints_about_flight(reply.record)
     return reply, answer_of(reply.records, hints, detail)
 
 
@@ -96,6 +100,19 @@ def _hints_about_scale(options: CallerOptions) -> list[str]:
     if "gsd_m_per_px" in options and "gsd_tolerance" not in options:
         hints.append("The stated scale is taken as +- 10 %.")
     return hints
+
+
+def _hints_about_flight(record: AnyRecord) -> list[str]:
+    """State how a scale from several images is used to measure in the first of them."""
+    if not isinstance(record, GsdEstimate) or record.status != "ok":
+        return []
+    scale = record.scale
+    assert scale is not None  # every usable scale can be given back
+    half_width = (scale.gsd_ci95_high_m_per_px - scale.gsd_ci95_low_m_per_px) / 2
+    return [
+        f"To measure in this image, give gsd_m_per_px {significant(scale.gsd_m_per_px)}, "
+        f'gsd_tolerance {significant(half_width, 2)} and gsd_basis "measured".'
+    ]
 
 
 def _hints_about_coordinates(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
-from vehanchor.records.text import advice_for, by_hand_text, ruler_names, significant
+from vehanchor.records.advice import advice_for
+from vehanchor.records.text import by_hand_text, ruler_names, significant
 from vehanchor_server.calls.compact import brief, has_unknown_extent
 from vehanchor_server.calls.remedies import advice_on
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict
 
 from vehanchor.records import GsdEstimate
+from vehanchor.records.advice import Advice, advice_for
 from vehanchor.records.flat import flat_columns, flat_row
-from vehanchor.records.text import Advice, advice_for
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
@@ -71,7 +71,7 @@ class BatchRow(BaseModel):
         """Problem and remedy; None for a usable scale."""
         if self.error is None:
             return advice_for(self.estimate)
-        return Advice(self.error, "")  # The text of an error contains its remedy.
+        return Advice(self.error, ())  # The text of an error contains its remedy.
 
     def flat(self) -> dict[str, Any]:
         """Flatten the row to values by column; an image with an error has no estimate."""

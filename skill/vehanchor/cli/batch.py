@@ -134,10 +134,13 @@ def batch(
 def _print_summary(summary: BatchSummary, seconds: float) -> None:
     """Print advice for images without a usable scale, and the numbers of the run."""
     for n_rows, first in summary.causes:
-        # An error has its remedy in the first part, and no second one.
-        advice = "; ".join(filter(None, first.advice or ()))
+        assert first.advice is not None  # each cause has one
+        words = first.advice.why
+        # The text of an error contains its remedy.
+        if first.advice.helps:
+            words += f"; {first.advice.helps}"
         file = printable(first.file)
-        print(f"{n_rows} x {first.reason}, as in {file}: {advice}", file=sys.stderr)
+        print(f"{n_rows} x {first.reason}, as in {file}: {words}", file=sys.stderr)
     table = printable(str(summary.table))
     rows = f"{count(summary.n_rows, 'row')} ({counts_text(summary.statuses)})"
     if summary.n_resumed:

@@ -31,7 +31,8 @@ from vehanchor.cli.terminal import (
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
-from vehanchor.records.text import advice_for, count, scale_text, significant
+from vehanchor.records.advice import advice_for
+from vehanchor.records.text import count, scale_text, significant
 
 if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
@@ -239,9 +240,10 @@ def _facts(record: GsdEstimate) -> Facts:
     ]
     if other_rulers:
         facts += _ruler_facts(record)
-    advice = advice_for(record, "look at --overlay, then --drop what is not a car")
+    advice = advice_for(record)
     if advice is not None:
-        facts.append(("not usable", f"{advice.why}: {advice.helps}"))
+        helps = advice.in_words({"drop": "look at --overlay, then --drop what is not a car"})
+        facts.append(("not usable", f"{advice.why}: {helps}"))
     mode_px = record.mode_length_px
     if record.gsd_m_per_px is not None and mode_px is not None:
         facts.append(("modal length", _length_text(mode_px, record.details)))

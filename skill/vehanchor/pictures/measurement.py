@@ -11,8 +11,9 @@ from vehanchor.pictures.lettering import text_px, text_width, write_on
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, line_px, part_around
 from vehanchor.pictures.scale import Canvas, open_canvas
+from vehanchor.records.advice import advice_for
 from vehanchor.records.notices import NoticeCode
-from vehanchor.records.text import ADVICE, NO_SCALE, significant, with_interval
+from vehanchor.records.text import NO_SCALE, significant, with_interval
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.posterior import Mark
 
@@ -276,6 +277,7 @@ def _objection(record: AreaMeasurement | DistanceMeasurement) -> str:
         return ""
     if record.scale_confidence >= USABLE_CHANCE:
         return ""
-    if record.estimate is None or record.estimate.reason is None:
+    advice = advice_for(record.estimate)
+    if advice is None:
         return f"the scale's confidence is below {USABLE_CHANCE}"
-    return ADVICE[record.estimate.reason].why
+    return advice.why

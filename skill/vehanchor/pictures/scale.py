@@ -14,7 +14,8 @@ from vehanchor.imagery.raster import Window
 from vehanchor.pictures.lettering import put_text, stroke_px, text_px, text_width, write_on
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Cut, Placement, line_px
-from vehanchor.records.text import advice_for, by_hand_text, count, scale_text, significant
+from vehanchor.records.advice import advice_for
+from vehanchor.records.text import by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:

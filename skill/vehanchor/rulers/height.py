@@ -111,6 +111,7 @@ def _repeated(height_m: float) -> Notice:
         code=NoticeCode.HEIGHT_REPEATED,
         message=(
             f"The given height of {height_m:g} m repeats that of the file, so that it counts once. "
-            "If it was measured independently, leave out the metadata."
+            "If it was measured independently, leave out the metadata, and give the 35 mm "
+            "equivalent of the focal length."
         ),
     )

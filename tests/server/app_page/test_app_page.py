@@ -230,11 +230,10 @@ async def test_people_get_a_sentence_without_warnings_or_argument_names(
             sentences[name] = panel_of(result)["sentence"]
     assert sentences == {
         "two": "2 vehicles alone: too little evidence; give the region, or include one more car.",
-        "empty": "No car was found; draw a line over something of known size, or take a picture "
-        "with cars.",
-        "cars": "Vehicles and known length contradict each other; check them, or draw a line "
-        "over something of known "
-        "size. Vehicles corrected by hand: 8 dropped.",
+        "empty": "No car was found; draw a line over something of known size, if any is in sight, "
+        "or give the camera's height, or another photograph of the same flight with cars.",
+        "cars": "Vehicles and known length contradict each other; check the facts that you gave, "
+        "or draw a measured line. Vehicles corrected by hand: 8 dropped.",
     }
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -184,3 +185,25 @@ async def test_what_cannot_be_used_is_named_by_its_place(
             assert error_of(result).startswith(code), text_of(result)
             assert words in text_of(result)
             assert "/proc/" not in text_of(result)
+
+
+async def test_a_scale_from_several_images_measures_the_first_as_its_text_says(
+    server: MCPServer[object], flight: Path
+) -> None:
+    text = text_of(await called(server, "estimate_gsd", **_overlapping_call(flight)))
+    given = re.search(r"give gsd_m_per_px ([\d.]+), gsd_tolerance ([\d.]+) and gsd_basis", text)
+    assert given is not None, text
+    gsd, tolerance = map(float, given.groups())
+    line = {"points": [{"x": 10, "y": 10}, {"x": 110, "y": 10}]}
+    result = await called(
+        server,
+        "measure_distance",
+        flight / "here.png",
+        lines=[line],
+        gsd_m_per_px=gsd,
+        gsd_tolerance=tolerance,
+        gsd_basis="measured",
+    )
+    record = record_of(result)
+    assert record["status"] == "ok"
+    assert record["distance_m"] == pytest.approx(100 * gsd, rel=0.01)

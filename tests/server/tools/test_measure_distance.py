@@ -88,7 +88,7 @@ async def test_several_lines_are_several_answers_after_one_search(
         (
             {"lines": [{"points": [{"x": 1, "y": 1}, {"x": 900, "y": 5}]}]},
             "invalid_prompt",
-            "copy of 1024 x 819 px",
+            "picture of 1024 x 819 px",
         ),
         (
             {"lines": [{"points": [{"x": 0.1, "y": 0}, {"x": 0.9, "y": 1}]}]},

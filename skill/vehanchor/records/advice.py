@@ -1,0 +1,188 @@
+"""Advice for a scale that is not usable: the problem, and what would help.
+
+People and models read the same remedies, each in their own words: ``IN_WORDS`` is for people, and
+the server has those for models.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+
+from vehanchor.records.text import count
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from vehanchor.records import GsdEstimate, Reason
+
+Remedy: TypeAlias = Literal[
+    "original",
+    "aspect",
+    "nadir",
+    "lower",
+    "drop",
+    "cars",
+    "add",
+    "region",
+    "line",
+    "thing",
+    "measured",
+    "facts",
+    "elsewhere",
+    "vehicles",
+]
+
+IN_WORDS: Mapping[Remedy, str] = {
+    "original": "send the original image",
+    "aspect": "keep its aspect ratio",
+    "nadir": "take a picture straight down",
+    "lower": "fly lower, or send the full-resolution image",
+    "drop": "check what was taken for cars",
+    "cars": "include more cars",
+    "add": "include one more car",
+    "region": "give the region",
+    "line": "draw a line over something of known size",
+    "thing": "draw a line over something of known size, if any is in sight",
+    "measured": "measure one length or the height: no further assumed fact will help",
+    "facts": "check the facts that you gave, or draw a measured line",
+    "elsewhere": "give the camera's height, or another photograph of the same flight with cars",
+    "vehicles": "also use the ruler vehicles",
+}
+"""Remedies for people, as clauses in the imperative."""
+
+
+class Advice(NamedTuple):
+    """Advice for a scale that is not usable.
+
+    Attributes:
+        why: the problem, a clause without a full stop.
+        remedies: what would help, the best first.
+        also: further help in words; empty without any.
+    """
+
+    why: str
+    remedies: tuple[Remedy, ...]
+    also: str = ""
+
+    @property
+    def helps(self) -> str:
+        """The remedies for people."""
+        return self.in_words({})
+
+    def in_words(self, special: Mapping[Remedy, str]) -> str:
+        """Join the remedies for people, a clause in the imperative.
+
+        Args:
+            special: words for remedies that the caller's surface has its own means for.
+        """
+        words = [special.get(remedy, IN_WORDS[remedy]) for remedy in self.remedies]
+        if self.also:
+            words.append(self.also)
+        return ", or ".join(words)
+
+
+def advice_for(estimate: GsdEstimate | None) -> Advice | None:
+    """Find the advice for a record by its reason and by what else the record shows.
+
+    Args:
+        estimate: the record; None gives no advice.
+
+    Returns:
+        The advice; None for a usable scale.
+    """
+    if estimate is None or estimate.reason is None:
+        return None
+    find_cause = _CAUSES.get(estimate.reason)
+    if find_cause is None:
+        return _ADVICE[estimate.reason]
+    return find_cause(estimate)
+
+
+def region_would_help(estimate: GsdEstimate) -> bool:
+    """Test whether the caller may know a measured region, which makes the scale more precise."""
+    if not estimate.n_vehicles or _warns(estimate, "region_unmeasured"):
+        return False
+    return estimate.details.reference_source in ("model", "appearance")
+
+
+# One function a reason that has several causes: it finds the cause in the record.
+
+
+def _too_few(estimate: GsdEstimate) -> Advice:
+    why = "too little evidence"
+    if estimate.n_vehicles is None:
+        return Advice(why, ("vehicles", "line"))
+    if estimate.n_vehicles == 0:
+        return Advice("no car was found", _without_cars(estimate))
+    vehicles = count(estimate.n_vehicles, "vehicle")
+    if region_would_help(estimate):
+        return Advice(f"{vehicles} alone: too little evidence", ("region", "add"))
+    return Advice(why, ("add", "line"))
+
+
+def _without_cars(estimate: GsdEstimate) -> tuple[Remedy, ...]:
+    """Choose remedies for a picture without cars, which may show nothing of known size either."""
+    has_height = any(ruler.kind in ("camera", "height") for ruler in estimate.rulers)
+    if has_height:
+        return ("thing",)
+    return ("thing", "elsewhere")
+
+
+def _too_coarse(estimate: GsdEstimate) -> Advice:
+    if not estimate.n_vehicles:
+        return Advice(
+            "no car was found, and the scene looks too coarse for cars", ("original", "thing")
+        )
+    if _warns(estimate, "detail_missing"):
+        return Advice("the image is enlarged or blurred", ("original", "line"))
+    if estimate.mode_length_px is None:
+        return Advice("the vehicles have too little detail", ("lower", "line"))
+    return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ("lower", "line"))
+
+
+def _disagreement(estimate: GsdEstimate) -> Advice:
+    is_orthophoto = estimate.georeference_gsd_m_per_px is not None
+    if _warns(estimate, "tilt_suspected"):
+        why = "the camera was tilted by an unknown angle"
+        # An orthophoto has no metadata of a camera, and nobody can take it again.
+        return Advice(why, ("line",) if is_orthophoto else ("original", "nadir"))
+    if _warns(estimate, "stretched"):
+        why = "the image is stretched in one direction"
+        return Advice(why, ("line",) if is_orthophoto else ("original", "aspect"))
+    setting = [ruler for ruler in estimate.rulers if ruler.sets_scale]
+    if len(setting) > 1:
+        labels = " and ".join(ruler.label for ruler in setting)
+        return Advice(f"{labels} contradict each other", ("facts",))
+    # If only one ruler sets the scale, the scene-scale prior is what contradicts it.
+    scene = estimate.details.scene_scale
+    if scene is None:
+        return Advice("the evidence contradicts itself", ("drop", "line"))
+    why = f"the scene suggests a scale of about {scene.gsd_m_per_px:.2g} m/px"
+    if estimate.n_vehicles:
+        return Advice(why, ("drop", "line"))
+    return Advice(why, ("facts",))
+
+
+def _imprecise(estimate: GsdEstimate) -> Advice:
+    why = "the interval is too wide"
+    if estimate.n_vehicles is None:
+        return Advice(why, ("vehicles", "line"))
+    if region_would_help(estimate):
+        return Advice(why, ("region", "line"))
+    return Advice(why, ("line",))
+
+
+def _warns(estimate: GsdEstimate, code: str) -> bool:
+    return any(notice.code == code for notice in estimate.warnings)
+
+
+_ADVICE: Mapping[Reason, Advice] = {
+    "not_cars": Advice("the vehicles may not be cars", ("drop", "line")),
+    "assumed": Advice("it rests on assumed facts alone", ("measured", "elsewhere")),
+}
+_CAUSES: Mapping[Reason, Callable[[GsdEstimate], Advice]] = {
+    "too_few": _too_few,
+    "too_coarse": _too_coarse,
+    "disagree": _disagreement,
+    "imprecise": _imprecise,
+}
