@@ -90,6 +90,7 @@ def run_batch(
     details: bool = False,
     overwrite: bool = False,
     runtime: Runtime | None = None,
+    isolated: bool = False,
 ) -> BatchSummary:
     """Estimate the scales of many images, and write a table with one row per image.
 
@@ -115,6 +116,8 @@ def run_batch(
             stays until the new one is complete.
         runtime: providers of the models, each on one thread. Its progress is called with the
             numbers of finished and of all images.
+        isolated: whether a single worker has a process of its own, as several have. A decoder that
+            crashes then ends that process alone. Such processes import the main module again.
 
     Raises:
         ImageNotFoundError: a directory does not exist, or a directory or pattern has no image.
@@ -124,7 +127,7 @@ def run_batch(
         OutputError: the table exists and is complete, or cannot be written.
         ModelError: the detector cannot be used.
         MissingExtraError: Ray or pyarrow is not installed.
-        WorkerDiedError: a worker was killed.
+        WorkerDiedError: a worker died before it had an image, or Ray ended the run.
     """
     table = Path(output)
     options = options or ScaleOptions()
@@ -145,7 +148,7 @@ def run_batch(
         n_resumed = len(tasks) - len(missing)
         runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
-        new_rows = _compute_rows(engine, address, job, missing, workers=workers)
+        new_rows = _compute_rows(engine, address, job, missing, workers=workers, isolated=isolated)
         with closing(new_rows):
             n_finished = n_resumed
             for task, row in new_rows:
@@ -220,6 +223,7 @@ def _compute_rows(
     tasks: Sequence[Task],
     *,
     workers: int | None,
+    isolated: bool,
 ) -> Generator[tuple[Task, BatchRow]]:
     """Compute the rows of all tasks, in order of completion."""
     if not tasks:
@@ -229,7 +233,8 @@ def _compute_rows(
     else:
         n_tasks = len(tasks)
         n_workers = workers or local_workers(n_tasks)
-        yield from local_rows(job, tasks, min(n_workers, n_tasks))
+        is_pool = n_workers > 1 or isolated
+        yield from local_rows(job, tasks, min(n_workers, n_tasks), isolated=is_pool)
 
 
 def journal_path(table: Path) -> Path:
