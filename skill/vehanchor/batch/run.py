@@ -116,8 +116,7 @@ def run_batch(
             stays until the new one is complete.
         runtime: providers of the models, each on one thread. Its progress is called with the
             numbers of finished and of all images.
-        isolated: whether a single worker has a process of its own, as several have. A decoder that
-            crashes then ends that process alone. Such processes import the main module again.
+        isolated: whether a single worker has a process of its own, which imports the main module.
 
     Raises:
         ImageNotFoundError: a directory does not exist, or a directory or pattern has no image.
@@ -138,8 +137,7 @@ def run_batch(
     paths = find_images(inputs)
     tasks = [Task.of(path) for path in paths]
     job = _make_job(detector, classes, options=options, runtime=runtime)
-    lines_by_image = lines_in(known_lengths, [task.path for task in tasks])
-    job = replace(job, known_lengths=lines_by_image)
+    job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
 
     with open_journal(table, job, anew=overwrite) as journal:
         # A key contains the state of its image, so the row of a replaced image is missing.
