@@ -102,8 +102,7 @@ def run_batch(
     Args:
         inputs: directories, patterns and files; see ``find_images``.
         output: the table; its suffix selects the format (``write_table``).
-        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with
-            one model per actor.
+        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data.
         address: address of a Ray cluster; None starts one on this machine.
         workers: number of models that work in parallel; None for one per CPU of the machine or
             cluster.
@@ -114,8 +113,7 @@ def run_batch(
         details: write all columns.
         overwrite: start again, although a table or rows of another run exist; an existing table
             stays until the new one is complete.
-        runtime: providers of the models, each on one thread. Its progress is called with the
-            numbers of finished and of all images.
+        runtime: providers of the models, each on one thread, and the progress in images.
         isolated: whether a single worker has a process of its own, which imports the main module.
 
     Raises:
