@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import anyio.from_thread
 
 from vehanchor_server.calls.capacity import Capacity
+from vehanchor_server.calls.client import current_client
 from vehanchor_server.calls.job import PERCENT_DONE, Job
 from vehanchor_server.calls.task import Task, perform
 from vehanchor_server.calls.worker_process import WorkerLimits
@@ -109,7 +110,7 @@ class Services:
             await ctx.report_progress(PERCENT_DONE, PERCENT_DONE, "done")
             return reply
 
-        return await self.capacity.run(call)
+        return await self.capacity.run(call, current_client())
 
     def _run_blocking(
         self, task: Task[Record], stop: Stop, report: Callable[[float, str], None]

@@ -168,9 +168,9 @@ class OutputError(VehAnchorError, code="output_unwritable"):
 
 
 class WorkerDiedError(VehAnchorError, code="worker_died"):
-    """A worker process of a batch run was killed, usually for lack of memory.
+    """A worker process of a batch run died: a decoder crashed, or memory was short.
 
-    Finished rows are kept.
+    An image that ends its process twice has a row with this error. Finished rows are kept.
     """
 
 

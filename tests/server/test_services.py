@@ -51,9 +51,10 @@ async def test_progress_rises_in_three_to_five_reports(
 
 
 @pytest.mark.promise("places")
-async def test_over_capacity_a_call_is_refused_at_once(
-    settings: Settings, images: Path, tiles: Tiles
+async def test_a_call_that_finds_no_slot_is_refused(
+    settings: Settings, images: Path, tiles: Tiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("vehanchor_server.calls.capacity.MAX_WAIT_S", 0.1)
     services = create_services(replace(settings, max_concurrency=1))
     codes: list[str] = []
     async with Client(create_server(services)) as client, anyio.create_task_group() as group:

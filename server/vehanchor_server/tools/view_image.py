@@ -23,6 +23,7 @@ from vehanchor.records.text import count
 from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.base_model import FrozenModel
 from vehanchor_server.calls.capacity import Stop
+from vehanchor_server.calls.client import current_client
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
@@ -222,7 +223,7 @@ async def _list_images(services: Services, page: int) -> _Listing:
 
         return await services.capacity.in_thread(stop, walk)
 
-    names, total = await services.capacity.run(call)
+    names, total = await services.capacity.run(call, current_client())
     return _Listing(names, first, total=total, page=page)
 
 

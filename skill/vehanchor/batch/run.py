@@ -90,6 +90,7 @@ def run_batch(
     details: bool = False,
     overwrite: bool = False,
     runtime: Runtime | None = None,
+    isolated: bool = False,
 ) -> BatchSummary:
     """Estimate the scales of many images, and write a table with one row per image.
 
@@ -101,8 +102,7 @@ def run_batch(
     Args:
         inputs: directories, patterns and files; see ``find_images``.
         output: the table; its suffix selects the format (``write_table``).
-        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data with
-            one model per actor.
+        engine: ``local`` for processes of this machine, ``ray`` (extra ``ray``) for Ray Data.
         address: address of a Ray cluster; None starts one on this machine.
         workers: number of models that work in parallel; None for one per CPU of the machine or
             cluster.
@@ -113,8 +113,8 @@ def run_batch(
         details: write all columns.
         overwrite: start again, although a table or rows of another run exist; an existing table
             stays until the new one is complete.
-        runtime: providers of the models, each on one thread. Its progress is called with the
-            numbers of finished and of all images.
+        runtime: providers of the models, each on one thread, and the progress in images.
+        isolated: whether a single worker has a process of its own, which imports the main module.
 
     Raises:
         ImageNotFoundError: a directory does not exist, or a directory or pattern has no image.
@@ -124,7 +124,7 @@ def run_batch(
         OutputError: the table exists and is complete, or cannot be written.
         ModelError: the detector cannot be used.
         MissingExtraError: Ray or pyarrow is not installed.
-        WorkerDiedError: a worker was killed.
+        WorkerDiedError: a worker died before it had an image, or Ray ended the run.
     """
     table = Path(output)
     options = options or ScaleOptions()
@@ -135,8 +135,7 @@ def run_batch(
     paths = find_images(inputs)
     tasks = [Task.of(path) for path in paths]
     job = _make_job(detector, classes, options=options, runtime=runtime)
-    lines_by_image = lines_in(known_lengths, [task.path for task in tasks])
-    job = replace(job, known_lengths=lines_by_image)
+    job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
 
     with open_journal(table, job, anew=overwrite) as journal:
         # A key contains the state of its image, so the row of a replaced image is missing.
@@ -145,7 +144,7 @@ def run_batch(
         n_resumed = len(tasks) - len(missing)
         runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
-        new_rows = _compute_rows(engine, address, job, missing, workers=workers)
+        new_rows = _compute_rows(engine, address, job, missing, workers=workers, isolated=isolated)
         with closing(new_rows):
             n_finished = n_resumed
             for task, row in new_rows:
@@ -220,6 +219,7 @@ def _compute_rows(
     tasks: Sequence[Task],
     *,
     workers: int | None,
+    isolated: bool,
 ) -> Generator[tuple[Task, BatchRow]]:
     """Compute the rows of all tasks, in order of completion."""
     if not tasks:
@@ -229,7 +229,8 @@ def _compute_rows(
     else:
         n_tasks = len(tasks)
         n_workers = workers or local_workers(n_tasks)
-        yield from local_rows(job, tasks, min(n_workers, n_tasks))
+        is_pool = n_workers > 1 or isolated
+        yield from local_rows(job, tasks, min(n_workers, n_tasks), isolated=is_pool)
 
 
 def journal_path(table: Path) -> Path:

@@ -12,7 +12,7 @@ import typer
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.scale_option import KnownLengthsFile
 from vehanchor.cli.terminal import FAILED, counts_text, printable, resumable, work_progress
-from vehanchor.errors import InvalidParameterError
+from vehanchor.errors import InvalidParameterError, WorkerDiedError
 from vehanchor.records.text import count
 
 if TYPE_CHECKING:
@@ -122,12 +122,15 @@ def batch(
                 details=details,
                 overwrite=overwrite,
                 runtime=chosen.runtime(progress),
+                isolated=True,
             )
     _print_summary(summary, time.monotonic() - started)
     if summary.statuses.get("error", 0) == summary.n_rows:
         print(
             "no image could be used: the columns error_code and error explain why", file=sys.stderr
         )
+        raise typer.Exit(FAILED)
+    if any(first.reason == WorkerDiedError.code for _, first in summary.causes):
         raise typer.Exit(FAILED)
 
 

@@ -23,7 +23,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from vehanchor.errors import ImageDecodeError, ImageFormatError, MissingExtraError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS, read_header
 from vehanchor.imagery.formats.tiff import decoded_by_opencv
-from vehanchor.imagery.limits import check_block, check_bytes, check_header
+from vehanchor.imagery.limits import (
+    check_block,
+    check_bytes,
+    check_decoding_memory,
+    check_header,
+)
 
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
@@ -113,6 +118,12 @@ def _check_blocks(header: ImageHeader, source: str, limits: ImageLimits) -> None
             header.tile_px,
             samples=header.bands,
             sample_bytes=_OPENJPEG_SAMPLE_BYTES,
+            limits=limits,
+        )
+        check_decoding_memory(
+            f"{header.format}'s tiles",
+            header.structure_bytes,
+            size=f"{header.tile_px} px",
             limits=limits,
         )
         return

@@ -210,9 +210,13 @@ def _ground_scale(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> M
 def _use_stated_scale(
     raster: Raster, stated: StatedScale, options: ScaleOptions
 ) -> MeasurementScale:
-    decision = answer([stated_witness(stated)])
-    assert decision is not None
     gsd = stated.gsd_m_per_px
+    # The chance depends on the relative tolerance alone, so that a scale off the grid of the
+    # rulers, such as a satellite's, is judged like one on it.
+    relative_tolerance = stated.tolerance / gsd
+    judged = stated._replace(gsd_m_per_px=1.0, tolerance=relative_tolerance)
+    decision = answer([stated_witness(judged)])
+    assert decision is not None
     spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
     scale = MeasurementScale(
         gsd_m_per_px=gsd, spread=spread, confidence=decision.chance, source="given"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+from vehanchor.errors import InvalidParameterError
 from vehanchor.rulers.ruler import Ruler, as_assumed, point_witness
+from vehanchor.scale.density import GRID, on_grid
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.reliability import MEASURING, RELIABILITY
 
@@ -26,14 +29,28 @@ class StatedScale(Ruler):
     uses_plane = True
 
     def measure(self, view: View) -> Witness:
-        """Take the stated scale with its tolerance."""
+        """Take the stated scale with its tolerance.
+
+        Raises:
+            InvalidParameterError: as ``stated_witness``.
+        """
         stated = view.options.rulers.stated_scale
         assert stated is not None
         return stated_witness(stated)
 
 
 def stated_witness(stated: Stated) -> Witness:
-    """Make the witness of a stated scale."""
+    """Make the witness of a stated scale.
+
+    Raises:
+        InvalidParameterError: the scale is outside the range in which rulers are compared.
+    """
+    if not on_grid(stated.gsd_m_per_px):
+        raise InvalidParameterError(
+            f"gsd_m_per_px is {stated.gsd_m_per_px:g}: rulers are compared from "
+            f"{math.exp(GRID[0]):.2g} to {math.exp(GRID[-1]):.2g} m/px. Measure areas and "
+            "distances with it, without an estimate"
+        )
     witness = point_witness(
         StatedScale.kind,
         stated.gsd_m_per_px,

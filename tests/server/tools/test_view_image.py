@@ -309,6 +309,7 @@ async def test_a_listing_counts_as_a_call(tmp_path: Path, monkeypatch: pytest.Mo
         yield root / "a.png"
 
     monkeypatch.setattr(path_access, "_images_below", slow_walk)
+    monkeypatch.setattr("vehanchor_server.calls.capacity.MAX_WAIT_S", 0.1)
     settings = Settings(
         roots=(tmp_path,), isolation="in-process", max_concurrency=1, deadline_s=1.0
     )

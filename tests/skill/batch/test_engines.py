@@ -17,7 +17,6 @@ from tests.skill.batch.runs import run_command
 from vehanchor.batch import run_batch
 from vehanchor.batch.engines.local import local_workers
 from vehanchor.batch.run import journal_path
-from vehanchor.errors import WorkerDiedError
 from vehanchor.models.runtime import Runtime
 
 
@@ -47,20 +46,94 @@ def test_several_processes_write_the_same_table(
 
 
 @pytest.mark.slow
-def test_a_run_with_a_killed_process_can_be_resumed(detector: Path, table: Path) -> None:
+def test_a_run_survives_a_killed_process(expected: bytes, detector: Path, table: Path) -> None:
+    killed: list[int] = []
+
     def kill_workers(done: int, total: int) -> None:
-        if not done:
+        if not done or killed:
             return
         children = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
         for child in children.split():
             if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
                 os.kill(int(child), signal.SIGKILL)
+                killed.append(int(child))
 
-    inputs = [".", *(f"missing {n}.png" for n in range(20))]
     runtime = Runtime(progress=kill_workers)
-    with pytest.raises(WorkerDiedError, match="fewer --workers"):
-        run_batch(inputs, table, detector=detector, workers=2, runtime=runtime)
-    assert run_batch(["."], table, detector=detector, workers=1).n_rows == 4
+    run_batch(["."], table, detector=detector, workers=2, runtime=runtime)
+    assert killed
+    assert table.read_bytes() == expected
+
+
+# The decoder of one image ends its process. The script is a file, because spawned processes read it
+# again.
+POISONED_COMMAND = """
+import os, signal
+from vehanchor.batch.worker import Worker
+from vehanchor.cli.app import main
+
+make_row = Worker.row
+
+def crash(self, task):
+    if "poison" in task.file:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return make_row(self, task)
+
+Worker.row = crash
+if __name__ == "__main__":
+    main()
+"""
+
+
+class Poisoned(NamedTuple):
+    """A run over 12 images, two of which crash their worker.
+
+    Attributes:
+        status: exit status.
+        stderr: messages.
+        errors: code of the error of each file.
+    """
+
+    status: int
+    stderr: str
+    errors: dict[str, str]
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["one worker", "two workers"])
+def poisoned(
+    request: pytest.FixtureRequest,
+    detector: Path,
+    folder: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Poisoned:
+    path = tmp_path_factory.mktemp("poisoned")
+    for name in (*(f"{n:02}.png" for n in range(10)), "03_poison.png", "poison.png"):
+        (path / name).symlink_to(folder / "cars.png")
+    script = path / "run.py"
+    script.write_text(POISONED_COMMAND)
+    command = [sys.executable, str(script), "batch", ".", "--output", "t.csv"]
+    command += ["--detector", str(detector), "--workers", str(request.param)]
+    done = subprocess.run(command, cwd=path, capture_output=True, text=True, check=False)
+    with (path / "t.csv").open(newline="") as file:
+        errors = {row["file"]: row["error_code"] for row in csv.DictReader(file)}
+    return Poisoned(done.returncode, done.stderr, errors)
+
+
+@pytest.mark.slow
+def test_an_image_that_ends_its_process_has_a_row(poisoned: Poisoned) -> None:
+    died = [file for file, code in poisoned.errors.items() if code == "worker_died"]
+    assert died == ["03_poison.png", "poison.png"]
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_after_an_image_that_ends_its_process(poisoned: Poisoned) -> None:
+    assert len(poisoned.errors) == 12
+    assert list(poisoned.errors.values()).count("") == 10
+
+
+@pytest.mark.slow
+def test_the_exit_status_tells_of_a_dead_process(poisoned: Poisoned) -> None:
+    assert poisoned.status == 1
+    assert "2 x worker_died, as in 03_poison.png: this image ended the process" in poisoned.stderr
 
 
 # Each row takes a fifth of a second, so that there is time to interrupt the run. The script is a

@@ -21,6 +21,7 @@ from vehanchor.errors import (
     ScaleMismatchError,
     TooObliqueError,
 )
+from vehanchor.options import ScaleOptions
 from vehanchor.pictures.scale import write_picture
 from vehanchor.records import DistanceMeasurement, KnownScale
 from vehanchor.segmentation.segmenter import Segmenter
@@ -465,3 +466,23 @@ def test_the_command_reads_the_height_of_an_object(tmp_path: Path) -> None:
     result = CliRunner().invoke(cli.app, [str(word) for word in words])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["distance_m"] == pytest.approx(20)
+
+
+@pytest.mark.parametrize("gsd", [0.0001, 0.1, 50, 1000])
+def test_a_measured_scale_of_any_size_has_one_chance(gsd: float) -> None:
+    record = _with_measured_scale(gsd)
+    usual = _with_measured_scale(0.2)
+    assert record.distance_m == pytest.approx(100 * gsd)
+    assert record.scale_confidence == pytest.approx(usual.scale_confidence)
+
+
+def _with_measured_scale(gsd_m_per_px: float) -> DistanceMeasurement:
+    """Measure 100 px with a scale that was measured."""
+    options = ScaleOptions.of({"gsd_m_per_px": gsd_m_per_px, "gsd_basis": "measured"})
+    return vehanchor.measure_distance(pool_among_cars(0), [(10, 10), (110, 10)], options)
+
+
+@pytest.mark.parametrize("gsd", [0.0001, 50, 1000])
+def test_a_scale_that_no_ruler_can_have_is_not_compared(detector: Detector, gsd: float) -> None:
+    with pytest.raises(InvalidParameterError, match=r"rulers are compared from 0.003 to 3 m/px"):
+        vehanchor.estimate_gsd(pool_among_cars(0), detector=detector, gsd_m_per_px=gsd)

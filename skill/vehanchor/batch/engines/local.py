@@ -6,18 +6,18 @@ import multiprocessing
 import os
 import signal
 import threading
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from vehanchor.batch.row import BatchRow
 from vehanchor.batch.worker import Worker
 from vehanchor.errors import WorkerDiedError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from vehanchor.batch.row import BatchRow
     from vehanchor.batch.worker import BatchJob, Task
 
 # Each worker computes one task while the next one waits for it.
@@ -39,51 +39,158 @@ def local_workers(n_tasks: int) -> int:
 
 
 def local_rows(
-    job: BatchJob, tasks: Sequence[Task], workers: int
+    job: BatchJob, tasks: Sequence[Task], workers: int, *, isolated: bool = True
 ) -> Iterator[tuple[Task, BatchRow]]:
     """Make the rows of all tasks.
+
+    An image whose worker dies twice, the second time alone in its process, has a row with the
+    error; the run goes on.
 
     Args:
         job: settings of the workers.
         tasks: the images.
-        workers: number of processes; 1 uses this process alone.
+        workers: number of processes.
+        isolated: False uses this process alone, if there is one worker.
 
     Yields:
         Each task with its row, in order of completion.
 
     Raises:
-        WorkerDiedError: a process was killed, usually for lack of memory.
+        WorkerDiedError: a process died before it had an image, usually for lack of memory.
         ModelError: the model cannot be loaded.
     """
-    if workers == 1:
+    if workers == 1 and not isolated:
         worker = Worker(job)
         for task in tasks:
             yield task, worker.row(task)
         return
 
+    waiting = iter(tasks)
+    in_flight: dict[Future[BatchRow], Task] = {}
+    alone = IsolatedWorker(job)
+    try:
+        while True:
+            pool = _pool(job, workers)
+            try:
+                yield from _rows_of_pool(pool, waiting, in_flight, workers=workers)
+                return
+            except BrokenProcessPool:
+                # The pool does not tell whose worker died: each image has a process of its own.
+                suspects = list(in_flight.values())
+                in_flight.clear()
+            finally:
+                pool.shutdown(cancel_futures=True)
+            for task in suspects:
+                yield task, alone.row(task)
+    finally:
+        alone.close()
+
+
+def _rows_of_pool(
+    pool: ProcessPoolExecutor,
+    waiting: Iterator[Task],
+    in_flight: dict[Future[BatchRow], Task],
+    *,
+    workers: int,
+) -> Iterator[tuple[Task, BatchRow]]:
+    """Make rows in a pool until all tasks are done, or the pool breaks.
+
+    Args:
+        pool: the pool.
+        waiting: tasks that have not been submitted.
+        in_flight: submitted tasks without a row, by their futures.
+        workers: number of processes of the pool.
+
+    Yields:
+        Each task with its row, in order of completion.
+
+    Raises:
+        BrokenProcessPool: a process died; ``in_flight`` holds the tasks that have no row.
+    """
+    # Submit a few tasks at a time: a million futures would fill the memory.
+    n_new = _TASKS_PER_WORKER * workers
+    while True:
+        for task in islice(waiting, n_new):
+            in_flight[_submit(pool, task)] = task
+        if not in_flight:
+            return
+        done, _ = wait(in_flight, return_when=FIRST_COMPLETED)
+        for future in done:
+            row = future.result()
+            yield in_flight.pop(future), row
+        n_new = len(done)
+
+
+def _submit(pool: ProcessPoolExecutor, task: Task) -> Future[BatchRow]:
+    """Submit a task; a broken pool returns a future with its error, so that no task is lost."""
+    try:
+        return pool.submit(_make_row, task)
+    except BrokenProcessPool as error:
+        failed: Future[BatchRow] = Future()
+        failed.set_exception(error)
+        return failed
+
+
+class IsolatedWorker:
+    """Worker in a process of its own, which is replaced after it has died.
+
+    Args:
+        job: settings of the worker.
+    """
+
+    def __init__(self, job: BatchJob) -> None:
+        self._job = job
+        self._pool: ProcessPoolExecutor | None = None
+
+    def row(self, task: Task) -> BatchRow:
+        """Make the row of one image; the death of the process goes into the row, too.
+
+        Raises:
+            WorkerDiedError: the process died before it had the image.
+            ModelError: the model cannot be loaded.
+        """
+        pool = self._started_pool()
+        try:
+            return pool.submit(_make_row, task).result()
+        except BrokenProcessPool:
+            self.close()
+            return BatchRow.failed(
+                task.file,
+                WorkerDiedError(
+                    "this image ended the process that read it: its decoder crashed, or took too "
+                    "much memory. Save it again in another format"
+                ),
+            )
+
+    def _started_pool(self) -> ProcessPoolExecutor:
+        if self._pool is not None:
+            return self._pool
+        pool = _pool(self._job, workers=1)
+        try:
+            pool.submit(os.getpid).result()
+        except BrokenProcessPool:
+            raise WorkerDiedError(
+                "a worker process died before it had an image, usually for lack of memory: each "
+                "holds a model and an image. Finished rows are kept; run the same command again "
+                "with fewer --workers"
+            ) from None
+        self._pool = pool
+        return pool
+
+    def close(self) -> None:
+        """End the process."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+
+
+def _pool(job: BatchJob, workers: int) -> ProcessPoolExecutor:
+    """Make a pool of processes, each with a worker."""
     # A forked copy of a process with threads can deadlock, so each worker starts anew.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(
+    return ProcessPoolExecutor(
         workers, mp_context=context, initializer=_start_worker, initargs=(job,)
     )
-    waiting = iter(tasks)
-    try:
-        # Submit a few tasks at a time: a million futures would fill the memory.
-        first_tasks = islice(waiting, _TASKS_PER_WORKER * workers)
-        running = {pool.submit(_make_row, task) for task in first_tasks}
-        while running:
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            next_tasks = islice(waiting, len(done))
-            running |= {pool.submit(_make_row, task) for task in next_tasks}
-            for future in done:
-                yield future.result()
-    except BrokenProcessPool:
-        raise WorkerDiedError(
-            f"a worker process died, usually for lack of memory: each of {workers} held a model "
-            "and an image. Finished rows are kept; run the same command again with fewer --workers"
-        ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _start_worker(job: BatchJob) -> None:
@@ -102,6 +209,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _make_row(task: Task) -> tuple[Task, BatchRow]:
+def _make_row(task: Task) -> BatchRow:
     assert _worker is not None  # The pool starts each process with _start_worker.
-    return task, _worker.row(task)
+    return _worker.row(task)

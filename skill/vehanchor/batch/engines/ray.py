@@ -9,8 +9,9 @@ import socket
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from vehanchor.batch.engines.local import IsolatedWorker
 from vehanchor.batch.row import BatchRow
-from vehanchor.batch.worker import Task, Worker
+from vehanchor.batch.worker import Task
 from vehanchor.errors import InvalidParameterError, MissingExtraError, WorkerDiedError
 
 if TYPE_CHECKING:
@@ -41,15 +42,19 @@ def require_ray() -> Any:
 
 
 class _Actor:
-    """Actor with one model; Ray Data calls it with blocks of tasks."""
+    """Actor with one model; Ray Data calls it with blocks of tasks.
+
+    The model has a process of its own: Ray would start an actor that a decoder ends again and
+    again, for the same image.
+    """
 
     def __init__(self) -> None:
-        self._worker: Worker | None = None
+        self._worker: IsolatedWorker | None = None
 
     def __call__(self, block: dict[str, Any], job: BatchJob) -> dict[str, Any]:
         # The constructor does not load the model, because Ray warns of its arguments.
         if self._worker is None:
-            self._worker = Worker.for_this_process(job)
+            self._worker = IsolatedWorker(job)
         rows = []
         for file, path in zip(block["file"], block["path"], strict=True):
             task = Task(str(file), os.fsdecode(path))

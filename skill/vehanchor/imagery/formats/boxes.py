@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 _MAX_BOXES = 1000
 """Maximum number of boxes in one box; real files have a dozen."""
 
+_MAX_DEPTH = 8
+"""Maximum depth of boxes within boxes; real files have three."""
+
 _STILL_FORMATS = {b"avif": "AVIF", b"heic": "HEIC", b"heix": "HEIC"}
 """Formats of still images by brand; the brands hevc, hevx and avis are sequences."""
 
@@ -77,3 +80,30 @@ def boxes(read_at: ReadAt, start: int = 0, end: int | None = None) -> Iterator[B
         yield Box(kind, content, box_end)
         start = box_end
     raise ImageTooLargeError(f"the image has more than {_MAX_BOXES} boxes; save it again")
+
+
+def check_nested_boxes(
+    read_at: ReadAt, parent: Box, superboxes: frozenset[bytes], depth: int = 1
+) -> None:
+    """Check the lengths of all boxes within a box; only the last box of a file may lack one.
+
+    Args:
+        read_at: reads bytes of the file.
+        parent: the box.
+        superboxes: kinds of boxes that contain boxes.
+        depth: number of boxes around its content.
+
+    Raises:
+        ImageDecodeError: a box has an impossible length, or none.
+        ImageTooLargeError: there are more boxes than a photograph needs.
+    """
+    if depth > _MAX_DEPTH:
+        raise ImageTooLargeError(
+            f"the image has more than {_MAX_DEPTH} boxes within each other; save it again"
+        )
+    for box in boxes(read_at, parent.start, parent.end):
+        has_length = read_at(box.start - 8, 4) != bytes(4)
+        if not has_length:
+            raise ImageDecodeError(f"the image's box {box.kind!r} has no length: damaged")
+        if box.kind in superboxes:
+            check_nested_boxes(read_at, box, superboxes, depth + 1)
