@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -196,3 +197,40 @@ def test_the_images_have_this_version() -> None:
     image = f"vehanchor:{__version__}"
     assert pod_container()["image"] == image
     assert COMPOSE["services"]["vehanchor"]["image"] == image
+
+
+NGINX = (DEPLOY / "nginx.conf").read_text()
+NGINX_SERVICE = COMPOSE["services"]["nginx"]
+# Connections of a call: the caller's and to http in the front, from the front and to a replica in http.
+CONNECTIONS_PER_CALL = 4
+# Pools and buffers of a request that nginx does not let one set.
+REQUEST_KIB = 8
+# nginx without a call, measured.
+IDLE_KIB = 8 << 10
+
+
+def _kib(text: str) -> int:
+    """A size of nginx or Compose, such as 16k and 128m, in KiB."""
+    factors = {"k": 1, "m": 1024, "g": 1024**2}
+    return int(text[:-1]) * factors[text[-1]]
+
+
+def _directive(name: str) -> list[int]:
+    """All values of a directive that is a size, in KiB."""
+    return [_kib(value) for value in re.findall(rf"\b{name} (\d+[km]);", NGINX)]
+
+
+@pytest.mark.promise("deployment")
+def test_the_memory_of_nginx_is_enough_for_all_its_connections() -> None:
+    connections = int(re.findall(r"worker_connections (\d+);", NGINX)[0])
+    calls = connections // CONNECTIONS_PER_CALL
+    front, answer = _directive("proxy_buffer_size")
+    (body,) = _directive("client_body_buffer_size")
+    per_call = 2 * front + body + answer + REQUEST_KIB
+    (temporary,) = re.findall(r"size=(\d+m)", NGINX_SERVICE["tmpfs"][0])
+    limit = _kib(NGINX_SERVICE["deploy"]["resources"]["limits"]["memory"])
+    assert calls * per_call + _kib(temporary) + IDLE_KIB <= limit
+
+
+def test_nginx_stores_no_body() -> None:
+    assert "proxy_request_buffering off;" in NGINX

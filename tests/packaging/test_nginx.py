@@ -39,7 +39,11 @@ MAX_LOAD_S = 400
 N_HONEST = 40
 N_IDLE = 512
 IDLE_FOR_S = 30.0
+# Requests of a stranger whose heads never end: more than nginx has connections.
+N_UNFINISHED = 5_000
+STRANGER = "127.0.0.9"
 MAX_WAIT_S = 1.0
+STREAM_MODULE = Path("/usr/lib/nginx/modules/ngx_stream_module.so")
 Call = tuple[dict[str, Any], float | None]
 """Argument with an image, and the scale that must come back."""
 
@@ -73,7 +77,7 @@ class Deployment:
 
 @pytest.fixture
 def deployment(tmp_path: Path) -> Iterator[Deployment]:
-    needed_program("nginx", "apt-get install nginx-light")
+    needed_program("nginx", "apt-get install nginx-light libnginx-mod-stream")
     images = tmp_path / "images"
     images.mkdir()
     calls: list[Call] = []
@@ -100,7 +104,7 @@ def _host_and_port(url: str) -> str:
 @contextmanager
 def nginx_before(addresses: list[str], tmp_path: Path) -> Iterator[str]:
     """Start nginx as in the deployment, before these servers; return its URL."""
-    nginx = needed_program("nginx", "apt-get install nginx-light")
+    nginx = needed_program("nginx", "apt-get install nginx-light libnginx-mod-stream")
     port = free_port()
     configuration = tmp_path / "nginx.conf"
     configuration.write_text(_configuration(addresses, tmp_path, port))
@@ -117,10 +121,21 @@ def nginx_before(addresses: list[str], tmp_path: Path) -> Iterator[str]:
             assert process.poll() is None, (tmp_path / "error.log").read_text()
             assert time.monotonic() < deadline
             time.sleep(0.05)
+        while not _listens(port):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
         yield f"http://127.0.0.1:{port}/mcp"
     finally:
         process.send_signal(signal.SIGQUIT)
         process.wait(30)
+
+
+def _listens(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except ConnectionRefusedError:
+        return False
+    return True
 
 
 def _configuration(addresses: list[str], tmp_path: Path, port: int) -> str:
@@ -132,6 +147,9 @@ def _configuration(addresses: list[str], tmp_path: Path, port: int) -> str:
     text = text.replace(rule.group(), servers)
     text = text.replace("listen 8080;", f"listen 127.0.0.1:{port};")
     text = text.replace("/tmp/", f"{tmp_path}/")
+    # Debian's nginx loads the front's module; that of the container has it.
+    if STREAM_MODULE.exists():
+        text = f"load_module {STREAM_MODULE};\n{text}"
     return text.replace("/dev/stdout", f"{tmp_path}/access.log")
 
 
@@ -264,6 +282,57 @@ def test_idle_connections_do_not_delay_honest_calls(tmp_path: Path) -> None:
     )
     # The machine may be busy.
     assert max(beside) < 2 * max(alone) + MAX_WAIT_S
+
+
+def test_unfinished_heads_of_one_address_do_not_stop_others(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        server = stack.enter_context(http_server("--threads", "1"))
+        url = stack.enter_context(nginx_before([_host_and_port(server.url)], tmp_path))
+        host, port = _host_and_port(url).split(":")
+        held = 0
+        for _ in range(N_UNFINISHED):
+            with suppress(OSError):
+                connection = socket.create_connection((host, int(port)), 5, (STRANGER, 0))
+                stack.callback(connection.close)
+                connection.sendall(b"POST /mcp HTTP/1.1\r\n")
+        time.sleep(1)
+        for _ in range(N_HONEST):
+            answer = httpx2.post(url, timeout=60, **discover())
+            held += answer.status_code == 200
+        assert held == N_HONEST
+
+
+def test_the_log_has_the_address_of_the_caller(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        server = stack.enter_context(http_server("--threads", "1"))
+        url = stack.enter_context(nginx_before([_host_and_port(server.url)], tmp_path))
+        transport = httpx2.HTTPTransport(local_address=STRANGER)
+        with httpx2.Client(transport=transport) as client:
+            assert client.post(url, timeout=60, **discover()).status_code == 200
+        deadline = time.monotonic() + 5
+        log = tmp_path / "access.log"
+        while not log.read_text() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert log.read_text().startswith(f"{STRANGER} ")
+
+
+def test_bodies_are_not_stored(tmp_path: Path) -> None:
+    """Five bodies of 31 MiB without a token filled the memory of nginx."""
+    body = b"x" * (31 << 20)
+    with ExitStack() as stack:
+        server = stack.enter_context(http_server("--threads", "1"))
+        url = stack.enter_context(nginx_before([_host_and_port(server.url)], tmp_path))
+        with ThreadPoolExecutor(5) as pool:
+            list(pool.map(lambda _: _send_slowly(url, body), range(5)))
+        stored = [path for path in (tmp_path / "client_body").rglob("*") if path.is_file()]
+        assert not stored
+        assert not re.search("buffered to a temporary file", (tmp_path / "error.log").read_text())
+
+
+def _send_slowly(url: str, body: bytes) -> None:
+    """Send a body; the server may answer and close before its end."""
+    with suppress(httpx2.TransportError):
+        httpx2.post(url, content=body, timeout=60)
 
 
 class IdleConnections:
