@@ -77,12 +77,32 @@ def exit_on_error() -> Iterator[None]:
         if os.environ.get("VEHANCHOR_TRACEBACK"):
             raise
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        if isinstance(error, ImportError):
+            _exit_on_unmet_requirement(error)
         print(
             f"error[internal_error]: {printable(reason)}. This is a defect of vehanchor; for "
             "details, set VEHANCHOR_TRACEBACK=1",
             file=sys.stderr,
         )
         raise typer.Exit(UNFORESEEN) from None
+
+
+def _exit_on_unmet_requirement(error: ImportError) -> None:
+    """Exit with the package that a failed import lacks; return if the error is our own.
+
+    Another project's requirements in the same environment can replace a package by an older one.
+    """
+    from vehanchor.cli.requirements import unmet_requirement
+
+    unmet = unmet_requirement(error)
+    if unmet is None:
+        return
+    print(
+        f"error[installation_incomplete]: {printable(str(error))}: {unmet}. Install it again in an "
+        "environment of its own: pip install vehanchor",
+        file=sys.stderr,
+    )
+    raise typer.Exit(BAD_INPUT)
 
 
 @contextmanager
