@@ -102,7 +102,7 @@ def scale_reply(
 
 
 def part_window(raster: Raster, request: PictureRequest) -> Window:
-    """Return the part that a picture shows, in whole pixels; all of the image without one.
+    """Return the part that a picture shows, in whole square pixels; all of the image without one.
 
     Raises:
         PromptError: the part is outside the image, or too small.
@@ -113,7 +113,7 @@ def part_window(raster: Raster, request: PictureRequest) -> Window:
     corners = request.part
     if corners is None:
         return Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
-    coordinates = CoordinateFrame(request.frame, raster.width_px, raster.height_px)
+    coordinates = CoordinateFrame(request.frame, raster.grid)
     if not coordinates.inside(corners):
         numbers = ", ".join(f"{value:g}" for corner in corners for value in corner)
         hint = coordinates.other_reading(corners)
