@@ -173,8 +173,9 @@ class _Samples:
         centres = (np.arange(start, start + length) + 0.5) / per_file - 0.5
         places = np.clip(centres, 0, side_px - 1)
         lower = np.floor(places).astype(np.intp)
-        upper = np.minimum(lower + 1, side_px - 1)
         shares = np.rint((places - lower) * _WEIGHT_UNIT).astype(np.uint16)
+        # A pixel that alone counts needs no neighbour, which the border may lack.
+        upper = lower + (shares > 0)
         return cls(lower, upper, shares)
 
     def interpolated(self, pixels: RgbImage, *, axis: int) -> RgbImage:
