@@ -143,6 +143,8 @@ class Detections:
         stretch: above 1 if the vehicles say that the image is too wide, below -1 if it is too high,
             see ``vehanchor.detection.proportions``; None for a single vehicle, without a verifier,
             or before the end of the search.
+        stretch_log_odds: log odds of the vehicles' look in a stretched image over that in a true
+            one; None if it was not measured.
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
     """
@@ -157,6 +159,7 @@ class Detections:
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
     stretch: float | None = None
+    stretch_log_odds: float | None = None
     corrections: Corrections | None = None
     n_skipped: int = 0
 

@@ -40,8 +40,8 @@ async def test_lines_in_both_directions_have_their_lengths(
 
 async def test_a_scale_names_both_sides_of_a_pixel(server: MCPServer[object], oblong: Path) -> None:
     south = {"x1": 100, "y1": 50, "x2": 100, "y2": 50 + 200 / ASPECT, "metres": 20.0}
-    facts = {"known_lengths": [{**south, "basis": "measured"}]}
-    result = await called(server, "estimate_gsd", oblong, **facts)
+    line = {**south, "basis": "measured"}
+    result = await called(server, "estimate_gsd", oblong, known_lengths=[line])
     assert "not square: 0.100 m across, 0.145 m down" in text_of(result)
 
 
