@@ -23,6 +23,7 @@ class ImageFacts(NamedTuple):
         camera: the camera's metadata; None without any.
         image_id: checksum of the image; empty if unknown.
         file_grid: pixels of the file; None if they are square.
+        density_aspect: height of a pixel over its width by the density in the header, a hint.
     """
 
     width_px: int
@@ -32,6 +33,7 @@ class ImageFacts(NamedTuple):
     camera: CameraMetadata | None = None
     image_id: str = ""
     file_grid: PixelGrid | None = None
+    density_aspect: float = 1.0
 
     @property
     def grid(self) -> PixelGrid:
@@ -50,4 +52,5 @@ def image_facts(raster: Raster) -> ImageFacts:
         camera=raster.camera,
         image_id=image_id(raster),
         file_grid=file_grid,
+        density_aspect=raster.density_aspect,
     )

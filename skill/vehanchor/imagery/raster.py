@@ -100,6 +100,7 @@ class Raster(ABC):
         ground: georeference of the image; None without one.
         pixel_aspect: height of a pixel over its width, both on the ground, by the file; 1 for
             square pixels and without such a fact.
+        density_aspect: the same by the density in the header, which is a hint; 1 without one.
         in_memory: whether all pixels are decoded.
         encoded: path or bytes of the file that is read by windows; None if unknown.
         cached_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
@@ -108,6 +109,7 @@ class Raster(ABC):
     camera: CameraMetadata | None = None
     ground: Ground | None = None
     pixel_aspect = 1.0
+    density_aspect = 1.0
     in_memory = False
     encoded: str | bytes | None = None
     cached_id = ""

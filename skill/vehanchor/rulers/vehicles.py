@@ -57,6 +57,7 @@ from vehanchor.scale.reliability import (
     RELIABILITY,
     CoarseErrors,
     appearance_error,
+    log_odds_by_density,
     uncalibrated_wrong,
     unresolved,
 )
@@ -412,7 +413,9 @@ class Vehicles(Ruler):
             return vehicles
         # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None
-        log_odds = detections.stretch_log_odds if plane is None else None
+        log_odds = None
+        if plane is None and detections.stretch_log_odds is not None:
+            log_odds = detections.stretch_log_odds + log_odds_by_density(view.image.density_aspect)
         return replace(
             vehicles.with_votes(),
             stretch_log_odds=log_odds,

@@ -206,6 +206,25 @@ def chance_of_stretch(log_odds: float) -> float:
     return odds / (1 + odds)
 
 
+_OBLONG_DENSITY = 1.1
+_STRETCHED_SHARE_BY_DENSITY = 0.1
+
+
+def log_odds_by_density(aspect: float) -> float:
+    """Compute the log odds of a stretch that a header's density adds; 0 if its pixels are square.
+
+    Programs often write a wrong density, so that one stretched image in ten is a choice.
+
+    Args:
+        aspect: height of a pixel over its width by the density.
+    """
+    if max(aspect, 1 / aspect) < _OBLONG_DENSITY:
+        return 0.0
+    hinted = _STRETCHED_SHARE_BY_DENSITY / (1 - _STRETCHED_SHARE_BY_DENSITY)
+    usual = STRETCHED_SHARE / (1 - STRETCHED_SHARE)
+    return math.log(hinted / usual)
+
+
 NO_CARS = Shared("look-alikes", 0.0, _DOUBTED)
 """Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. One
 of 204 fleets is taken for look-alikes."""

@@ -35,6 +35,7 @@ from vehanchor.imagery.formats.heif import HEIC
 from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.limits import check_bytes
 from vehanchor.imagery.metadata.camera import read_camera
+from vehanchor.imagery.metadata.density import density_aspect
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size
 from vehanchor.imagery.sources.files import spelled_as_stored
@@ -197,6 +198,7 @@ def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
         pixels, source, reading.bands, bgr=True, orientation=orientation, alpha=has_alpha
     )
     raster.camera = read_camera(read_at, header)
+    raster.density_aspect = density_aspect(read_at)
     return raster
 
 
