@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,9 +17,11 @@ pytestmark = pytest.mark.anyio
 
 
 @pytest.fixture
-def oblong(images: Path) -> Path:
+def oblong(images: Path) -> Iterator[Path]:
     """A picture of 640 x 512 square pixels in a file of fewer rows."""
-    return in_degrees(images / "oblong.tif", paint_scene(640, 512), 0.1)
+    path = in_degrees(images / "oblong.tif", paint_scene(640, 512), 0.1)
+    yield path
+    path.unlink()
 
 
 async def test_lines_in_both_directions_have_their_lengths(
