@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
 LEAST_ASPECT = 1.01
@@ -58,11 +57,11 @@ class PixelGrid:
         return round(self.height_px * max(1.0, self.aspect))
 
     @property
-    def square_per_file(self) -> NDArray[np.float64]:
-        """``[2]`` square pixels per pixel of the file, across and down."""
+    def square_per_file(self) -> tuple[float, float]:
+        """Square pixels per pixel of the file, across and down."""
         across = self.square_width_px / self.width_px
         down = self.square_height_px / self.height_px
-        return np.array([across, down])
+        return across, down
 
     @property
     def stated_aspect(self) -> float | None:
@@ -70,15 +69,19 @@ class PixelGrid:
         if self.is_square:
             return None
         across, down = self.square_per_file
-        return float(down / across)
+        return down / across
 
     def to_file(self, points: Any) -> NDArray[np.float64]:
         """Convert points ``[..., 2]`` of square pixels to pixels of the file."""
+        import numpy as np  # late, because help and the server start without it
+
         converted: NDArray[np.float64] = np.asarray(points, np.float64) / self.square_per_file
         return converted
 
     def to_square(self, points: Any) -> NDArray[np.float64]:
         """Convert points ``[..., 2]`` of the file's pixels to square pixels."""
+        import numpy as np  # late, because help and the server start without it
+
         converted: NDArray[np.float64] = np.asarray(points, np.float64) * self.square_per_file
         return converted
 
@@ -93,6 +96,8 @@ class PixelGrid:
         """
         if self.is_square:
             return mask
+        import numpy as np  # late, as above
+
         across, down = self.square_per_file
         columns = ((np.arange(self.width_px) + 0.5) * across).astype(np.intp)
         rows = ((np.arange(self.height_px) + 0.5) * down).astype(np.intp)
