@@ -76,7 +76,7 @@ class SearchedImage:
             InvalidParameterError: the search did not measure the detail for this alpha.
             KnownLengthError: a line of known length leaves the image.
         """
-        options = options.in_pixels(self.image.width_px, self.image.height_px)
+        options = options.in_pixels(self.image.grid)
         share = self._detail_share_of(options.lengths.alpha)
         view = View(
             self.image,

@@ -189,6 +189,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         n_skipped=sum(part.n_skipped for part in detections),
         stopped_because=first_stop,
         stretch=_pooled_stretch(detections),
+        stretch_log_odds=_pooled_log_odds(detections),
     )
 
 
@@ -246,6 +247,17 @@ def _pooled_stretch(detections: Sequence[Detections]) -> float | None:
     if not stretches:
         return None
     return float(np.average(stretches, weights=counts))
+
+
+def _pooled_log_odds(detections: Sequence[Detections]) -> float | None:
+    """Combine the log odds of a stretch: the mean, times the root of the number of photographs.
+
+    Photographs of one flight share their vehicles and their errors in part.
+    """
+    log_odds = [part.stretch_log_odds for part in detections if part.stretch_log_odds is not None]
+    if not log_odds:
+        return None
+    return float(np.mean(log_odds) * np.sqrt(len(log_odds)))
 
 
 def combined_density(densities: Sequence[Density], gain: float) -> Density:

@@ -16,6 +16,7 @@ from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLarge
 from vehanchor.imagery.limits import check_side
 from vehanchor.options import ImageLimits
 from vehanchor.options.option import Limits
+from vehanchor.options.pixel_grid import MAX_ASPECT, PixelGrid, usable_aspect
 from vehanchor_flight.inputs import InputPhotograph
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ def sample_video(
     """Sample a video at regular intervals.
 
     The sharpest of five frames of each interval is kept. One frame is held in memory at a time.
+    Frames have the size at which they are displayed: square pixels, at least as many as stored.
     FFmpeg may use only the demuxer of the file's signature, and only this file: a playlist that
     names other files is not a video.
 
@@ -91,7 +93,7 @@ def sample_video(
         rate = float(film.get(cv2.CAP_PROP_FPS))
         if not 0 < rate < 1e4:
             raise _unreadable(path)
-        _check_frame(film, limits or ImageLimits())
+        grid = _checked_grid(film, limits or ImageLimits())
         interval = max(1, round(step_s * rate))
         trials = {round(trial * interval / _N_TRIALS) for trial in range(_N_TRIALS)}
         sharpest: _SharpFrame | None = None
@@ -103,7 +105,7 @@ def sample_video(
                 yield _photograph(path, sharpest, rate)
                 sharpest = None
             if position in trials:
-                candidate = _retrieve(film, number)
+                candidate = _retrieve(film, number, grid)
                 sharpest = _sharper(sharpest, candidate)
             number += 1
         if sharpest is not None:
@@ -124,12 +126,16 @@ def _sharper(
     return second
 
 
-def _retrieve(film: cv2.VideoCapture, number: int) -> _SharpFrame | None:
-    """Convert the frame that was grabbed last to pixels; None if it is damaged."""
+def _retrieve(film: cv2.VideoCapture, number: int, grid: PixelGrid) -> _SharpFrame | None:
+    """Convert the frame that was grabbed last to square pixels; None if it is damaged."""
     is_readable, frame = film.retrieve()
     if not is_readable:
         return None
     pixels = np.asarray(frame, dtype=np.uint8)
+    if not grid.is_square:
+        display_size = (grid.square_width_px, grid.square_height_px)
+        resized = cv2.resize(pixels, display_size, interpolation=cv2.INTER_LINEAR)
+        pixels = np.asarray(resized, dtype=np.uint8)
     return _SharpFrame(sharpness(pixels), number, pixels)
 
 
@@ -202,16 +208,40 @@ def _is_transport_stream(head: bytes, prefix: int = 0) -> bool:
     return first_byte == second_byte == _PACKET_SYNC
 
 
-def _check_frame(film: cv2.VideoCapture, limits: ImageLimits) -> None:
-    """Check the declared size of the frames, before one is decoded."""
+def _checked_grid(film: cv2.VideoCapture, limits: ImageLimits) -> PixelGrid:
+    """Check the declared size of the frames, as stored and as displayed, before one is decoded.
+
+    An anamorphic film is displayed in square pixels; its sample aspect ratio is their stored width
+    over their height.
+    """
     width = int(film.get(cv2.CAP_PROP_FRAME_WIDTH))
     height = int(film.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    _check_frame(width, height, limits)
+    grid = PixelGrid(width, height, _pixel_aspect(film))
+    _check_frame(grid.square_width_px, grid.square_height_px, limits)
+    return grid
+
+
+def _check_frame(width: int, height: int, limits: ImageLimits) -> None:
+    """Check the size of a frame."""
     if width * height > limits.max_pixels:
         raise ImageTooLargeError(
             f"the video declares frames of {width} x {height} px, the limit is "
             f"{limits.max_pixels} pixels (--max-megapixels, ImageLimits.max_pixels)"
         )
     check_side(width, height)
+
+
+def _pixel_aspect(film: cv2.VideoCapture) -> float:
+    """Read the height of a film's pixel over its width; 1 if it is unknown or absurd."""
+    across = film.get(cv2.CAP_PROP_SAR_NUM)
+    down = film.get(cv2.CAP_PROP_SAR_DEN)
+    if across <= 0 or down <= 0:
+        return 1.0
+    aspect = down / across
+    if not 1 / MAX_ASPECT <= aspect <= MAX_ASPECT:
+        return 1.0
+    return usable_aspect(aspect)
 
 
 def _unreadable(path: str) -> ImageDecodeError:

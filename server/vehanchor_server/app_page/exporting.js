@@ -14,12 +14,12 @@ const records = (record) => ({ image: call.arguments.image.path, estimate: recor
 // The reference system of vehanchor.export.layer: GIS programs would take pixels for degrees.
 const PIXELS = `LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],AXIS["x",EAST],AXIS["y",SOUTH]]`;
 
-// In image pixels, y down, like the records' __geo_interface__.
+// In pixels of the file, y down, like the records' __geo_interface__.
 function features(record, drawing) {
   const feature = (geometry, properties) => ({ type: "Feature", geometry, properties });
   const closed = (ring) => [...ring, ring[0]];
   const vehicles = (drawing?.vehicles ?? []).map((each) =>
-    feature({ type: "Polygon", coordinates: [closed(corners(each))] }, { kind: "vehicle", kept: Boolean(each[5]), length_px: each[2] }));
+    feature({ type: "Polygon", coordinates: [closed(corners(each).map((corner) => inFile(record, corner)))] }, { kind: "vehicle", kept: Boolean(each[5]), length_px: each[2] }));
   const measured = call.measured.map(({ kind, record: each }) => {
     if (kind === "distance") {
       return feature({ type: "LineString", coordinates: each.path.map(at) }, { kind, status: each.status, distance_m: each.distance_m });
@@ -45,7 +45,7 @@ function captionOf(record) {
 function painted(record, image, drawing) {
   const factor = Math.max(1, EXPORT_LEAST_PX / image.naturalWidth);
   const [width, height] = [Math.round(image.naturalWidth * factor), Math.round(image.naturalHeight * factor)];
-  const perPixel = width / record.image_width_px;
+  const perPixel = width / squareSize(record)[0];
   const letters = Math.round(width / 60);
   const canvas = html("canvas", { width, height: height + 3 * letters });
   const pen = canvas.getContext("2d");

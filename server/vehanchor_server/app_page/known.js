@@ -33,13 +33,13 @@ function lengthForm(record, tell) {
   return { row, ask, hide: () => { row.hidden = true; } };
 }
 
-// Size of the caller's units in image pixels, across and down.
+// Size of the caller's units in square pixels, across and down.
 function callerUnits(record) {
   const { frame, coordinates } = call.arguments ?? {};
-  const size = [record.image_width_px, record.image_height_px];
+  const size = squareSize(record);
   if (coordinates === "fraction") return size;
   if (coordinates === "per_mille") return size.map((side) => side / 1000);
-  return frame ? [size[0] / frame.width_px, size[1] / frame.height_px] : [1, 1];
+  return frame ? [size[0] / frame.width_px, size[1] / frame.height_px] : squareOf(record);
 }
 
 function lineOf(record, [one, other]) {

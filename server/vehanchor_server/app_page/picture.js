@@ -20,7 +20,7 @@ function pictureSection(record, result) {
   const scale = scaleOf(record);
   const outliers = scale ? scale.details.n_detections - scale.n_vehicles : 0;
   const image = html("img", { src: url, draggable: "false" });
-  const [width, height] = [record.image_width_px, record.image_height_px];
+  const [width, height] = squareSize(record);
   const part = html("img", { class: "part", alt: "", hidden: true, draggable: "false" });
   const canvas = svg("svg", { class: "drawn", "aria-hidden": "true", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none" });
   const sheet = html("div", { class: "sheet" }, image, part, canvas);
@@ -71,12 +71,15 @@ function sharpener(record, image, part) {
   let timer = 0;
   return (view) => {
     clearTimeout(timer);
-    if (view.perPixel * devicePixelRatio * record.image_width_px < 1.3 * image.naturalWidth || image.naturalWidth >= record.image_width_px) {
+    const [squareWidth] = squareSize(record);
+    if (view.perPixel * devicePixelRatio * squareWidth < 1.3 * image.naturalWidth || image.naturalWidth >= squareWidth) {
       part.hidden = true;
       return;
     }
     timer = setTimeout(async () => {
-      const seen = Object.fromEntries(Object.entries(view.seen()).map(([side, at]) => [side, Math.round(at)]));
+      const [across, down] = squareOf(record);
+      const inFilePixels = ([side, at]) => [side, Math.round(at / (side.startsWith("x") ? across : down))];
+      const seen = Object.fromEntries(Object.entries(view.seen()).map(inFilePixels));
       if (Math.min(seen.x_max - seen.x_min, seen.y_max - seen.y_min) < 16) return; // the server's minimum
       const asked = { image: call.arguments.image, part: seen, long_side_px: PART_SIDE_PX };
       const sent = await request("tools/call", { name: "page_image", arguments: asked }).catch(() => undefined);

@@ -23,7 +23,7 @@ function confidenceReading(scale, name = "Confidence") {
 // The ground in the image, where one scale holds for all of it.
 function extentReading(record) {
   if (!barred(record)) return undefined;
-  const [across, down] = [record.image_width_px, record.image_height_px].map((side) => number(side * record.gsd_m_per_px));
+  const [across, down] = squareSize(record).map((side) => number(side * record.gsd_m_per_px));
   return reading("On the ground", `${across} × ${down}`, "m");
 }
 

@@ -1,4 +1,4 @@
-// ---- Shapes over the image, in image pixels, for the page and for exported pictures ----
+// ---- Shapes over the image, in square pixels, for the page and for exported pictures ----
 
 const corners = ([x, y, length, width, degrees]) => {
   const [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
@@ -6,8 +6,27 @@ const corners = ([x, y, length, width, degrees]) => {
     x + (u * length * cos - v * width * sin) / 2, y + (u * length * sin + v * width * cos) / 2,
   ]);
 };
-const ringsOf = (area) => area.outline.flatMap(({ exterior, holes }) => [exterior, ...holes].map((ring) => ring.points.map(at)));
+const ringsOf = (area) => area.outline.flatMap(({ exterior, holes }) => [exterior, ...holes].map((ring) => ring.points.map(squareAt(area))));
 const at = ({ x_px: x, y_px: y }) => [x, y];
+
+// The page draws in square pixels; records have coordinates in pixels of the file, which can be oblong.
+// Square pixels per pixel of the file, across and down:
+function squareOf(record) {
+  const aspect = record.pixel_aspect ?? scaleOf(record)?.details?.pixel_aspect ?? 1;
+  return [Math.max(1, 1 / aspect), Math.max(1, aspect)];
+}
+function squareSize(record) {
+  const [across, down] = squareOf(record);
+  return [Math.round(record.image_width_px * across), Math.round(record.image_height_px * down)];
+}
+function squareAt(record) {
+  const [across, down] = squareOf(record);
+  return ({ x_px: x, y_px: y }) => [x * across, y * down];
+}
+function inFile(record, [x, y]) {
+  const [across, down] = squareOf(record);
+  return [x / across, y / down];
+}
 const boxRing = ([[x1, y1], [x2, y2]]) => [[x1, y1], [x2, y1], [x2, y2], [x1, y2]];
 
 // Lines of one kind: points, whether closed, and a label at the middle.
@@ -26,7 +45,7 @@ function shapesOf(record, drawing) {
     const kind = each.record.status === "ok" ? "measured" : "untrusted";
     const label = `${i + 1}: ${sizeOf(each.record)}${kind === "untrusted" ? ", doubtful" : ""}`;
     if (isArea(each.record)) shapes.push({ kind, closed, lines: ringsOf(each.record), label });
-    else shapes.push({ kind, lines: [each.record.path.map(at)], label });
+    else shapes.push({ kind, lines: [each.record.path.map(squareAt(each.record))], label });
   });
   return shapes.filter(({ lines }) => lines.length);
 }

@@ -106,9 +106,10 @@ function toolbar(record, view, canvas, redraw) {
   };
   const tellPlace = (point) => {
     if (first) sketchTo(point);
-    tell(`x ${whole(Math.round(point[0]))}, y ${whole(Math.round(point[1]))}`);
+    const [x, y] = inFile(record, point);
+    tell(`x ${whole(Math.round(x))}, y ${whole(Math.round(y))}`);
   };
-  const size = [record.image_width_px, record.image_height_px];
+  const size = squareSize(record);
   const cross = crosshair(view, size, tellPlace);
   const inImage = (event) => view.inImage(event).map((value, i) => clamp(value, 0, size[i]));
   const isInside = ([x, y]) => x >= 0 && y >= 0 && x <= size[0] && y <= size[1];

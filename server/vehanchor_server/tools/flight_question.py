@@ -20,6 +20,7 @@ from vehanchor_server.tools.scale_arguments import CallerOptions, Question, scal
 
 if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor_flight.inputs import InputPhotograph
     from vehanchor_flight.photograph import Photograph
     from vehanchor_flight.record import Failure
@@ -100,7 +101,7 @@ def estimate_with_flight(
         members.append(_require_readable(photograph, opened_image))
     _refuse_duplicates(members)
     flight = conclude(photographs, detector.card, same_scale=question.subject)
-    estimate = _estimate_of_image(flight, caller_options)
+    estimate = _estimate_of_image(flight, caller_options, members[0].view.image.grid)
     analysis = replace(members[0].analysis, estimate=estimate)
     if not question.picture.kind:
         return scale_reply(None, analysis, request=question.picture, job=job)
@@ -161,7 +162,9 @@ def _refuse_duplicates(members: Sequence[Photograph]) -> None:
             )
 
 
-def _estimate_of_image(flight: FlightEstimate, caller_options: ScaleOptions) -> GsdEstimate:
+def _estimate_of_image(
+    flight: FlightEstimate, caller_options: ScaleOptions, grid: PixelGrid
+) -> GsdEstimate:
     """Return the image's record with its scale in the caller's frame.
 
     Add a warning if no other image is linked to it.
@@ -173,7 +176,7 @@ def _estimate_of_image(flight: FlightEstimate, caller_options: ScaleOptions) -> 
 
     first = flight.photographs[0]
     record = estimate_in_flight(flight, first)
-    caller_options.frame.check(record.image_width_px, record.image_height_px)
+    caller_options.frame.check(grid)
     interval = None
     if record.gsd_ci95_low_m_per_px is not None and record.gsd_ci95_high_m_per_px is not None:
         interval = (record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px)
@@ -184,7 +187,5 @@ def _estimate_of_image(flight: FlightEstimate, caller_options: ScaleOptions) -> 
             "rests on this image alone."
         )
         warnings = (*warnings, Notice(code=NoticeCode.NOT_LINKED, message=message))
-    frame = frame_scale(
-        caller_options.frame, record.image_width_px, gsd=record.gsd_m_per_px, interval=interval
-    )
+    frame = frame_scale(caller_options.frame, grid, gsd=record.gsd_m_per_px, interval=interval)
     return record.model_copy(update={"frame": frame, "warnings": warnings})

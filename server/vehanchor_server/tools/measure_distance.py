@@ -124,7 +124,6 @@ def _measure(
             options=options,
             object_height_m=question.options.get("object_height_m"),
         )
-        measurements = tuple(analysis.measurement for analysis in analyses)
 
         def draw(rgb: "NDArray[np.uint8]", cut: "Cut | None") -> "NDArray[np.uint8]":
             return draw_distance(rgb, *analyses, cut=cut)
@@ -135,6 +134,7 @@ def _measure(
             request=question.picture,
             draw=draw,
             scale=analyses[0].scale,
-            usual=cut_to_lines(measurements).part,
+            usual=cut_to_lines(analyses).part,
         )
+    measurements = tuple(analysis.measurement for analysis in analyses)
     return Reply(measurements, picture=picture)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
-from vehanchor.records.text import by_hand_text, ruler_names, significant
+from vehanchor.records.text import by_hand_text, pixel_text, ruler_names, significant
 from vehanchor_server.calls.compact import brief, has_unknown_extent
 from vehanchor_server.calls.remedies import advice_on
 
@@ -137,6 +137,11 @@ def _estimate_in_words(estimate: GsdEstimate) -> str:
             f"confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: "
             f"{_verdict(estimate)}"
         ]
+    pixel = pixel_text(estimate.gsd_m_per_px, estimate.details.pixel_aspect)
+    if pixel:
+        words.append(
+            f"The image's pixels are not square: {pixel}. For lengths, use measure_distance."
+        )
     frame = estimate.frame
     if frame is not None and frame.gsd_m_per_px is not None:
         words.append(

@@ -102,7 +102,7 @@ def scale_reply(
 
 
 def part_window(raster: Raster, request: PictureRequest) -> Window:
-    """Return the part that a picture shows, in whole pixels; all of the image without one.
+    """Return the part that a picture shows, in whole square pixels; all of the image without one.
 
     A part that reaches beyond the image is clipped to it.
 
@@ -115,7 +115,7 @@ def part_window(raster: Raster, request: PictureRequest) -> Window:
     corners = request.part
     if corners is None:
         return Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
-    coordinates = CoordinateFrame(request.frame, raster.width_px, raster.height_px)
+    coordinates = CoordinateFrame(request.frame, raster.grid)
     upper_left, lower_right = corners
     left, top = coordinates.in_image(*upper_left)
     right, bottom = coordinates.in_image(*lower_right)

@@ -19,6 +19,7 @@ from pydantic_core import from_json
 from vehanchor.options import Coordinates, Frame, Reading, declared_options
 from vehanchor.options.option import Limits
 from vehanchor.options.reading import MAX_VIEW_ENLARGEMENT, VIEWED_SIDE_PX
+from vehanchor.records.gsd_estimate import PixelAspect
 from vehanchor.records.text import count
 from vehanchor_server.app_page.page import PAGE_ONLY_META
 from vehanchor_server.base_model import FrozenModel
@@ -79,6 +80,8 @@ class ViewedImage(FrozenModel):
         picture_width_px: width of the picture.
         picture_height_px: height of the picture.
         grid_px: spacing of the grid lines, in pixels of the image.
+        pixel_aspect: height of a pixel of the image over its width on the ground; the picture's
+            pixels are square. None for square pixels.
     """
 
     image_width_px: int
@@ -87,6 +90,7 @@ class ViewedImage(FrozenModel):
     picture_width_px: int
     picture_height_px: int
     grid_px: int
+    pixel_aspect: PixelAspect = None
 
 
 class PageImages(FrozenModel):
@@ -273,7 +277,7 @@ def _view(
     import numpy as np
 
     from vehanchor.imagery.sources.opening import open_raster
-    from vehanchor.pictures.grid import draw_grid
+    from vehanchor.pictures.grid import draw_grid, window_in_file
     from vehanchor_server.calls.jpeg import small_jpeg
 
     job.stop.check()
@@ -293,19 +297,17 @@ def _view(
         decoded = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         assert decoded is not None
         height, width = decoded.shape[:2]
-        part = Box(
-            x_min=window.x_px,
-            y_min=window.y_px,
-            x_max=window.x_px + window.width_px,
-            y_max=window.y_px + window.height_px,
-        )
+        corners = window_in_file(window, raster.grid)
+        x_min, y_min, x_max, y_max = np.round(corners, 2).tolist()
+        part = Box(x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max)
         viewed = ViewedImage(
-            image_width_px=raster.width_px,
-            image_height_px=raster.height_px,
+            image_width_px=raster.grid.width_px,
+            image_height_px=raster.grid.height_px,
             part=part,
             picture_width_px=width,
             picture_height_px=height,
             grid_px=step_px,
+            pixel_aspect=raster.grid.stated_aspect,
         )
     return Reply((viewed,), jpeg)
 
@@ -316,6 +318,9 @@ def _words(viewed: ViewedImage, long_side_px: int) -> str:
     part_width = part.x_max - part.x_min
     part_height = part.y_max - part.y_min
     factor = part_width / viewed.picture_width_px
+    factor_down = factor
+    if viewed.pixel_aspect is not None:
+        factor_down = part_height / viewed.picture_height_px
     words = (
         f"Image of {viewed.image_width_px} x {viewed.image_height_px} px. The picture of "
         f"{viewed.picture_width_px} x {viewed.picture_height_px} px shows "
@@ -326,7 +331,7 @@ def _words(viewed: ViewedImage, long_side_px: int) -> str:
         words += (
             f"x {part.x_min:.0f} to {part.x_max:.0f}, y {part.y_min:.0f} to {part.y_max:.0f}: "
             f"in the image, x = {part.x_min:.0f} + {factor:.4g} * column, "
-            f"y = {part.y_min:.0f} + {factor:.4g} * row"
+            f"y = {part.y_min:.0f} + {factor_down:.4g} * row"
         )
     # One pixel may be missing by rounding.
     if max(viewed.picture_width_px, viewed.picture_height_px) < long_side_px - 1:

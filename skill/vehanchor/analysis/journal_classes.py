@@ -9,6 +9,7 @@ from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
+from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.records import Notice
 from vehanchor.rulers.camera_tilt import CameraTilt
 from vehanchor.scale.posterior import Lack, Mark, Witness
@@ -24,6 +25,7 @@ STORED_CLASSES: tuple[type[Any], ...] = (
     Mark,
     Notice,
     Objects,
+    PixelGrid,
     RasterNote,
     SceneScalePrior,
     Shared,

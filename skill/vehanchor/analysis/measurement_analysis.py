@@ -31,13 +31,13 @@ class AreaAnalysis(Analysis, AreaEvidence):
         return draw_area(image, self, cut=cut)
 
     def full_mask(self) -> NDArray[np.bool_]:
-        """Make the mask in the size of the image, ``[h, w]``.
+        """Make the mask in the size of the file, ``[h, w]``.
 
         Raises:
             OutputError: the image is too large for a mask in memory.
         """
-        width = self.measurement.image_width_px
-        height = self.measurement.image_height_px
+        width = self.grid.square_width_px
+        height = self.grid.square_height_px
         if width * height > self.reading.limits.max_pixels:
             raise OutputError(
                 f"a mask of {width} x {height} px has more than {self.reading.limits.max_pixels} "
@@ -48,7 +48,7 @@ class AreaAnalysis(Analysis, AreaEvidence):
         rows = slice(window.y_px, window.y_px + window.height_px)
         columns = slice(window.x_px, window.x_px + window.width_px)
         full[rows, columns] = self.segmentation.mask
-        return full
+        return self.grid.mask_to_file(full)
 
     def to_supervision(self) -> Any:
         """Convert the object for supervision.
@@ -93,7 +93,7 @@ class DistanceAnalysis(Analysis, DistanceEvidence):
         from vehanchor.pictures.measurement import cut_to_lines, draw_distance
         from vehanchor.pictures.scale import read_reduced
 
-        cut = cut_to_lines([self.measurement])
+        cut = cut_to_lines([self])
         image = read_reduced(raster, cut.part)
         return draw_distance(image, self, cut=cut)
 

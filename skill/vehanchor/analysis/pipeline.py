@@ -23,6 +23,7 @@ from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorErr
 from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import (
     ConfidenceTerms,
     EstimateDetails,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.records import Reason
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.lengths import Interval
@@ -169,8 +171,8 @@ def search_raster(
         prior: known scene-scale prior; None computes that of the image, if a ruler uses it.
         check_stretch: as in ``vehanchor.detection.search.ImageSearch.result``.
     """
-    options.frame.check(raster.width_px, raster.height_px)
-    options = options.in_pixels(raster.width_px, raster.height_px)
+    options.frame.check(raster.grid)
+    options = options.in_pixels(raster.grid)
     rulers = active_rulers(options.rulers)
     facts = image_facts(raster)
     # An image with the horizon is refused before the work.
@@ -206,8 +208,7 @@ def search_raster(
     detections = corrected(
         search.result(check_stretch=check_stretch),
         options.by_hand,
-        options.frame,
-        size_px=(raster.width_px, raster.height_px),
+        CoordinateFrame(options.frame, raster.grid),
         nms_iou=options.search.nms_iou,
         length_over_width=detector.card.errors.boxes.length_over_width,
     )
@@ -249,7 +250,8 @@ def conclude(
         measured: witnesses of all rulers.
         notices: notices of the tilt.
     """
-    witnesses = with_doubts(_without_repetition(measured), notices)
+    doubts: list[Remark] = [*view.image.notices, *notices]
+    witnesses = with_doubts(_without_repetition(measured), doubts)
     is_paper = view.options.method.preset == "paper"
     decided = None if is_paper else answer(witnesses)
     if decided is not None:
@@ -271,7 +273,7 @@ def conclude(
     )
     record = _record(view, witnesses, decision, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
-    return ScaleAnalysis(record, measured, shown, answer=decided)
+    return ScaleAnalysis(record, measured, shown, answer=decided, grid=view.image.grid)
 
 
 def _fitted_to(decided: Answer, witnesses: Sequence[Witness]) -> tuple[Witness, ...]:
@@ -394,11 +396,11 @@ def _record(
         reason=decision.reason,
         leading_ruler=decision.leading,
         rulers=decision.rulers,
-        image_width_px=image.width_px,
-        image_height_px=image.height_px,
+        image_width_px=image.grid.width_px,
+        image_height_px=image.grid.height_px,
         georeference_gsd_m_per_px=image.georeference_gsd_m_per_px,
         tilt=tilt,
-        frame=frame_scale(view.options.frame, image.width_px, gsd=gsd, interval=interval),
+        frame=frame_scale(view.options.frame, image.grid, gsd=gsd, interval=interval),
         scale=make_known_scale(view, gsd, interval=interval, confidence=decision.confidence),
         model=view.card.name,
         warnings=warnings,
@@ -426,6 +428,7 @@ def _details(
         by_hand = VehiclesByHand(dropped=corrections.n_dropped, added=corrections.n_added)
     return EstimateDetails(
         preset=view.options.method.preset,
+        pixel_aspect=view.image.grid.stated_aspect,
         scene_scale=_scene_scale(witnesses),
         by_hand=by_hand,
         tiles_searched=detections.n_tiles,
@@ -537,14 +540,17 @@ def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: s
 
 
 def frame_scale(
-    frame: Frame, width_px: int, gsd: float | None, interval: tuple[float, float] | None
+    frame: Frame, grid: PixelGrid, gsd: float | None, interval: tuple[float, float] | None
 ) -> FrameScale | None:
-    """Compute the scale in the caller's copy of an image with this width; None without a copy."""
+    """Compute the scale in the caller's copy of an image; None without a copy.
+
+    In a copy with the file's pixels, which are not square, it is that of their shorter side.
+    """
     if frame.size is None:
         return None
     frame_width, frame_height = frame.size
     # A pixel of the copy is as many times larger as the copy is narrower.
-    factor = width_px / frame_width
+    factor = CoordinateFrame(frame, grid).side_of_copy_px
     return FrameScale(
         width_px=frame_width, height_px=frame_height, **_with_ci95(gsd, interval, factor)
     )

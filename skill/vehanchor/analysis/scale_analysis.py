@@ -133,7 +133,7 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
             MissingExtraError: supervision is not installed.
         """
         sv = import_supervision()
-        corners = box_corners(self.detections.boxes)
+        corners = self.grid.to_file(box_corners(self.detections.boxes))
         first_corner = corners.min(axis=1)
         last_corner = corners.max(axis=1)
         upright = np.concatenate([first_corner, last_corner], axis=1)
@@ -154,7 +154,7 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         """Vehicles as a GeoJSON FeatureCollection, for geopandas and shapely; pixels, y down."""
         detections = self.detections
         kept = self.kept
-        corners = box_corners(detections.boxes).tolist()
+        corners = self.grid.to_file(box_corners(detections.boxes)).tolist()
         features = []
         for k, ring in enumerate(corners):
             # GeoJSON closes a ring by repeating its first corner.

@@ -31,8 +31,9 @@ from vehanchor.cli.terminal import (
 )
 from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
+from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.records.advice import advice_for
-from vehanchor.records.text import count, scale_text, significant
+from vehanchor.records.text import count, pixel_text, scale_text, significant
 
 if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
@@ -250,6 +251,9 @@ def _facts(record: GsdEstimate) -> Facts:
     if record.tilt is not None:
         facts.append(("tilt", _tilt_text(record.tilt)))
     facts.append(("image", _size_text(record)))
+    pixel = pixel_text(record.gsd_m_per_px, record.details.pixel_aspect)
+    if pixel:
+        facts.append(("pixels of the file", pixel))
     frame = record.frame
     if frame is not None:
         text = f"{frame.width_px} x {frame.height_px} px: {scale_text(frame)}"
@@ -279,8 +283,10 @@ def _size_text(record: GsdEstimate) -> str:
     size = f"{record.image_width_px} x {record.image_height_px} px"
     if record.gsd_m_per_px is None or record.tilt is not None:
         return size
-    width = significant(record.image_width_px * record.gsd_m_per_px, 4)
-    height = significant(record.image_height_px * record.gsd_m_per_px, 4)
+    aspect = record.details.pixel_aspect or 1.0
+    grid = PixelGrid(record.image_width_px, record.image_height_px, aspect)
+    width = significant(grid.square_width_px * record.gsd_m_per_px, 4)
+    height = significant(grid.square_height_px * record.gsd_m_per_px, 4)
     return f"{size} = {width} x {height} m"
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.options import Frame
+    from vehanchor.options.reading import CoordinateFrame
     from vehanchor.options.rulers import ByHand
     from vehanchor.scale.defaults import Stopped
 
@@ -143,6 +143,8 @@ class Detections:
         stretch: above 1 if the vehicles say that the image is too wide, below -1 if it is too high,
             see ``vehanchor.detection.proportions``; None for a single vehicle, without a verifier,
             or before the end of the search.
+        stretch_log_odds: log odds of the vehicles' look in a stretched image over that in a true
+            one; None if it was not measured.
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
     """
@@ -157,6 +159,7 @@ class Detections:
     n_tiles_total: int | None = None
     stopped_because: Stopped | None = None
     stretch: float | None = None
+    stretch_log_odds: float | None = None
     corrections: Corrections | None = None
     n_skipped: int = 0
 
@@ -189,9 +192,8 @@ NOT_SEARCHED = Detections(
 def corrected(
     detections: Detections,
     by_hand: ByHand,
-    frame: Frame,
+    coordinates: CoordinateFrame,
     *,
-    size_px: tuple[int, int],
     nms_iou: float,
     length_over_width: float,
 ) -> Detections:
@@ -201,9 +203,8 @@ def corrected(
 
     Args:
         detections: result of the search, in pixels of the image.
-        by_hand: the caller's corrections, in pixels of the frame, or of the image without a frame.
-        frame: the caller's copy.
-        size_px: width and height of the image.
+        by_hand: the caller's corrections, in pixels of the frame, or of the file without a frame.
+        coordinates: the caller's coordinates.
         nms_iou: IoU above which two boxes are one vehicle.
         length_over_width: proportions of the detector's boxes, for added vehicles.
 
@@ -217,9 +218,7 @@ def corrected(
         return detections
     n_detected = len(detections.boxes)
     _check_numbers(by_hand.drop, n_detected)
-    added, pointed_log_sds = _added_boxes(
-        by_hand, frame, size_px=size_px, length_over_width=length_over_width
-    )
+    added, pointed_log_sds = _added_boxes(by_hand, coordinates, length_over_width=length_over_width)
     n_added = len(added)
 
     numbers = np.arange(1, n_detected + 1)
@@ -271,7 +270,7 @@ def _check_numbers(drop: Sequence[int], n_detected: int) -> None:
 
 
 def _added_boxes(
-    by_hand: ByHand, frame: Frame, *, size_px: tuple[int, int], length_over_width: float
+    by_hand: ByHand, frame: CoordinateFrame, *, length_over_width: float
 ) -> tuple[Boxes, PerVehicle]:
     """Convert the axes of added vehicles to boxes in pixels of the image.
 
@@ -283,8 +282,8 @@ def _added_boxes(
     """
     coordinates = [astuple(vehicle) for vehicle in by_hand.add]
     axes = np.array(coordinates, dtype=np.float64)
-    # Pixels of the image per pixel of the caller's copy.
-    unit = np.array(size_px) / (frame.size or size_px)
+    # Square pixels of the image per pixel of the caller's copy.
+    unit = np.array(frame.unit_of_copy_px)
     ends = axes.reshape(-1, 2, 2) * unit
     centres = ends.mean(axis=1)
     dx, dy = (ends[:, 1] - ends[:, 0]).T

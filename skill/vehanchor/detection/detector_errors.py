@@ -120,6 +120,33 @@ class StretchLimits(_Errors):
     few_crossed_limit: _Difference = 0.28
 
 
+class StretchOdds(_Errors):
+    """Distribution of the networks' preference for a narrower image over a wider one.
+
+    Attributes:
+        mean: mean preference of a vehicle at 45 degrees, in an image of true proportions.
+        mean_along: what is added for one along the rows, and subtracted for one along the columns.
+        vehicle_sd: standard deviation of one vehicle's preference at 45 degrees.
+        vehicle_sd_along: what is added to it for one along the rows or the columns, whose length
+            alone changes.
+        image_sd: standard deviation of the mean preference between images.
+        shift: shift of the mean by a stretch of 1.25 to 1.6.
+        shift_sd: standard deviation of that shift.
+        outliers: share of images of true proportions whose vehicles are something else.
+        outlier_sd: standard deviation of their mean preference.
+    """
+
+    mean: float = 0.637
+    mean_along: float = 0.933
+    vehicle_sd: _Difference = 1.92
+    vehicle_sd_along: _Difference = 1.293
+    image_sd: _Difference = 0.661
+    shift: _Difference = 7.745
+    shift_sd: _Difference = 2.757
+    outliers: _Difference = 0.03
+    outlier_sd: _Difference = 9.0
+
+
 class TilePriorOdds(_Errors):
     """Odds that a part of an image shows cars, by its edges; the search begins where they are high.
 
@@ -141,6 +168,7 @@ class DetectorErrors(_Errors):
         appearance: errors of the chip network.
         look_alikes: limits from which vehicles may be equal things that are not cars.
         stretch: limits from which the networks show a stretched image.
+        stretch_odds: how the networks' preferences are distributed.
         tile_prior: odds that a part of an image shows cars.
     """
 
@@ -149,6 +177,7 @@ class DetectorErrors(_Errors):
     appearance: AppearanceErrors = AppearanceErrors()
     look_alikes: LookAlikeLimits = LookAlikeLimits()
     stretch: StretchLimits = StretchLimits()
+    stretch_odds: StretchOdds = StretchOdds()
     tile_prior: TilePriorOdds = TilePriorOdds()
 
     @property

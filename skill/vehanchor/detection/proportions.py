@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.boxes import Boxes
     from vehanchor.detection.chips import ChipNetwork
-    from vehanchor.detection.detector_errors import StretchLimits
+    from vehanchor.detection.detector_errors import StretchLimits, StretchOdds
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
 
@@ -52,6 +52,14 @@ _MAX_VEHICLES = 32
 # Vehicles that the chip network judges if they are few.
 _MIN_OF_FEW = 2
 _MAX_OF_FEW = 5
+# Best vehicles that give the odds of a stretch, and views of each: as in the fit of the odds.
+_MAX_OF_ODDS = 8
+_VIEWS_OF_ODDS = 2
+# Log odds of a car from which a vehicle counts half; a choice.
+_EVEN_CAR_LOGIT = 1.0
+# Density of a preference that fits neither direction, which bounds the odds.
+_LEAST_DENSITY = 1e-6
+
 # Mean resultant length of the doubled headings from which vehicles count as parallel.
 _PARALLEL = 0.75
 
@@ -130,6 +138,69 @@ def stretch_of_few(
     if abs(headings.mean()) >= _PARALLEL:
         limit = limits.few_parallel_limit
     return preference / limit
+
+
+def stretch_log_odds(
+    raster: Raster,
+    boxes: Boxes,
+    car_logits: Logits,
+    *,
+    chip_network: ChipNetwork,
+    network: Verifier,
+    errors: StretchOdds,
+) -> float | None:
+    """Compute the log odds of the vehicles' look in a stretched image over that in a true one.
+
+    Each vehicle has a preference: both networks' logits in a narrower image less those in a wider
+    one. A stretched car at an angle looks skewed, which is clear evidence; one along the rows or
+    columns only looks longer or shorter, as cars of other models do. Unlike cars, it counts less.
+
+    Args:
+        raster: the image.
+        boxes: ``[n, 5]`` bodies of vehicles, as for ``stretch``.
+        car_logits: ``[m]`` log odds that the first of them are cars, by the chip network.
+        chip_network: scores their chips.
+        network: scores their smaller chips.
+        errors: distribution of preferences in true and in stretched images.
+
+    Returns:
+        Below 0 if the vehicles contradict a stretch; None without vehicles.
+    """
+    n_vehicles = min(len(boxes), len(car_logits), _MAX_OF_ODDS)
+    if not n_vehicles:
+        return None
+    best = boxes[:n_vehicles]
+
+    def logits(width: float) -> Logits:
+        squares = _chips(raster, best, width, chips.CHIP_COLUMNS, chips.CHIP_LENGTH_PX)
+        answers = chip_network.answers(chips.middle(squares), views=_VIEWS_OF_ODDS)
+        small = _chips(raster, best, width, verifier.CHIP_PX, verifier.CHIP_LENGTH_PX)
+        by_chips = np.clip(answers.logit, -_MAX_LOGIT, _MAX_LOGIT)
+        return by_chips + np.clip(network.logits(small), -_MAX_LOGIT, _MAX_LOGIT)
+
+    # 1 for a vehicle along the rows, -1 for one along the columns.
+    along = np.cos(2 * best[:, 4])
+    expected = errors.mean + errors.mean_along * along
+    surplus = logits(1 / _FACTOR) - logits(_FACTOR) - expected
+    sds = errors.vehicle_sd + errors.vehicle_sd_along * along**2
+    p_car = 1 / (1 + np.exp(_EVEN_CAR_LOGIT - car_logits[:n_vehicles]))
+    weights = p_car / sds**2
+    mean = float((weights * surplus).sum() / weights.sum())
+    variance = errors.image_sd**2 + 1 / float(weights.sum())
+
+    # An image of true proportions can have vehicles that are no cars; it can be stretched either
+    # way, by more or less.
+    if_true = (1 - errors.outliers) * _normal(mean, math.sqrt(variance))
+    if_true += errors.outliers * _normal(mean, errors.outlier_sd)
+    stretched_sd = math.sqrt(variance + errors.shift_sd**2)
+    too_wide = _normal(mean - errors.shift, stretched_sd)
+    too_high = _normal(mean + errors.shift, stretched_sd)
+    return math.log((too_wide + too_high) / 2 + _LEAST_DENSITY) - math.log(if_true)
+
+
+def _normal(deviation: float, sd: float) -> float:
+    """Compute the density of a normal distribution around zero."""
+    return math.exp(-0.5 * (deviation / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
 
 
 def _chips(raster: Raster, boxes: Boxes, width: float, side_px: int, length_px: float) -> Chips:

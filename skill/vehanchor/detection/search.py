@@ -29,7 +29,7 @@ from vehanchor.detection.chips import with_appearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import level_chances, level_shares, search_levels
 from vehanchor.detection.merging import distinct_by_class, distinct_vehicles
-from vehanchor.detection.proportions import stretch, stretch_of_few
+from vehanchor.detection.proportions import stretch, stretch_log_odds, stretch_of_few
 from vehanchor.detection.scheduler import (
     LARGE_PIXELS,
     WINDOWED_PIXELS,
@@ -249,8 +249,10 @@ class ImageSearch:
         if self._search_scales:
             reductions = 1 / final.factors
         stretch_share = None
+        stretch_odds = None
         if check_stretch:
             stretch_share = self._stretch(final.vehicles.boxes, are_few=are_few)
+            stretch_odds = self._stretch_log_odds(final)
         return Detections(
             final.vehicles.boxes,
             final.vehicles.scores,
@@ -262,6 +264,7 @@ class ImageSearch:
             n_tiles_total=len(self._tiles),
             stopped_because=self._stopped_because,
             stretch=stretch_share,
+            stretch_log_odds=stretch_odds,
             n_skipped=self._tile_search.n_skipped,
         )
 
@@ -466,6 +469,19 @@ class ImageSearch:
         if self._verifier:
             return stretch(self._raster, boxes, self._verifier, limits)
         return None
+
+    def _stretch_log_odds(self, final: _FinalVehicles) -> float | None:
+        """Ask the networks for the odds of a stretched image; None without both networks."""
+        if final.appearance is None or not self._chips or not self._verifier:
+            return None
+        return stretch_log_odds(
+            self._raster,
+            final.vehicles.boxes,
+            final.appearance.logits,
+            chip_network=self._chips,
+            network=self._verifier,
+            errors=self._detector.card.errors.stretch_odds,
+        )
 
 
 def _min_scores(detector: Detector, options: Search) -> MinScores:

@@ -35,6 +35,8 @@ def image_id(raster: Raster) -> str:
     Of a file of more than 512 MiB that is read by windows, 512 evenly spaced blocks of 1 MiB count.
     Of the caller's rasterio dataset, only the windows count.
     """
+    # The identity is that of the file, whatever pixels it is shown in.
+    raster = raster.in_file
     if raster.cached_id:
         return raster.cached_id
     digest = hashlib.sha256(f"{raster.width_px} x {raster.height_px}".encode())

@@ -17,6 +17,7 @@ from vehanchor.imagery.stretch import (
     find_no_data,
     to_uint8,
 )
+from vehanchor.options.pixel_grid import PixelGrid
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -68,7 +69,7 @@ class Window:
 
 
 class RasterNote(NamedTuple):
-    """Notice about the image for its user: ``bands_selected`` or ``pixels_stretched``."""
+    """Notice about the image for its user: a code, such as ``pixels_stretched``, and its text."""
 
     code: str
     message: str
@@ -97,6 +98,9 @@ class Raster(ABC):
         warnings: notices for the user.
         camera: camera metadata of the file; None if it has none or the source is not a file.
         ground: georeference of the image; None without one.
+        pixel_aspect: height of a pixel over its width, both on the ground, by the file; 1 for
+            square pixels and without such a fact.
+        density_aspect: the same by the density in the header, which is a hint; 1 without one.
         in_memory: whether all pixels are decoded.
         encoded: path or bytes of the file that is read by windows; None if unknown.
         cached_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
@@ -104,6 +108,8 @@ class Raster(ABC):
 
     camera: CameraMetadata | None = None
     ground: Ground | None = None
+    pixel_aspect = 1.0
+    density_aspect = 1.0
     in_memory = False
     encoded: str | bytes | None = None
     cached_id = ""
@@ -142,12 +148,7 @@ class Raster(ABC):
             ImageDecodeError: the file is damaged in this window.
             ImageFormatError: the values in this window cannot be converted.
         """
-        if window is None:
-            window = Window(0, 0, width_px=self.width_px, height_px=self.height_px)
-        elif not self._contains(window):
-            raise InvalidParameterError(
-                f"{window} is not inside the image of {self.width_px} x {self.height_px} px"
-            )
+        window = self._checked(window)
         window_in_file = stored_window(
             window,
             self.width_px,
@@ -156,6 +157,30 @@ class Raster(ABC):
         )
         stored = self._read_stored(window_in_file)
         return self._to_rgb(stored)
+
+    @property
+    def grid(self) -> PixelGrid:
+        """Pixels of the file and square pixels, which are the same here."""
+        return PixelGrid(self.width_px, self.height_px)
+
+    @property
+    def in_file(self) -> Raster:
+        """The image in the file's pixels: this one, unless it brings them to square pixels."""
+        return self
+
+    def _checked(self, window: Window | None) -> Window:
+        """Check a window; None is the whole image.
+
+        Raises:
+            InvalidParameterError: the window is empty or not inside the image.
+        """
+        if window is None:
+            return Window(0, 0, width_px=self.width_px, height_px=self.height_px)
+        if not self._contains(window):
+            raise InvalidParameterError(
+                f"{window} is not inside the image of {self.width_px} x {self.height_px} px"
+            )
+        return window
 
     def _contains(self, window: Window) -> bool:
         """Test whether a window has pixels and lies inside the image."""

@@ -13,6 +13,7 @@ import numpy as np
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.options import ScaleOptions
+from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import (
     AreaMeasurement,
     BoundingBox,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.scale_source import MeasurementScale, ScaleInput
     from vehanchor.options import Frame
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.scale.lengths import Spread
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
@@ -67,12 +69,8 @@ def analyse_objects(
     Raises:
         VehAnchorError: see ``Engine.measure_area``.
     """
-    options.frame.check(raster.width_px, raster.height_px)
-    width_px = raster.width_px
-    height_px = raster.height_px
-    in_image = [
-        prompt_in_image(prompt, options.frame, width_px, height_px=height_px) for prompt in prompts
-    ]
+    options.frame.check(raster.grid)
+    in_image = [prompt_in_image(prompt, options.frame, raster.grid) for prompt in prompts]
     # Masks first: they are faster than the search, and an invalid prompt fails early.
     limits = options.reading.limits
     masks = [segmenter.segment(raster, prompt, limits=limits) for prompt in in_image]
@@ -95,6 +93,7 @@ def analyse_objects(
             prompt,
             scale=measurement_scale.analysis,
             nadir=measurement_scale.plane is None,
+            grid=raster.grid,
         )
         analyses.append(analysis)
     return tuple(analyses)
@@ -123,7 +122,9 @@ def _measure_object(
     diameter = _NO_SIZE
     centre = None
     if circle is not None:
-        centre = ImagePoint(x_px=circle.x + left, y_px=circle.y + top)
+        centre_px = (circle.x + left, circle.y + top)
+        x_px, y_px = raster.grid.to_file(centre_px).tolist()
+        centre = ImagePoint(x_px=x_px, y_px=y_px)
     if gsd is not None and circle is not None:
         area_log_sd = card.area_log_sd(prompt, segmentation)
         # The paper, section III-G: the area is the number of pixels times the scale squared, so
@@ -144,9 +145,9 @@ def _measure_object(
     status = scale.status
     if status == "ok" and card.is_doubtful(segmentation):
         status = "low_confidence"
-    box = _box(segmentation)
+    box = _box(segmentation, raster.grid)
     doubts = mask_notices(raster, segmentation, prompt=prompt, card=card, width_px=width_px)
-    alternatives = [_other_object(other, scale) for other in segmentation.alternatives]
+    alternatives = [_other_object(other, scale, raster.grid) for other in segmentation.alternatives]
     return AreaMeasurement(
         status=status,
         area_m2=area.value,
@@ -164,12 +165,12 @@ def _measure_object(
         inscribed_center=centre,
         bounding_box=box,
         alternatives=tuple(alternatives),
-        outline=_outline(mask, left, top),
-        frame=_frame_area(options.frame, raster, gsd=scale.gsd_m_per_px, box=box),
+        outline=_outline(mask, left, top=top, grid=raster.grid),
+        frame=_frame_area(options.frame, raster.grid, gsd=scale.gsd_m_per_px, box=box),
         segmenter=card.name,
         segmenter_sha256=card.sha256,
         warnings=(*scale.notices, *doubts),
-        **scale.fields(raster.width_px, raster.height_px),
+        **scale.fields(raster.grid),
     )
 
 
@@ -206,9 +207,11 @@ def _diameter_log_sd(
     return max(area_log_sd / 2, of_outline)
 
 
-def _other_object(segmentation: Segmentation, scale: MeasurementScale) -> OtherObject:
+def _other_object(
+    segmentation: Segmentation, scale: MeasurementScale, grid: PixelGrid
+) -> OtherObject:
     n_px = int(segmentation.mask.sum())
-    box = _box(segmentation)
+    box = _box(segmentation, grid)
     assert box is not None, "alternatives are not empty"
     window = segmentation.window
     gsd = scale.gsd_over(segmentation.mask, window.x_px, window.y_px)
@@ -220,42 +223,52 @@ def _other_object(segmentation: Segmentation, scale: MeasurementScale) -> OtherO
     )
 
 
-def _box(segmentation: Segmentation) -> BoundingBox | None:
+def _box(segmentation: Segmentation, grid: PixelGrid) -> BoundingBox | None:
+    """Return the box of a mask in pixels of the file; None for an empty mask."""
     bounds = segmentation.bounding_box
     if bounds is None:
         return None
-    x1, y1, x2, y2 = bounds
+    corners = np.reshape(bounds, (2, 2))
+    x1, y1, x2, y2 = grid.to_file(corners).ravel().tolist()
     return BoundingBox(x1_px=x1, y1_px=y1, x2_px=x2, y2_px=y2)
 
 
-def _outline(mask: Mask, left: int, top: int) -> tuple[OutlinePolygon, ...]:
-    """Trace the outline of a mask whose first pixel is at ``left``, ``top`` of the image."""
+def _outline(mask: Mask, left: int, *, top: int, grid: PixelGrid) -> tuple[OutlinePolygon, ...]:
+    """Trace the outline of a mask in pixels of the file.
+
+    Args:
+        mask: ``[h, w]`` square pixels.
+        left: column of its first pixel in the image.
+        top: row of its first pixel in the image.
+        grid: pixels of the image.
+    """
     polygons = []
     for rings in trace_outline(mask):
-        exterior, *holes = [_outline_ring(ring, left, top) for ring in rings]
+        in_image = [np.add(ring, (left, top)) for ring in rings]
+        exterior, *holes = [_outline_ring(grid.to_file(ring)) for ring in in_image]
         polygon = OutlinePolygon(exterior=exterior, holes=tuple(holes))
         polygons.append(polygon)
     return tuple(polygons)
 
 
-def _outline_ring(ring: NDArray[np.float64], left: int, top: int) -> OutlineRing:
-    in_image = np.add(ring, (left, top))
-    points = [ImagePoint(x_px=x, y_px=y) for x, y in in_image.tolist()]
+def _outline_ring(ring: NDArray[np.float64]) -> OutlineRing:
+    points = [ImagePoint(x_px=x, y_px=y) for x, y in ring.tolist()]
     return OutlineRing(points=tuple(points))
 
 
 def _frame_area(
-    frame: Frame, raster: Raster, *, gsd: float | None, box: BoundingBox | None
+    frame: Frame, grid: PixelGrid, *, gsd: float | None, box: BoundingBox | None
 ) -> FrameArea | None:
     """Convert scale and bounding box to the caller's resized copy; None without a copy."""
     if frame.size is None:
         return None
     width, height = frame.size
-    across = width / raster.width_px
-    down = height / raster.height_px
+    across = width / grid.width_px
+    down = height / grid.height_px
+    side_px = CoordinateFrame(frame, grid).side_of_copy_px
     return FrameArea(
         width_px=width,
         height_px=height,
-        gsd_m_per_px=None if gsd is None else gsd / across,
+        gsd_m_per_px=None if gsd is None else gsd * side_px,
         bounding_box=None if box is None else box.scaled(across, down),
     )

@@ -82,8 +82,8 @@ def analyse_paths(
     Raises:
         VehAnchorError: see ``Engine.measure_distance``.
     """
-    options.frame.check(raster.width_px, raster.height_px)
-    coordinates = CoordinateFrame(options.frame, raster.width_px, raster.height_px)
+    options.frame.check(raster.grid)
+    coordinates = CoordinateFrame(options.frame, raster.grid)
     in_image = [_path_in_image(path, coordinates) for path in paths]
     measurement_scale = find_measurement_scale(
         raster, scale, options, object_height_m=object_height_m
@@ -93,6 +93,7 @@ def analyse_paths(
             _measure_path(path, coordinates, measurement_scale),
             scale=measurement_scale.analysis,
             nadir=measurement_scale.plane is None,
+            grid=raster.grid,
         )
         for path in in_image
     )
@@ -161,7 +162,8 @@ def _measure_path(
         log_sd = _length_sd(points, coordinates.unit_px) / length_px
         spread = scale.spread.plus(log_sd)
         low, high = spread.around(distance)
-    path = [ImagePoint(x_px=x, y_px=y) for x, y in points]
+    in_file = coordinates.grid.to_file(points).tolist()
+    path = [ImagePoint(x_px=x, y_px=y) for x, y in in_file]
     return DistanceMeasurement(
         status=scale.status,
         distance_m=distance,
@@ -170,5 +172,5 @@ def _measure_path(
         length_px=length_px,
         path=tuple(path),
         warnings=scale.notices,
-        **scale.fields(coordinates.width_px, coordinates.height_px),
+        **scale.fields(coordinates.grid),
     )

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.options.rulers import StatedScale
     from vehanchor.records import GsdEstimate, ScaleSource, Status
     from vehanchor.scale.plane import GroundPlane
@@ -98,16 +99,17 @@ class MeasurementScale:
             return None
         return self.analysis.estimate
 
-    def fields(self, width_px: int, height_px: int) -> dict[str, Any]:
-        """Make the fields that records of areas and distances share, for the image's size."""
+    def fields(self, grid: PixelGrid) -> dict[str, Any]:
+        """Make the fields that records of areas and distances share, for the image's pixels."""
         estimate = self.estimate
         return {
             "scale_confidence": self.confidence,
             "gsd_m_per_px": self.gsd_m_per_px,
             "n_vehicles": None if estimate is None else estimate.n_vehicles,
             "scale_source": self.source,
-            "image_width_px": width_px,
-            "image_height_px": height_px,
+            "image_width_px": grid.width_px,
+            "image_height_px": grid.height_px,
+            "pixel_aspect": grid.stated_aspect,
             "scale": self.known,
             "estimate": estimate,
         }

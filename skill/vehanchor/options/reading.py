@@ -9,6 +9,7 @@ from pydantic import Field, InstanceOf
 
 from vehanchor.errors import FrameError
 from vehanchor.options.option import Flag, Limits, Option, group, in_order, set_frozen
+from vehanchor.options.pixel_grid import PixelGrid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,26 +104,41 @@ class Frame:
             return None
         return self.frame.width_px, self.frame.height_px
 
-    def check(self, width_px: int, height_px: int) -> None:
+    def check(self, grid: PixelGrid) -> None:
         """Check that the frame has the aspect ratio of the image.
 
-        A crop and a copy of another image usually have another one.
+        A crop and a copy of another image usually have another one. A copy may have the pixels of
+        the file or square ones.
 
         Raises:
             FrameError: the sides differ by more than a pixel of rounding.
         """
         if self.size is None:
             return
+        in_square_pixels = (grid.square_width_px, grid.square_height_px)
+        if self._is_copy_of(*in_square_pixels):
+            return
+        width_px = grid.width_px
+        height_px = grid.height_px
+        if self._is_copy_of(width_px, height_px):
+            return
+        width, height = self.size
+        expected_height = width * height_px / width_px
+        raise FrameError(
+            f"the frame is {width} x {height} px, the image {width_px} x {height_px} px: a "
+            f"copy of that width would be {round(expected_height)} px high. Give the size of "
+            "an uncropped copy"
+        )
+
+    def _is_copy_of(self, width_px: int, height_px: int) -> bool:
+        """Test whether the copy has the proportions of an image, within rounding."""
+        if self.size is None:
+            return False
         width, height = self.size
         expected_height = width * height_px / width_px
         # Either side of the copy may be rounded by one pixel.
         tolerance = 1.0 + height_px / width_px
-        if abs(height - expected_height) > tolerance:
-            raise FrameError(
-                f"the frame is {width} x {height} px, the image {width_px} x {height_px} px: a "
-                f"copy of that width would be {round(expected_height)} px high. Give the size of "
-                "an uncropped copy"
-            )
+        return abs(height - expected_height) <= tolerance
 
 
 Place: TypeAlias = tuple[float, float]
@@ -144,15 +160,20 @@ _MAX_PER_MILLE = 1000
 class CoordinateFrame:
     """Coordinate frame of a caller over one image.
 
+    Callers count pixels of the file; ``in_image`` gives square pixels.
+
     Attributes:
         frame: size of the caller's resized copy, and its units.
-        width_px: width of the full image.
-        height_px: height of the full image.
+        grid: pixels of the full image, in its file and square.
     """
 
     frame: Frame
-    width_px: int
-    height_px: int
+    grid: PixelGrid
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the caller's copy, or of the file without a copy, in pixels."""
+        return self.frame.size or (self.grid.width_px, self.grid.height_px)
 
     @property
     def extent(self) -> tuple[int, int]:
@@ -160,19 +181,33 @@ class CoordinateFrame:
         share = _LARGEST_SHARE.get(self.frame.coordinates)
         if share is not None:
             return share, share
-        return self.frame.size or (self.width_px, self.height_px)
+        return self.size_px
 
     @property
     def unit_px(self) -> tuple[float, float]:
-        """Size of one step of the caller's coordinates across and down, pixels of the full image.
+        """Size of one step of the caller's coordinates across and down, in square pixels.
 
         For fractions, the step is a pixel of the caller's copy.
         """
         if self.frame.coordinates == "per_mille":
             steps_across, steps_down = self.extent
-        else:
-            steps_across, steps_down = self.frame.size or (self.width_px, self.height_px)
-        return self.width_px / steps_across, self.height_px / steps_down
+            width_px = self.grid.square_width_px
+            height_px = self.grid.square_height_px
+            return width_px / steps_across, height_px / steps_down
+        return self.unit_of_copy_px
+
+    @property
+    def side_of_copy_px(self) -> float:
+        """Shorter side of a pixel of the caller's copy, or of the file, in square pixels."""
+        across, down = self.unit_of_copy_px
+        # Proportions of square pixels differ by the rounding of the copy's sides alone.
+        return across if self.grid.is_square else min(across, down)
+
+    @property
+    def unit_of_copy_px(self) -> tuple[float, float]:
+        """Sides of a pixel of the caller's copy, or of the file, in square pixels: across, down."""
+        width, height = self.size_px
+        return self.grid.square_width_px / width, self.grid.square_height_px / height
 
     @property
     def name(self) -> str:
@@ -197,11 +232,13 @@ class CoordinateFrame:
         return True
 
     def in_image(self, x: float, y: float) -> Place:
-        """Convert a place to pixels of the full image; clamp it to the image."""
+        """Convert a place to square pixels of the full image; clamp it to the image."""
         across, down = self.extent
-        x_px = x * self.width_px / across
-        y_px = y * self.height_px / down
-        return _clamp(x_px, self.width_px), _clamp(y_px, self.height_px)
+        width_px = self.grid.square_width_px
+        height_px = self.grid.square_height_px
+        x_px = x * width_px / across
+        y_px = y * height_px / down
+        return _clamp(x_px, width_px), _clamp(y_px, height_px)
 
     def other_reading(self, places: Sequence[Place]) -> str:
         """Suggest other coordinates for invalid places; empty without a suggestion."""
@@ -225,7 +262,7 @@ class CoordinateFrame:
         if self.frame.size is not None or self.inside(places):
             return ""
         width, height = self._viewed_size()
-        if width <= self.width_px or x_max > width or y_max > height:
+        if width <= self.grid.width_px or x_max > width or y_max > height:
             return ""
         suggestion = (
             f"; if you read it in the picture of {width} x {height} px from view_image, give that "
@@ -237,9 +274,10 @@ class CoordinateFrame:
 
     def _viewed_size(self) -> tuple[int, int]:
         """Compute the width and height of the picture that ``view_image`` shows of the image."""
-        factor = VIEWED_SIDE_PX / max(self.width_px, self.height_px)
-        factor = min(factor, MAX_VIEW_ENLARGEMENT)
-        return round(self.width_px * factor), round(self.height_px * factor)
+        width_px = self.grid.square_width_px
+        height_px = self.grid.square_height_px
+        factor = min(VIEWED_SIDE_PX / max(width_px, height_px), MAX_VIEW_ENLARGEMENT)
+        return round(width_px * factor), round(height_px * factor)
 
 
 def _clamp(coordinate: float, side_px: int) -> float:

@@ -17,6 +17,8 @@ from vehanchor.scale.defaults import Preset
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from vehanchor.options.pixel_grid import PixelGrid
+
 _Line = TypeVar("_Line", KnownLength, AddedVehicle)
 
 # Options of the method that a preset leaves to the caller.
@@ -97,22 +99,22 @@ class ScaleOptions:
                 f"{name} belongs to one image: estimate that image by itself"
             )
 
-    def in_pixels(self, width_px: int, height_px: int) -> ScaleOptions:
-        """Convert lines and added vehicles to pixels of the frame, or of the image without a frame.
+    def in_pixels(self, grid: PixelGrid) -> ScaleOptions:
+        """Convert lines and added vehicles to pixels of the frame, or of the file without a frame.
 
         Args:
-            width_px: width of the image.
-            height_px: height of the image.
+            grid: pixels of the image.
 
         Raises:
             KnownLengthError: a line is shorter than five pixels, or ends outside the image.
             InvalidParameterError: an added vehicle does so.
         """
-        picture_size = self.frame.size or (width_px, height_px)
+        coordinates = CoordinateFrame(self.frame, grid)
+        picture_size = coordinates.size_px
         options = self
         has_lines = self.rulers.known_lengths or self.by_hand.add
         if self.frame.coordinates != "pixels" and has_lines:
-            extent = CoordinateFrame(self.frame, width_px, height_px).extent
+            extent = coordinates.extent
             across = picture_size[0] / extent[0]
             down = picture_size[1] / extent[1]
             options = self._with_scaled_lines(across, down)

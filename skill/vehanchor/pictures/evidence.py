@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.imagery.raster import Window
 from vehanchor.rulers.vehicles import vehicle_witness
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.detections import Detections
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.posterior import Answer, Mark, Witness
@@ -20,15 +22,33 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.segmenter import Segmentation
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """Evidence in square pixels; its record has coordinates in pixels of the file.
+
+    Attributes:
+        grid: the image's pixels, in its file and square.
+    """
+
+    grid: PixelGrid
+
+    @property
+    def whole_image(self) -> Window:
+        """All of the image, in square pixels."""
+        width_px = self.grid.square_width_px
+        height_px = self.grid.square_height_px
+        return Window(0, 0, width_px=width_px, height_px=height_px)
+
+
 @dataclass(frozen=True, eq=False)
-class ScaleEvidence:
+class ScaleEvidence(Evidence):
     """Estimate with its evidence.
 
     Attributes:
         estimate: the record.
         witnesses: witnesses of all rulers.
-        detections: all detected vehicles, in pixels of the image: ``boxes`` and ``scores``, best
-            first.
+        detections: all detected vehicles, in square pixels of the image: ``boxes`` and ``scores``,
+            best first.
         answer: decision on the scale; None without a scale, and in the preset ``paper``.
     """
 
@@ -52,12 +72,12 @@ class ScaleEvidence:
 
     @property
     def marks(self) -> tuple[Mark, ...]:
-        """Lines that rulers measured, in pixels of the image."""
+        """Lines that rulers measured, in square pixels of the image."""
         return tuple(mark for witness in self.witnesses for mark in witness.marks)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MeasurementEvidence:
+class MeasurementEvidence(Evidence):
     """Scale of a measurement.
 
     Attributes:
@@ -75,8 +95,8 @@ class AreaEvidence(MeasurementEvidence):
 
     Attributes:
         measurement: the record.
-        segmentation: the mask, and its window in the image.
-        prompt: the box or points, in pixels of the full image.
+        segmentation: the mask, and its window in the image, in square pixels.
+        prompt: the box or points, in square pixels of the full image.
     """
 
     measurement: AreaMeasurement
@@ -93,3 +113,9 @@ class DistanceEvidence(MeasurementEvidence):
     """
 
     measurement: DistanceMeasurement
+
+    @property
+    def path(self) -> NDArray[np.float64]:
+        """Points of the line, ``[n, 2]`` square pixels of the image."""
+        points = [(point.x_px, point.y_px) for point in self.measurement.path]
+        return self.grid.to_square(points)

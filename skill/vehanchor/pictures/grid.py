@@ -13,7 +13,10 @@ from vehanchor.pictures.placement import Cut
 from vehanchor.pictures.scale import read_reduced
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from vehanchor.imagery.raster import Raster, Window
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.pictures.placement import RgbImage
 
 # Approximate number of lines along the longer side.
@@ -38,32 +41,41 @@ def draw_grid(
 
     Args:
         raster: the image.
-        part: window of the image.
+        part: window of the image, in square pixels.
         long_side_px: longer side of the picture.
         max_enlargement: largest side of the image's pixels in the picture.
         lines: whether to draw the grid.
 
     Returns:
-        ``[h, w, 3]`` RGB, and the distance of two grid lines in pixels of the image.
+        ``[h, w, 3]`` RGB, and the distance of two grid lines in pixels of the file.
     """
     pixels = read_reduced(raster, part)
     cut = Cut(part, long_side_px)
     rgb = cut.sized(pixels, max_enlargement, cv2.INTER_CUBIC)
-    long_side = max(part.width_px, part.height_px)
+    left, top, right, bottom = window_in_file(part, raster.grid).tolist()
+    long_side = max(right - left, bottom - top)
     step = _round_step(long_side / _N_LINES)
     if lines:
-        _draw_lines(rgb, part, step)
+        _draw_lines(rgb, (left, top, right, bottom), step)
     return rgb, step
 
 
-def _draw_lines(rgb: RgbImage, part: Window, step: int) -> None:
+def window_in_file(part: Window, grid: PixelGrid) -> NDArray[np.float64]:
+    """Convert a window to pixels of the file: ``[4]`` left, top, right, bottom."""
+    right = part.x_px + part.width_px
+    bottom = part.y_px + part.height_px
+    corners = grid.to_file([(part.x_px, part.y_px), (right, bottom)])
+    return corners.ravel()
+
+
+def _draw_lines(rgb: RgbImage, extent: tuple[float, float, float, float], step: int) -> None:
+    """Draw lines at round pixels of the file over a picture of this extent of the file."""
     height, width = rgb.shape[:2]
-    across = width / part.width_px
-    down = height / part.height_px
-    xs = _multiples(step, part.x_px, part.width_px)
-    ys = _multiples(step, part.y_px, part.height_px)
-    columns = {x: round((x - part.x_px) * across) for x in xs}
-    rows = {y: round((y - part.y_px) * down) for y in ys}
+    left, top, right, bottom = extent
+    across = width / (right - left)
+    down = height / (bottom - top)
+    columns = {x: round((x - left) * across) for x in _multiples(step, left, right)}
+    rows = {y: round((y - top) * down) for y in _multiples(step, top, bottom)}
     for column in columns.values():
         _lighten(rgb[:, column : column + 1])
     for row in rows.values():
@@ -87,10 +99,10 @@ def _round_step(pixels: float) -> int:
     return int(next(step for step in steps if step >= pixels - 1e-9))
 
 
-def _multiples(step: int, start: int, length: int) -> range:
+def _multiples(step: int, start: float, end: float) -> range:
     """List the multiples of a step inside a range, without its edges."""
-    first = (start // step + 1) * step
-    return range(first, start + length, step)
+    first = (math.floor(start / step) + 1) * step
+    return range(first, math.ceil(end), step)
 
 
 def _lighten(line: RgbImage) -> None:

@@ -20,7 +20,6 @@ from vehanchor.scale.posterior import Mark
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vehanchor.options.reading import Place
     from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
     from vehanchor.pictures.placement import Colour, Placement, Points, RgbImage
     from vehanchor.pictures.scale import CaptionLine
@@ -51,7 +50,7 @@ def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) 
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     first = analyses[0]
-    canvas = open_canvas(image, first.measurement, scale=first.scale, cut=cut)
+    canvas = open_canvas(image, first, scale=first.scale, cut=cut)
     for analysis in analyses:
         _draw_mask(canvas.picture, analysis, canvas.placement)
         _draw_prompt(canvas.picture, analysis, canvas.placement)
@@ -66,22 +65,21 @@ def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) 
 def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured objects and their prompts."""
     points = np.concatenate([_extent(analysis) for analysis in analyses])
-    record = analyses[0].measurement
-    part = part_around(points, record.image_width_px, record.image_height_px)
+    part = part_around(points, analyses[0].whole_image)
     return Cut(part, long_side_px)
 
 
 def _extent(analysis: AreaEvidence) -> Points:
-    """Return points that span the mask and the prompt, ``[n, 2]`` pixels of the image."""
+    """Return points that span the mask and the prompt, ``[n, 2]`` square pixels of the image."""
     prompt = analysis.prompt
     points = [(x, y) for x, y, _ in prompt.points]
     if prompt.box is not None:
         x1, y1, x2, y2 = prompt.box
         points += [(x1, y1), (x2, y2)]
-    mask_box = analysis.measurement.bounding_box
+    mask_box = analysis.segmentation.bounding_box
     if mask_box is not None:
-        points.append((mask_box.x1_px, mask_box.y1_px))
-        points.append((mask_box.x2_px, mask_box.y2_px))
+        x1, y1, x2, y2 = mask_box
+        points += [(x1, y1), (x2, y2)]
     return np.array(points, dtype=np.float64)
 
 
@@ -92,21 +90,22 @@ def draw_distance(image: RgbImage, *analyses: DistanceEvidence, cut: Cut | None 
     middle of its line. Several lines are numbered. Arguments and result are those of ``draw_area``.
     """
     first = analyses[0]
-    canvas = open_canvas(image, first.measurement, scale=first.scale, cut=cut)
+    canvas = open_canvas(image, first, scale=first.scale, cut=cut)
     records = [analysis.measurement for analysis in analyses]
     labels = _numbered([_line_label(record) for record in records])
-    paths = [_path_points(record) for record in records]
-    lines = [Mark(path, label) for path, label in zip(paths, labels, strict=True)]
+    lines = []
+    for analysis, label in zip(analyses, labels, strict=True):
+        points = tuple((x, y) for x, y in analysis.path.tolist())
+        lines.append(Mark(points, label))
     draw_marks(canvas.picture, lines, canvas.placement, colour=MEASURED_RGB)
     sizes = [_distance_text(record) for record in records]
     return _finish(canvas, first, sizes)
 
 
-def cut_to_lines(records: Sequence[DistanceMeasurement], long_side_px: int = CUT_SIDE_PX) -> Cut:
+def cut_to_lines(analyses: Sequence[DistanceEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
     """Cut the image to measured lines."""
-    points = np.concatenate([_path_points(record) for record in records])
-    first = records[0]
-    part = part_around(points, first.image_width_px, first.image_height_px)
+    points = np.concatenate([analysis.path for analysis in analyses])
+    part = part_around(points, analyses[0].whole_image)
     return Cut(part, long_side_px)
 
 
@@ -213,10 +212,6 @@ def _area_text(record: AreaMeasurement) -> str:
     codes = {notice.code for notice in record.warnings}
     doubt = " - low" if NoticeCode.MASK_SCORE_LOW in codes else ""
     return f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
-
-
-def _path_points(record: DistanceMeasurement) -> tuple[Place, ...]:
-    return tuple((point.x_px, point.y_px) for point in record.path)
 
 
 def _line_label(record: DistanceMeasurement) -> str:

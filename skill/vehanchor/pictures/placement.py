@@ -115,19 +115,18 @@ def line_px(picture: RgbImage, limit_px: float = np.inf) -> int:
     return int(np.clip(round(width), 1, 3))
 
 
-def part_around(points: Points, width_px: int, height_px: int) -> Window:
+def part_around(points: Points, whole: Window) -> Window:
     """Return the part of an image around points, with a margin of half of their extent.
 
     Args:
         points: ``[n, 2]`` pixels of the image, one at least.
-        width_px: width of the image.
-        height_px: height of the image.
+        whole: all of the image.
     """
     low = points.min(0)
     high = points.max(0)
     extent = float((high - low).max())
     margin = max(_MIN_MARGIN_PX, _MARGIN_SHARE * extent)
-    size = np.array([width_px, height_px])
+    size = np.array([whole.width_px, whole.height_px])
     # Points may lie on the image's edge or, by rounding, beyond it: one pixel remains.
     first = np.clip(np.floor(low - margin), 0, size - 1)
     last = np.clip(np.ceil(high + margin), 1, size)

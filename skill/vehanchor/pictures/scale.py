@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.raster import Raster
-    from vehanchor.pictures.evidence import ScaleEvidence
+    from vehanchor.pictures.evidence import Evidence, ScaleEvidence
     from vehanchor.pictures.placement import Colour, RgbImage
-    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+    from vehanchor.records import GsdEstimate
 
     Pixel: TypeAlias = tuple[int, int]
     """Column and row."""
@@ -88,7 +88,7 @@ def draw_overlay(image: RgbImage, analysis: ScaleEvidence, cut: Cut | None = Non
         ``[h', w', 3]`` RGB, at most 2048 px a side before the caption is added.
     """
     estimate = analysis.estimate
-    canvas = open_canvas(image, estimate, scale=analysis, cut=cut)
+    canvas = open_canvas(image, analysis, scale=analysis, cut=cut)
     bar_gsd = None
     if estimate.status == "ok" and estimate.tilt is None:
         bar_gsd = estimate.gsd_m_per_px
@@ -139,7 +139,7 @@ class Canvas(NamedTuple):
 
 def open_canvas(
     image: RgbImage,
-    record: GsdEstimate | AreaMeasurement | DistanceMeasurement,
+    evidence: Evidence,
     scale: ScaleEvidence | None,
     cut: Cut | None,
 ) -> Canvas:
@@ -148,13 +148,13 @@ def open_canvas(
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of
             either.
-        record: record of that image.
+        evidence: evidence of that image.
         scale: analysis of the scale; None without one.
         cut: the part to show; None for all of the image.
     """
     if cut is None:
         picture = fit_for_eyes(image)
-        part = Window(0, 0, width_px=record.image_width_px, height_px=record.image_height_px)
+        part = evidence.whole_image
     else:
         picture = cut.sized(image)
         part = cut.part

@@ -127,6 +127,19 @@ class TiltEstimate(Record):
     )
 
 
+PixelAspect = Annotated[
+    float | None,
+    Short(),
+    Field(
+        exclude_if=lambda aspect: aspect is None,
+        description="Height of a pixel of the file over its width, on the ground; absent for "
+        "square pixels. gsd_m_per_px, and lengths and areas in pixels, are in square pixels of the "
+        "shorter side; coordinates are in pixels of the file.",
+    ),
+]
+"""Shape of the file's pixels."""
+
+
 class EstimateDetails(Record):
     """Details of an estimate: its search, its vehicles, and the paper's statistics."""
 
@@ -139,6 +152,7 @@ class EstimateDetails(Record):
         description="N: vehicles before the outlier filter, after corrections by hand; null "
         "without the ruler vehicles.",
     )
+    pixel_aspect: PixelAspect = None
     by_hand: Annotated[VehiclesByHand | None, Short()] = Field(
         default=None, description="Corrections by the caller; null without any."
     )

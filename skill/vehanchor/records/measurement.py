@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from vehanchor.records.gsd_estimate import GsdEstimate, KnownScale, Status
+from vehanchor.records.gsd_estimate import GsdEstimate, KnownScale, PixelAspect, Status
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion, Short
 
@@ -128,7 +128,7 @@ class OtherObject(Record):
     """Another object that the points may mean; its box is a prompt for it."""
 
     area_m2: float | None = Field(description="Its area, square metres; null without a scale.")
-    mask_area_px: int = Field(gt=0, description="Pixels of its mask in the full image.")
+    mask_area_px: int = Field(gt=0, description="Square pixels of its mask in the full image.")
     mask_score: float = Field(ge=0, le=1, description="The segmenter's estimate of its mask's IoU.")
     bounding_box: BoundingBox = Field(description="Its box, pixels of the full image.")
 
@@ -158,7 +158,11 @@ class AreaMeasurement(Record):
         description="P_mode: modal vehicle length, pixels; null without an estimate."
     )
     scale_source: ScaleSourceField
-    mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
+    mask_area_px: int = Field(
+        ge=0,
+        description="N_px: pixels of the mask in the full image, square ones of the side "
+        "gsd_m_per_px even if the file's are not.",
+    )
     mask_score: Annotated[float, Short(round_down=True)] = Field(
         ge=0, le=1, description="The segmenter's estimate of the mask's IoU."
     )
@@ -196,6 +200,7 @@ class AreaMeasurement(Record):
     )
     image_width_px: ImageWidth
     image_height_px: ImageHeight
+    pixel_aspect: PixelAspect = None
     frame: Annotated[FrameArea | None, Short()] = Field(
         description="The object in the caller's resized copy; null without a frame."
     )
@@ -240,12 +245,15 @@ class DistanceMeasurement(Record):
     gsd_m_per_px: MeasuredGsd
     n_vehicles: MeasuredVehicles
     scale_source: ScaleSourceField
-    length_px: float = Field(gt=0, description="Length of the line, pixels of the full image.")
+    length_px: float = Field(
+        gt=0, description="Length of the line, square pixels of the full image."
+    )
     path: tuple[ImagePoint, ...] = Field(
         description="Its points in order, pixels of the full image."
     )
     image_width_px: ImageWidth
     image_height_px: ImageHeight
+    pixel_aspect: PixelAspect = None
     scale: ScaleField
     estimate: EstimateField
     warnings: MeasuredWarnings

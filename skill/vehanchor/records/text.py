@@ -61,6 +61,22 @@ def scale_text(record: GsdEstimate | FrameScale) -> str:
     )
 
 
+def pixel_text(gsd_m_per_px: float | None, pixel_aspect: float | None) -> str:
+    """Describe a pixel of the file that is not square; empty for a square one.
+
+    Args:
+        gsd_m_per_px: scale, metres per square pixel; None without one.
+        pixel_aspect: height of the file's pixel over its width; None for a square one.
+    """
+    if pixel_aspect is None:
+        return ""
+    if gsd_m_per_px is None:
+        return f"{significant(pixel_aspect)} times as high as wide"
+    across_m = gsd_m_per_px * max(1.0, 1 / pixel_aspect)
+    down_m = gsd_m_per_px * max(1.0, pixel_aspect)
+    return f"{significant(across_m)} m across, {significant(down_m)} m down"
+
+
 def by_hand_text(estimate: GsdEstimate) -> str:
     """Count the caller's corrections, such as "by hand: 2 added, 1 dropped"; empty without any."""
     by_hand = estimate.details.by_hand

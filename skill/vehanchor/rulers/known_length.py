@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vehanchor.errors import KnownLengthError
+from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import TILT_SD_DEG
@@ -146,10 +147,7 @@ class _DrawnLine(NamedTuple):
 def _draw(line: KnownLength, view: View) -> _DrawnLine:
     """Convert a line from the caller's copy of the image to the image."""
     image = view.image
-    frame_size = view.options.frame.size
-    frame_width, frame_height = frame_size or (image.width_px, image.height_px)
-    x_factor = image.width_px / frame_width
-    y_factor = image.height_px / frame_height
+    x_factor, y_factor = CoordinateFrame(view.options.frame, image.grid).unit_of_copy_px
     first = (line.x1 * x_factor, line.y1 * y_factor)
     second = (line.x2 * x_factor, line.y2 * y_factor)
     length_px, tilt_log_sd = _length_at_centre(first, second, view.plane)

@@ -57,6 +57,7 @@ from vehanchor.scale.reliability import (
     RELIABILITY,
     CoarseErrors,
     appearance_error,
+    log_odds_by_density,
     uncalibrated_wrong,
     unresolved,
 )
@@ -97,6 +98,8 @@ class VehicleWitness(Witness):
         detail_share: share of the pixels' resolution at which there is detail.
         only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of
             cars.
+        stretch_log_odds: as in ``vehanchor.detection.detections.Detections``; None in a tilted
+            view, which foreshortens the vehicles.
     """
 
     fleet: Fleet
@@ -106,6 +109,7 @@ class VehicleWitness(Witness):
     aggregation: Aggregation
     detail_share: float
     only_kept: bool
+    stretch_log_odds: float | None = None
 
     @property
     def guard_length_px(self) -> float:
@@ -410,8 +414,12 @@ class Vehicles(Ruler):
         unmeasured = unmeasured_region(card, view.options.reference)
         # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None
+        log_odds = None
+        if plane is None and detections.stretch_log_odds is not None:
+            log_odds = detections.stretch_log_odds + log_odds_by_density(view.image.density_aspect)
         return replace(
             vehicles.with_votes(),
+            stretch_log_odds=log_odds,
             gsd_m_per_px=reference.stated_m / mode_px,
             notices=(*vehicles.notices, *unmeasured, *_notices(vehicles, stretch)),
         )

@@ -15,11 +15,11 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, ruler_class
 from vehanchor.rulers.ruler import unusable
-from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.vehicles import Vehicles, vehicle_witness
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
 from vehanchor.scale.posterior import with_shared_error
-from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE
+from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE, chance_of_stretch
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -114,6 +114,7 @@ def with_doubts(
     for witness in witnesses:
         codes.update(notice.code for notice in witness.notices)
     no_one_scale = NoticeCode.STRETCHED in codes or NoticeCode.TILT_SUSPECTED in codes
+    stretch_chance = _stretch_chance(witnesses)
     doubted = []
     for witness in witnesses:
         if not witness.found:
@@ -122,11 +123,23 @@ def with_doubts(
         shared = witness
         if no_one_scale:
             shared = with_shared_error(shared, NO_ONE_SCALE, removes="disagree")
+        elif stretch_chance > 0:
+            # More cars would settle it.
+            unsettled = NO_ONE_SCALE._replace(chance_wrong=stretch_chance)
+            shared = with_shared_error(shared, unsettled, removes="too_few")
         depends_on_cars = witness.kind == Vehicles.kind or not witness.sets_scale
         if NoticeCode.LOOK_ALIKES in codes and depends_on_cars:
             shared = with_shared_error(shared, NO_CARS, removes="not_cars")
         doubted.append(shared)
     return tuple(doubted)
+
+
+def _stretch_chance(witnesses: Sequence[Witness]) -> float:
+    """Compute the chance that the image is stretched, by its vehicles; 0 if they do not tell."""
+    vehicles = vehicle_witness(witnesses)
+    if vehicles is None or vehicles.stretch_log_odds is None:
+        return 0.0
+    return chance_of_stretch(vehicles.stretch_log_odds)
 
 
 def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:

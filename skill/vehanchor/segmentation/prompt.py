@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from vehanchor.options import Frame
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.options.reading import Place
 
 Box: TypeAlias = tuple[float, float, float, float]
@@ -114,21 +115,20 @@ def _read_points(points: Sequence[Point]) -> tuple[LabelledPoint, ...]:
     return tuple(read)
 
 
-def prompt_in_image(prompt: Prompt, frame: Frame, width_px: int, height_px: int) -> Prompt:
-    """Convert a prompt to pixels of the full image and check it against the image.
+def prompt_in_image(prompt: Prompt, frame: Frame, grid: PixelGrid) -> Prompt:
+    """Convert a prompt to square pixels of the full image and check it against the image.
 
     Coordinates that lie outside by less than a pixel of the frame, due to rounding, are clipped.
 
     Args:
         prompt: prompt in the caller's coordinates.
         frame: size of the caller's copy and unit of its coordinates.
-        width_px: width of the full image.
-        height_px: height of the full image.
+        grid: pixels of the full image.
 
     Raises:
         PromptError: the prompt is outside the image, or the box is too small.
     """
-    coordinates = CoordinateFrame(frame, width_px, height_px)
+    coordinates = CoordinateFrame(frame, grid)
     if prompt.box is not None:
         _check_box_inside(prompt.box, coordinates)
     else:

@@ -103,6 +103,7 @@ class LiveEstimator:
         # New ground since the prior was predicted, in frames.
         self._prior_moved = math.inf
         self._stretch: float | None = None
+        self._stretch_log_odds: float | None = None
         # Centres of the cars of the last frames, in pixels of the current one.
         self._cars: Points = np.zeros((0, 2))
 
@@ -204,7 +205,11 @@ class LiveEstimator:
             )
             if view.detections.stretch is not None:
                 self._stretch = view.detections.stretch
-            detections = replace(view.detections, stretch=self._stretch)
+            if view.detections.stretch_log_odds is not None:
+                self._stretch_log_odds = view.detections.stretch_log_odds
+            detections = replace(
+                view.detections, stretch=self._stretch, stretch_log_odds=self._stretch_log_odds
+            )
             # The view has no tilt: the camera looks down.
             view = replace(view, detections=detections)
             witnesses = measure_all(view)

@@ -452,7 +452,9 @@ def _select_boxes(detections: Detections, kept: Flags, lengths: Lengths) -> Dete
         scores=detections.scores[kept],
         reductions=reductions,
         appearance=appearance,
-        stretch=None,  # Width and height have the scales that the model gives them.
+        # Width and height have the scales that the model gives them.
+        stretch=None,
+        stretch_log_odds=None,
     )
 
 

@@ -18,6 +18,8 @@ from vehanchor.detection.detections import Appearance, Detections, corrected
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options import ScaleOptions
+from vehanchor.options.pixel_grid import PixelGrid
+from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records.notices import NoticeCode
 
 _SIDE = 4000
@@ -52,14 +54,15 @@ _TWELVE = _detections([(40.0, 12)])
 _TWO_GROUPS = _detections([(40.0, 12), (100.0, 10)])
 """Twelve cars of 40 px, and ten vehicles of 100 px."""
 
+_GRID = PixelGrid(_SIDE, _SIDE)
+
 
 def _corrected(detections: Detections, **keywords: Any) -> Detections:
-    options = ScaleOptions.of(keywords).in_pixels(_SIDE, _SIDE)
+    options = ScaleOptions.of(keywords).in_pixels(_GRID)
     return corrected(
         detections,
         options.by_hand,
-        frame=options.frame,
-        size_px=(_SIDE, _SIDE),
+        CoordinateFrame(options.frame, _GRID),
         nms_iou=options.search.nms_iou,
         length_over_width=2.21,
     )

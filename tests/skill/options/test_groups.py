@@ -20,6 +20,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ByHand, Reference, ScaleOptions, Search
+from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.options.rulers import MAX_BY_HAND, AddedVehicle, vehicle_numbers
 from vehanchor.records import GsdEstimate
 
@@ -252,11 +253,11 @@ def test_an_axis_of_other_than_four_numbers_is_refused(text: str) -> None:
 )
 def test_an_axis_too_short_or_outside_is_refused(axis: tuple[float, ...], message: str) -> None:
     with pytest.raises(InvalidParameterError, match=message):
-        ScaleOptions.of({"add": [axis]}).in_pixels(100, 80)
+        ScaleOptions.of({"add": [axis]}).in_pixels(PixelGrid(100, 80))
 
 
 def test_an_added_vehicle_has_the_callers_coordinates() -> None:
     options = ScaleOptions.of({"add": [(0.1, 0.5, 0.3, 0.5)], "coordinates": "fraction"})
-    in_pixels = options.in_pixels(1000, 400)
+    in_pixels = options.in_pixels(PixelGrid(1000, 400))
     assert astuple(in_pixels.by_hand.add[0]) == pytest.approx((100, 200, 300, 200))
     assert in_pixels.frame.coordinates == "pixels"

@@ -20,6 +20,7 @@ from vehanchor.errors import (
 )
 from vehanchor.imagery.raster import Window
 from vehanchor.options import Frame, ImageLimits
+from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.options.reading import FrameSize
 from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt, prompt_in_image, read_prompt
 from vehanchor.segmentation.segmenter import Segmentation, Segmenter
@@ -147,13 +148,13 @@ def test_an_invalid_prompt_is_refused_without_an_image(box: Any, points: Any, me
 
 def test_a_box_just_beyond_the_image_is_clipped() -> None:
     box = Prompt(box=(-0.9, -0.5, 60.9, 40.3))
-    clipped = prompt_in_image(box, WHOLE, width_px=60, height_px=40)
+    clipped = prompt_in_image(box, WHOLE, PixelGrid(60, 40))
     assert clipped == Prompt(box=(0.0, 0.0, 60.0, 40.0))
 
 
 def test_a_box_just_beyond_the_frame_is_clipped() -> None:
     box = Prompt(box=(-0.9, 0.0, 30.9, 20.0))
-    clipped = prompt_in_image(box, Frame(FrameSize(30, 20)), width_px=60, height_px=40)
+    clipped = prompt_in_image(box, Frame(FrameSize(30, 20)), PixelGrid(60, 40))
     assert clipped == Prompt(box=(0.0, 0.0, 60.0, 40.0))
 
 
@@ -175,7 +176,7 @@ def test_a_box_just_beyond_the_frame_is_clipped() -> None:
 )
 def test_a_prompt_outside_the_image_is_refused(prompt: Prompt, frame: Frame, message: str) -> None:
     with pytest.raises(PromptError, match=message):
-        prompt_in_image(prompt, frame, width_px=60, height_px=40)
+        prompt_in_image(prompt, frame, PixelGrid(60, 40))
 
 
 def test_the_crop_of_a_box_has_twice_its_longer_side(segmenter: Segmenter) -> None:

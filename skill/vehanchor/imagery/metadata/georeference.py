@@ -1,7 +1,7 @@
-"""Ground sampling distance (GSD) of a georeferenced raster.
+"""Pixel of a georeferenced raster on the ground: its ground sampling distance (GSD) and its shape.
 
-Estimates never use it. Records report it next to the estimate, and the evaluation uses it as ground
-truth.
+Estimates never use the GSD. Records report it next to the estimate, and the evaluation uses it as
+ground truth. The shape is a fact without a scale: images are analysed in square pixels.
 """
 
 from __future__ import annotations
@@ -15,6 +15,31 @@ AffineCoefficients = tuple[float, float, float, float, float, float]
 
 x = a*column + b*row + c, and y = d*column + e*row + f.
 """
+
+
+class GroundPixel(NamedTuple):
+    """Pixel of a georeferenced image, as a parallelogram on the ground.
+
+    Attributes:
+        across_m: side along a row, metres.
+        down_m: side along a column, metres.
+        gsd_m_per_px: side of a square of the same area, metres.
+    """
+
+    across_m: float
+    down_m: float
+    gsd_m_per_px: float
+
+    @property
+    def aspect(self) -> float:
+        """Height over width."""
+        return self.down_m / self.across_m
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether the sides are at right angles, within two degrees."""
+        sine = self.gsd_m_per_px**2 / (self.across_m * self.down_m)
+        return sine >= _LEAST_SINE
 
 
 class Ground(NamedTuple):
@@ -31,6 +56,9 @@ class Ground(NamedTuple):
 
 WGS84_SEMI_MAJOR_AXIS_M = 6_378_137.0  # EPSG:7030
 WGS84_FLATTENING = 1 / 298.257223563  # EPSG:7030
+
+_LEAST_SINE = math.cos(math.radians(2))
+"""Sine of the angle between a pixel's sides from which it counts as a rectangle; a choice."""
 
 _IDENTITY: AffineCoefficients = (1, 0, 0, 0, 1, 0)
 """GDAL's transform of a file without one."""
@@ -66,22 +94,13 @@ def gsd_units_per_px(transform: AffineCoefficients) -> float:
     return math.sqrt(abs(a * e - b * d))
 
 
-def geographic_gsd_m_per_px(transform: AffineCoefficients, latitude_deg: float) -> float:
-    """Compute the GSD of a raster in degrees at a latitude.
+def ground_pixel(dataset: Any) -> GroundPixel | None:
+    """Measure the pixel at the centre of an open rasterio dataset.
 
-    It is the geometric mean of a pixel's sides on the ground.
-    """
-    latitude_m, longitude_m = metres_per_degree(latitude_deg)
-    return gsd_units_per_px(transform) * math.sqrt(latitude_m * longitude_m)
-
-
-def dataset_gsd_m_per_px(dataset: Any) -> float | None:
-    """Compute the GSD at the centre of an open rasterio dataset, in metres per pixel.
-
-    In projected systems the GSD is the pixel's side times the linear unit in metres. Mercator
+    In projected systems a side is that of the transform times the linear unit in metres. Mercator
     (EPSG:3857, 3395) stretches metres by 1/cos(latitude), so its pixels are converted to degrees
     first. The grid scale of other projections is ignored; it is within 0.1 % in UTM and most
-    national grids. For geographic systems, see :func:`geographic_gsd_m_per_px`.
+    national grids. In geographic systems, a degree of longitude is shorter than one of latitude.
 
     Args:
         dataset: a ``rasterio.DatasetReader``.
@@ -98,30 +117,62 @@ def dataset_gsd_m_per_px(dataset: Any) -> float | None:
         is_finite = all(map(math.isfinite, transform))
         if not crs or transform == _IDENTITY or not is_finite:
             return None
-        gsd = _gsd_in_crs(transform, crs, column=dataset.width / 2, row=dataset.height / 2)
+        metric = _metric_transform(transform, crs, column=dataset.width / 2, row=dataset.height / 2)
     # PROJ cannot use the system; CRSError is a ValueError.
     except (RasterioError, ValueError, ArithmeticError):
         return None
-    return gsd if math.isfinite(gsd) and gsd > 0 else None
+    if metric is None:
+        return None
+    pixel = metric.pixel
+    if not all(math.isfinite(side) and side > 0 for side in pixel):
+        return None
+    return pixel
 
 
-def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: float) -> float:
-    """Compute the GSD at a pixel; NaN if the system or the place has none."""
+class _MetricTransform(NamedTuple):
+    """Transform with the length of its units on the ground.
+
+    Attributes:
+        transform: from pixels to coordinates.
+        x_m: metres per unit of x.
+        y_m: metres per unit of y.
+    """
+
+    transform: AffineCoefficients
+    x_m: float
+    y_m: float
+
+    @property
+    def pixel(self) -> GroundPixel:
+        """The pixel's sides, metres."""
+        a, b, _, d, e, _ = self.transform
+        return GroundPixel(
+            across_m=math.hypot(a * self.x_m, d * self.y_m),
+            down_m=math.hypot(b * self.x_m, e * self.y_m),
+            gsd_m_per_px=gsd_units_per_px(self.transform) * math.sqrt(self.x_m * self.y_m),
+        )
+
+
+def _metric_transform(
+    transform: AffineCoefficients, crs: Any, column: float, row: float
+) -> _MetricTransform | None:
+    """Find the length of a transform's units at a pixel; None if the place has none."""
     from rasterio.warp import transform as reproject
 
     a, b, c, d, e, f = transform
     x = a * column + b * row + c
     y = d * column + e * row + f
     if max(abs(x), abs(y)) > _MAX_COORDINATE:
-        return math.nan
+        return None
     if crs.is_geographic:
         unit_deg = math.degrees(crs.units_factor[1])
         latitude_deg = y * unit_deg
         if abs(latitude_deg) > 90:
-            return math.nan
-        return unit_deg * geographic_gsd_m_per_px(transform, latitude_deg)
+            return None
+        latitude_m, longitude_m = metres_per_degree(latitude_deg)
+        return _MetricTransform(transform, unit_deg * longitude_m, unit_deg * latitude_m)
     if not crs.is_projected:
-        return math.nan
+        return None
     # Mercator's scale depends on the latitude, and on the latitude of true scale: the pixel and its
     # neighbours to the right and below are converted to degrees.
     if _MERCATOR_WKT.search(crs.to_wkt()):
@@ -138,5 +189,7 @@ def _gsd_in_crs(transform: AffineCoefficients, crs: Any, column: float, row: flo
             latitude_below - latitude,
             0.0,
         )
-        return geographic_gsd_m_per_px(transform_in_degrees, latitude)
-    return gsd_units_per_px(transform) * float(crs.linear_units_factor[1])
+        latitude_m, longitude_m = metres_per_degree(latitude)
+        return _MetricTransform(transform_in_degrees, longitude_m, latitude_m)
+    unit_m = float(crs.linear_units_factor[1])
+    return _MetricTransform(transform, unit_m, unit_m)

@@ -35,11 +35,13 @@ from vehanchor.imagery.formats.heif import HEIC
 from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.limits import check_bytes
 from vehanchor.imagery.metadata.camera import read_camera
+from vehanchor.imagery.metadata.density import density_aspect
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size
 from vehanchor.imagery.sources.files import spelled_as_stored
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
+from vehanchor.imagery.square_raster import in_square_pixels
 from vehanchor.options import Reading
 
 if TYPE_CHECKING:
@@ -81,6 +83,9 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
     2 and 98 of the whole image. Floats within 0..1 are scaled by 255, other floats stretched by
     percentiles. A single band becomes grey. Of more than three bands the first three are used.
 
+    If the file states that its pixels are not square on the ground, the image is read in square
+    pixels; see ``vehanchor.options.pixel_grid.PixelGrid``.
+
     Transparent pixels (alpha 0) are ignored. Arrays and files that are decoded whole must be
     finite. In files that are read by windows, NaN means "no data".
 
@@ -105,6 +110,12 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
             unsupported dtype.
         MissingExtraError: the file needs rasterio or libheif, which is not installed.
     """
+    raster = _open_in_file_pixels(image, reading)
+    return in_square_pixels(raster, reading.limits)
+
+
+def _open_in_file_pixels(image: ImageSource, reading: Reading) -> Raster:
+    """Open an image of any kind, with the pixels of its file; see ``open_raster``."""
     if isinstance(image, np.ndarray):
         check_array_size(image, reading.limits)
         return ArrayRaster(image, "array", reading.bands, bgr=reading.bgr)
@@ -187,6 +198,7 @@ def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
         pixels, source, reading.bands, bgr=True, orientation=orientation, alpha=has_alpha
     )
     raster.camera = read_camera(read_at, header)
+    raster.density_aspect = density_aspect(read_at)
     return raster
 
 

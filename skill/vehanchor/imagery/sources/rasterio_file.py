@@ -22,9 +22,10 @@ from vehanchor.imagery.bands import check_dtype, choose_bands, is_alpha, merge_b
 from vehanchor.imagery.file_check import missing_rasterio
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.imagery.limits import check_block, check_windowed_size
-from vehanchor.imagery.metadata.georeference import Ground, dataset_gsd_m_per_px
-from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
+from vehanchor.imagery.metadata.georeference import Ground, GroundPixel, ground_pixel
+from vehanchor.imagery.raster import Raster, RasterNote, StoredPixels, Window, stored_window
 from vehanchor.imagery.stretch import SAMPLE_PX
+from vehanchor.options.pixel_grid import MAX_ASPECT, usable_aspect
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -295,10 +296,11 @@ class DatasetRaster(Raster):
             dataset.width,
             dataset.height,
             orientation=orientation,
-            georeference_gsd_m_per_px=dataset_gsd_m_per_px(dataset),
             notes=notes,
         )
-        if self.georeference_gsd_m_per_px is not None:
+        pixel = ground_pixel(dataset)
+        if pixel is not None:
+            self._georeference(pixel)
             self.ground = Ground(dataset.transform, dataset.crs)
         first_index = self._indexes[0]
         dtype = _dtype(dataset.dtypes[first_index - 1])
@@ -310,6 +312,20 @@ class DatasetRaster(Raster):
         self._alpha = self._find_alpha()
         if dtype != np.uint8 and self._palette is None:
             self._choose_stretch(self._sample())
+
+    def _georeference(self, pixel: GroundPixel) -> None:
+        """Take the size and shape of a pixel on the ground."""
+        self.georeference_gsd_m_per_px = pixel.gsd_m_per_px
+        elongation = max(pixel.aspect, 1 / pixel.aspect)
+        if pixel.is_upright and elongation <= MAX_ASPECT:
+            self.pixel_aspect = usable_aspect(pixel.aspect)
+            return
+        message = (
+            f"A pixel of the file is {pixel.across_m:.4g} m along a row and {pixel.down_m:.4g} m "
+            "along a column, and no rectangle or too long: no single scale holds. Reproject the "
+            "image to UTM, with square pixels."
+        )
+        self.warnings = (*self.warnings, RasterNote("stretched", message))
 
     def close(self) -> None:
         """Close the file unless it is the caller's dataset."""

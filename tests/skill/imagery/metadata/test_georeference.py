@@ -18,7 +18,6 @@ from tests.skill.imagery.files import NOISE, encoded, geotiff
 from vehanchor.errors import ImageDecodeError, OutOfMemoryError, VehAnchorError
 from vehanchor.imagery.formats import decoding
 from vehanchor.imagery.metadata.georeference import (
-    geographic_gsd_m_per_px,
     gsd_units_per_px,
     metres_per_degree,
 )
@@ -49,10 +48,13 @@ def test_an_oblong_pixel_counts_by_its_area() -> None:
     assert gsd_units_per_px((0.1, 0, 0, 0, -0.4, 0)) == pytest.approx(0.2)
 
 
-def test_an_oblong_pixel_in_degrees_can_be_square_on_the_ground() -> None:
+def test_an_oblong_pixel_in_degrees_can_be_square_on_the_ground(tmp_path: Path) -> None:
     latitude_m, longitude_m = metres_per_degree(60)
-    square_on_the_ground = (0.3 / longitude_m, 0.0, 10.0, 0.0, -0.3 / latitude_m, 60.0)
-    assert geographic_gsd_m_per_px(square_on_the_ground, 60) == pytest.approx(0.3)
+    square_on_the_ground = Affine(0.3 / longitude_m, 0.0, 10.0, 0.0, -0.3 / latitude_m, 60.0)
+    path = write(tmp_path / "square.tif", "EPSG:4326", square_on_the_ground)
+    with open_raster(path) as raster:
+        assert raster.grid.is_square
+        assert raster.georeference_gsd_m_per_px == pytest.approx(0.3, rel=1e-5)
 
 
 def write(path: Path, crs: Any, transform: Affine | None) -> Path:
@@ -65,7 +67,8 @@ def write(path: Path, crs: Any, transform: Affine | None) -> Path:
     return path
 
 
-DEGREE_PX = 0.25 / math.sqrt(math.prod(metres_per_degree(43.55)))
+DEGREE_PX = 0.25 / metres_per_degree(43.55)[1]
+"""Degrees of longitude of 0.25 m: the shorter side of a pixel that is square in degrees."""
 RADIUS_M = 6_378_137.0
 
 
