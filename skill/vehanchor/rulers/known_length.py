@@ -18,7 +18,7 @@ from vehanchor.rulers.standards import Variant, exact_kind, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Mark, Witness
-from vehanchor.scale.reliability import CALLER, MEASURING, RECOGNITION, RELIABILITY
+from vehanchor.scale.reliability import CALLER, MEASURING, RECOGNITION, RELIABILITY, ROUGH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.density import Density
     from vehanchor.scale.plane import GroundPlane
+    from vehanchor.scale.reliability import Shared
 
     Point: TypeAlias = tuple[float, float]
     """x, y in pixels of the image."""
@@ -291,7 +292,10 @@ def _witness(group: Lines, region: str | None) -> Witness:
     """
     line = group[0].known_length
     variants: tuple[Variant, ...]
+    shared: tuple[Shared, ...] = ()
     if line.length_m is not None:
+        if line.basis == "assumed" and line.tolerance_m is None:
+            shared = (ROUGH,)
         chance_wrong = RELIABILITY[line.basis].chance_wrong
         # The same metres in several parts have one error, that of the most exact statement.
         log_sd = min(_log_sd_of_metres(part) for part in group)
@@ -305,7 +309,7 @@ def _witness(group: Lines, region: str | None) -> Witness:
         chance_wrong = max(_MIN_CHANCE_WRONG, own_chance)
         length_px, drawing_log_sd = _mean_length(group)
     right = _mixture(variants, length_px, drawing_log_sd)
-    return _of_density(right, chance_wrong)
+    return _of_density(right, chance_wrong, shared)
 
 
 def _mixture(variants: Sequence[Variant], length_px: float, drawing_log_sd: float) -> Density:
@@ -400,22 +404,26 @@ def _impossible(metres: float, length_px: float) -> KnownLengthError:
     )
 
 
-def _of_density(right: Density, chance_wrong: float) -> Witness:
+def _of_density(right: Density, chance_wrong: float, shared: tuple[Shared, ...]) -> Witness:
     """Make a witness whose own scale is the median of a density ``[g]``."""
     median = quantile(right, 0.5)
-    return Witness(KnownLengths.kind, median, right=right, chance_wrong=chance_wrong)
+    return Witness(KnownLengths.kind, median, right=right, chance_wrong=chance_wrong, shared=shared)
 
 
 def _combined(witnesses: Sequence[Witness]) -> Witness:
     """Combine the witnesses of all lines.
 
     Each line may be wrong by itself, which its density includes. Contradictions show as several
-    modes of the product.
+    modes of the product. An error that all lines share does not shrink in the product.
     """
     if len(witnesses) == 1:
         return witnesses[0]
+    shared: tuple[Shared, ...] = ()
+    if all(witness.shared for witness in witnesses):
+        shared = witnesses[0].shared
+        witnesses = [replace(witness, shared=()) for witness in witnesses]
     densities = [witness.density for witness in witnesses]
-    return _of_density(product(*densities), chance_wrong=0.0)
+    return _of_density(product(*densities), chance_wrong=0.0, shared=shared)
 
 
 def _disagreement(groups: Sequence[Lines], witnesses: Sequence[Witness]) -> tuple[Notice, ...]:

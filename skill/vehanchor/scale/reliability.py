@@ -68,6 +68,9 @@ is ``_NOT_MEASURED``. A choice."""
 _ROUGH = 0.10
 """Standard deviation of the log scale by a guess. A choice."""
 
+_HALF_ROUGH = _ROUGH / math.sqrt(2)
+"""Half of that variance is the error of one guess, and half is shared; see ROUGH. A choice."""
+
 _EXACT = 0.01
 """Standard deviation of the log scale by tape, plan, survey or the rules of a game. A choice."""
 
@@ -90,7 +93,10 @@ RELIABILITY: dict[str, Reliability] = {
     ),
     "measured height": Reliability(0.05, _MEASURED_WRONG, n=0, source="a choice"),
     "assumed": Reliability(
-        _ROUGH, _NOT_MEASURED, n=0, source="a length or height that the caller assumes; a choice"
+        _HALF_ROUGH,
+        _NOT_MEASURED,
+        n=0,
+        source="a length or height that the caller assumes, beside ROUGH; a choice",
     ),
 }
 """Errors by ruler, and by its condition."""
@@ -170,6 +176,9 @@ class Shared(NamedTuple):
 
 CALLER = Shared("caller", 0.0, 0.11)
 """All guesses of one caller are wrong together; with a guess's own chance, 0.15. A choice."""
+
+ROUGH = Shared("caller's sense of size", _HALF_ROUGH)
+"""A caller who takes one thing for too large takes others for too large, too. A choice."""
 
 RECOGNITION = Shared("caller", 0.0, _NOT_MEASURED)
 """A caller misidentifies all things of exact size in an image, if they differ in kind. A choice."""

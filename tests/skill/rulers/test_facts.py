@@ -205,6 +205,48 @@ def test_any_number_of_guesses_is_not_usable(n: int) -> None:
     assert record.status == "low_confidence"
 
 
+def _guesses(kinds: str, factor: float) -> dict[str, Any]:
+    """Make guesses that are wrong by one factor: reference length, line and height."""
+    guesses: dict[str, Any] = {}
+    if "length" in kinds:
+        guesses["reference_length_m"] = factor * 5.0
+    if "line" in kinds:
+        guesses["known_lengths"] = [_measured(LINE, factor * CARS_GSD, "assumed")]
+    if "height" in kinds:
+        guesses["height_m"] = factor * CARS_GSD / TRUE_GSD * 100.0
+        guesses["focal_35mm"] = 26.0
+    return guesses
+
+
+ALL_GUESSES = "length, line and height"
+
+
+@pytest.mark.parametrize("cars", [1, 2, 5, 30, 171])
+@pytest.mark.parametrize("factor", [1 / 2, 1 / 1.5, 1.5, 2])
+@pytest.mark.parametrize("kinds", ["length and line", "length and height", ALL_GUESSES])
+def test_wrong_guesses_do_not_make_each_other_sure(cars: int, factor: float, kinds: str) -> None:
+    record = record_of(cars, **_guesses(kinds, factor))
+    is_right = record.gsd_m_per_px == pytest.approx(CARS_GSD, rel=0.2)
+    assert is_right or record.status != "ok"
+
+
+@pytest.mark.parametrize("cars", [1, 3])
+@pytest.mark.parametrize("factor", [1 / 1.3, 1.0, 1.3])
+def test_a_guessed_length_of_cars_does_not_confirm_other_guesses(cars: int, factor: float) -> None:
+    without = record_of(cars, **_guesses("line and height", factor))
+    beside = record_of(cars, **_guesses(ALL_GUESSES, factor))
+    assert beside.confidence <= without.confidence + 0.01
+
+
+def test_a_guessed_length_of_cars_is_no_evidence_of_cars() -> None:
+    """One box is a car, or another thing; a usual length of cars does not tell which."""
+    alone = record_of(1)
+    beside = record_of(1, reference_length_m=5.0)
+    vehicles_alone = alone.rulers[0]
+    vehicles_beside = beside.rulers[0]
+    assert vehicles_beside.p_right <= vehicles_alone.p_right + 0.01
+
+
 def test_the_kept_vehicles_are_those_whose_lengths_fit_the_answer() -> None:
     """A line and six long vehicles outweigh ten short ones, which are not cars."""
     analysis = _two_groups(CARS_GSD / 2)
