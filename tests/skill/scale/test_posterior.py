@@ -18,7 +18,7 @@ from vehanchor.scale.density import (
     on_grid,
     vehicle_likelihood,
 )
-from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judge
+from vehanchor.scale.posterior import CHANCE_SLACK, Answer, Lack, Witness, answer, judge
 from vehanchor.scale.reliability import CALLER, Shared
 
 VOTES = Votes(-13.76, 17.4)
@@ -98,7 +98,17 @@ def test_a_setting_witness_at_the_value_never_lowers_the_chance(
         ]
     )
     assert after is not None
-    assert after.chance >= before.chance - 1e-3  # the value can move by a cell
+    assert after.chance >= before.chance - CHANCE_SLACK - 1e-3  # the value can move by a cell
+
+
+def test_a_witness_between_two_modes_does_not_move_the_value_off_one_of_them() -> None:
+    """It prefers the nearer mode: the median moves, and is 20 % off the other mode."""
+    modes = [_point(0.297, 0.005, chance_wrong=0.016), _cars(12, 0.2266, spread=0.0)]
+    before = judge(modes)
+    assert before is not None
+    after = judge([*modes, _point(before.gsd_m_per_px, 0.125, chance_wrong=0.0)])
+    assert after is not None
+    assert after.chance >= before.chance
 
 
 @given(
