@@ -76,7 +76,10 @@ _EXACT = 0.01
 
 RELIABILITY: dict[str, Reliability] = {
     "courts": Reliability(
-        _EXACT, 0.08, n=8, source="1 of 8 finds in 1,006 random photographs is false; 30 known ones"
+        _EXACT,
+        0.03,
+        n=7,
+        source="0 of 7 finds that fit well, in 1,006 random photographs, is false; 30 known ones",
     ),
     "camera": Reliability(
         0.12,
@@ -112,6 +115,23 @@ def uncalibrated_wrong(n_likely: int) -> float:
     """
     n_lacking = max(0, MIN_KDE_VEHICLES - n_likely)
     return _NOT_MEASURED * (1 + n_lacking)
+
+
+def court_wrong(quality: float) -> float:
+    """Compute the chance that a find is not a court, by how well its lines fit.
+
+    The odds were fitted to 305 fits, most of them too poor to be finds, in 1,905 photographs of
+    known scale: 173 are right within 4 %. They hold where courts are as rare as in the photographs
+    that were not chosen for them, with 10 false fits for each court. Of 163 finds, the false one
+    gets 0.86, and the median is 0.04.
+
+    Args:
+        quality: ``Court.quality``.
+    """
+    log_odds = 9.2 - 18.0 * quality
+    p_misfit = 1.0 / (1.0 + math.exp(-log_odds))
+    p_right = (1.0 - RELIABILITY["courts"].chance_wrong) * (1.0 - p_misfit)
+    return 1.0 - p_right
 
 
 class CoarseErrors(NamedTuple):
