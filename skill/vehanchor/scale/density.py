@@ -7,7 +7,7 @@ per pixel.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 Density: TypeAlias = "NDArray[np.float64]"
 """Probabilities ``[g]`` of the cells of ``GRID``."""
-
-LogGsd = TypeVar("LogGsd", float, "NDArray[np.float64]")
 
 LOG_STEP = 0.005
 # Largest ``|estimated - true| / true`` with which a planner can use a scale.
@@ -153,49 +151,14 @@ def mass_within(density: Density, gsd_m_per_px: float) -> float:
     Returns:
         At most the sum of the density.
     """
-    [mass] = _masses_within(density, np.log([gsd_m_per_px]))
-    return float(mass)
-
-
-def best_near(density: Density, gsd_m_per_px: float, slack: float) -> float:
-    """Find the nearest scale with about the most mass within 20 % of it.
-
-    Args:
-        density: as in ``mass_within``.
-        gsd_m_per_px: a scale; the result is at most 20 % away.
-        slack: mass that the result may lack of the most.
-
-    Returns:
-        The given scale, if it has as much mass; else a scale of the grid, metres per pixel.
-    """
-    log_gsd = math.log(gsd_m_per_px)
-    low, high = _tolerance_ends(log_gsd)
-    candidates = GRID[(low <= GRID) & (high >= GRID)]
-    candidates = np.append(log_gsd, candidates)
-    masses = _masses_within(density, candidates)
-    are_best = masses >= masses.max() - slack
-    if are_best[0]:
-        return gsd_m_per_px
-    distances = np.where(are_best, np.abs(candidates - log_gsd), np.inf)
-    nearest = np.argmin(distances)
-    return float(np.exp(candidates[nearest]))
-
-
-def _masses_within(density: Density, log_gsds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the masses ``[n]`` within 20 % of the logs ``[n]`` of scales."""
+    # |estimated - true| / true <= 0.2 holds from estimated / 1.2 to estimated / 0.8.
+    low = np.log(gsd_m_per_px / (1 + TOLERANCE))
+    high = np.log(gsd_m_per_px / (1 - TOLERANCE))
     half_cell = LOG_STEP / 2
     edges = np.append(GRID - half_cell, GRID[-1] + half_cell)
     mass_below = np.append(0.0, np.cumsum(density))
-    low, high = _tolerance_ends(log_gsds)
-    return np.asarray(np.interp(high, edges, mass_below) - np.interp(low, edges, mass_below))
-
-
-def _tolerance_ends(log_gsd: LogGsd) -> tuple[LogGsd, LogGsd]:
-    """Compute the logs of the finest and the coarsest true scale within 20 % of an estimate.
-
-    ``|estimated - true| / true <= 0.2`` holds from estimated / 1.2 to estimated / 0.8.
-    """
-    return log_gsd - math.log(1 + TOLERANCE), log_gsd - math.log(1 - TOLERANCE)
+    below_low, below_high = np.interp([low, high], edges, mass_below)
+    return float(below_high - below_low)
 
 
 class Votes(NamedTuple):

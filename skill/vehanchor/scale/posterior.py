@@ -17,8 +17,7 @@ measurement is wrong. It narrows the scale, and is no evidence that the measurem
 
 The answer follows from this posterior alone:
 
-* The value is the median, given that at least one witness that can set a scale is right. If it lies
-  between two modes, it moves so that the scales within 20 % of it include more of them.
+* The value is the median, given that at least one witness that can set a scale is right.
 * The interval is the central 95 % of the same distribution. It is extended to cover witnesses that
   are probably right, but exclude each other.
 * The chance is the posterior's mass within 20 % of the value. What a caller assumes gains no
@@ -41,7 +40,6 @@ import numpy as np
 from vehanchor.scale.defaults import PROBABLY_RIGHT, USABLE_CHANCE
 from vehanchor.scale.density import (
     MIN_PROBABILITY,
-    best_near,
     blurred,
     credible_interval,
     flat,
@@ -61,9 +59,6 @@ if TYPE_CHECKING:
 
 # Smallest rise of the chance that makes a weakness the reason.
 _MIN_GAIN = 1e-6
-# Chance that the median may lack of the best scale near it. A choice: with 0.02 no usable answer of
-# 1,905 photographs of known scale changes, and 17 others do.
-CHANCE_SLACK = 0.02
 
 
 class Mark(NamedTuple):
@@ -298,10 +293,7 @@ def judge(witnesses: Sequence[Witness]) -> Answer | None:
     # the grid. It therefore counts in the chance, but not in the value.
     unsupported = posterior.part_if_wrong(setting)
     supported = normalised(np.maximum(posterior.density - unsupported, 0.0) + MIN_PROBABILITY)
-    # A witness that supports the value never lowers the chance, also where it prefers one of two
-    # modes and moves the median towards it.
-    median = quantile(supported, 0.5)
-    value = best_near(posterior.density, median, slack=CHANCE_SLACK)
+    value = quantile(supported, 0.5)
     chance = mass_within(posterior.density, value)
     if any(witness.assumed for witness in witnesses):
         confirmed = _guesses_confirmed_by_priors(witnesses, posterior)
