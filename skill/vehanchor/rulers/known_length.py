@@ -237,6 +237,29 @@ def _are_one_line(first: _DrawnLine, second: _DrawnLine) -> bool:
     return bool(gap_px <= tolerance_px)
 
 
+def _without_copies(lines: Lines) -> list[_DrawnLine]:
+    """Leave out lines whose ends are those of an earlier line, within the error of the ends.
+
+    Things of one kind can adjoin, as lanes do, so that only copies are one thing.
+    """
+    distinct: list[_DrawnLine] = []
+    for line in lines:
+        if not any(_have_same_ends(line, other) for other in distinct):
+            distinct.append(line)
+    return distinct
+
+
+def _have_same_ends(first: _DrawnLine, second: _DrawnLine) -> bool:
+    """Test whether the ends of two lines coincide, in either order."""
+    tolerance_px = _SAME_LINE_SDS * math.hypot(first.end_sd_px, second.end_sd_px)
+    start, end = first.ends
+    for other_start, other_end in (second.ends, second.ends[::-1]):
+        farthest_px = max(math.dist(start, other_start), math.dist(end, other_end))
+        if farthest_px <= tolerance_px:
+            return True
+    return False
+
+
 def _direction(points: Points) -> Direction:
     """Find the direction of a line through points: their principal axis."""
     offsets = points - points.mean(axis=0)
@@ -307,7 +330,7 @@ def _witness(group: Lines, region: str | None) -> Witness:
         # The chance that the caller mistakes all things is a shared error; see RECOGNITION.
         own_chance = standard.chance_wrong - RECOGNITION.chance_wrong
         chance_wrong = max(_MIN_CHANCE_WRONG, own_chance)
-        length_px, drawing_log_sd = _mean_length(group)
+        length_px, drawing_log_sd = _mean_length(_without_copies(group))
     right = _mixture(variants, length_px, drawing_log_sd)
     return _of_density(right, chance_wrong, shared)
 
