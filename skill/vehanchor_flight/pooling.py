@@ -176,8 +176,9 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
     first_stop = None
     if stops:
         first_stop = stops[0]
-    # Where the total was not counted, the searched tiles stand for it.
-    totals = [part.n_tiles_total or part.n_tiles for part in detections]
+    n_tiles_total = None
+    if all(part.were_searched for part in detections):
+        n_tiles_total = sum(part.n_tiles_total or 0 for part in detections)
     return Detections(
         np.concatenate(boxes, dtype=np.float64)[order],
         scores[order],
@@ -185,7 +186,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         n_capped_tiles=sum(part.n_capped_tiles for part in detections),
         reductions=pooled_reductions,
         appearance=_pooled_appearance(detections, has_appearance, order),
-        n_tiles_total=sum(totals),
+        n_tiles_total=n_tiles_total,
         n_skipped=sum(part.n_skipped for part in detections),
         stopped_because=first_stop,
         stretch=_pooled_stretch(detections),

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from vehanchor.records.gsd_estimate import GsdEstimate, KnownScale, Status
 from vehanchor.records.notices import Notice
-from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion
+from vehanchor.records.record import CI95_HIGH, CI95_LOW, SCHEMA_VERSION, Record, SchemaVersion
 from vehanchor.scale.defaults import Reason
 
 ModelSource: TypeAlias = Literal["opensfm", "colmap_text", "colmap_binary"]
@@ -33,12 +33,8 @@ class FlightPhotograph(Record):
     gsd_m_per_px: float | None = Field(
         default=None, description="Metres per pixel of this photograph, by all evidence."
     )
-    gsd_ci95_low_m_per_px: float | None = Field(
-        default=None, description="Lower end of its 95 % interval."
-    )
-    gsd_ci95_high_m_per_px: float | None = Field(
-        default=None, description="Upper end of its 95 % interval."
-    )
+    gsd_ci95_low_m_per_px: float | None = Field(default=None, description=CI95_LOW)
+    gsd_ci95_high_m_per_px: float | None = Field(default=None, description=CI95_HIGH)
     confidence: float | None = Field(
         default=None, ge=0, le=1, description="Confidence in the scale; null if unreadable."
     )
@@ -112,8 +108,8 @@ class FlightEstimate(Record):
     gsd_m_per_px: float | None = Field(
         description="With same_scale the common scale, metres per pixel; else null."
     )
-    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
-    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    gsd_ci95_low_m_per_px: float | None = Field(description=CI95_LOW)
+    gsd_ci95_high_m_per_px: float | None = Field(description=CI95_HIGH)
     confidence: float = Field(
         ge=0, le=1, description="Of that scale; else the lowest of all photographs."
     )
@@ -148,8 +144,8 @@ class LiveScale(Record):
     gsd_m_per_px: float | None = Field(
         description="Metres per pixel of this frame; null without a scale."
     )
-    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
-    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    gsd_ci95_low_m_per_px: float | None = Field(description=CI95_LOW)
+    gsd_ci95_high_m_per_px: float | None = Field(description=CI95_HIGH)
     confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %.")
     reason: Reason | None = Field(
         description="Why the scale is not usable: of the searched window; null for ok."
@@ -176,8 +172,8 @@ class ModelRuler(Record):
     kind: str = Field(description="Kind of the ruler: vehicles, courts, known_length, ...")
     label: str = Field(description="Its name in messages.")
     factor: float = Field(gt=0, description="The factor by this ruler alone.")
-    factor_ci95_low: float = Field(gt=0, description="Lower end of its 95 % interval.")
-    factor_ci95_high: float = Field(gt=0, description="Upper end of its 95 % interval.")
+    factor_ci95_low: float = Field(gt=0, description=CI95_LOW)
+    factor_ci95_high: float = Field(gt=0, description=CI95_HIGH)
     n: int = Field(
         ge=0, description="Number of things measured; a car in several photographs counts once."
     )
@@ -200,12 +196,8 @@ class ModelPhotograph(Record):
     factor: float | None = Field(
         default=None, description="The factor by this photograph alone; null without one."
     )
-    factor_ci95_low: float | None = Field(
-        default=None, description="Lower end of its 95 % interval."
-    )
-    factor_ci95_high: float | None = Field(
-        default=None, description="Upper end of its 95 % interval."
-    )
+    factor_ci95_low: float | None = Field(default=None, description=CI95_LOW)
+    factor_ci95_high: float | None = Field(default=None, description=CI95_HIGH)
     rulers: tuple[str, ...] = Field(
         default=(), description="Kinds of its rulers that found something."
     )
@@ -235,8 +227,8 @@ class ModelScale(Record):
         description="Metres per unit of the model: multiply its lengths by it; null if nothing "
         "of known size is found."
     )
-    factor_ci95_low: float | None = Field(description="Lower end of its 95 % interval.")
-    factor_ci95_high: float | None = Field(description="Upper end of its 95 % interval.")
+    factor_ci95_low: float | None = Field(description=CI95_LOW)
+    factor_ci95_high: float | None = Field(description=CI95_HIGH)
     confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %.")
     reason: Reason | None = Field(description="Why the factor is not usable; null if it is.")
     verdict: str = Field(description="The result in one sentence.")

@@ -225,3 +225,8 @@ def test_numbers_of_tiles_add_up() -> None:
     assert pooled.n_capped_tiles == 1
     assert pooled.n_tiles_total == 50
     assert pooled.n_skipped == 7
+
+
+def test_given_boxes_stay_given_in_a_pool() -> None:
+    given = Detections(np.zeros((0, 5)), np.zeros(0))
+    assert not pooled_detections([given, given], np.zeros(2)).were_searched

@@ -15,6 +15,7 @@ from mcp.types import CallToolResult
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import by_path, text_of
 from vehanchor.records.text import significant
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 
 AREA: dict[str, Any] = {"targets": [{"box": POOL_BOX}]}
 POINT: dict[str, Any] = {"targets": [{"points": [{"x": 324, "y": 378}]}]}
@@ -92,9 +93,12 @@ def test_the_text_states_the_value_with_its_interval(answer: Answer) -> None:
         assert record[value] is None
         return
     assert f"{significant(record[value])} m" in answer.text
-    interval = re.search(r"\(95 % interval ([\d.]+) to ([\d.]+)\)", answer.text)
+    interval = re.search(r"\(95 % interval ([\d.]+) to ([\d.]+)( .+?)?\)", answer.text)
     assert interval is not None
-    ends = [float(end) for end in interval.groups()]
+    *ends_in_words, premise = interval.groups()
+    ends = [float(end) for end in ends_in_words]
+    is_scale = answer.tool == "estimate_gsd"
+    assert premise == (f" {INTERVAL_PREMISE}" if is_scale else None)
     assert ends == pytest.approx([record[low], record[high]], rel=0.005)
 
 

@@ -337,7 +337,11 @@ def test_the_rulers_share_one_axis(beside_line: tuple[int, ScaleAnalysis]) -> No
     legend = _ruler_axes(plot_scale(analysis)).get_legend()
     assert legend is not None
     names = [text.get_text().partition(" (")[0] for text in legend.get_texts()]
-    assert names[-3:] == ["known length 0.168", "together 0.168", "95 % interval"]
+    assert names[-3:] == [
+        "known length 0.168",
+        "together 0.168",
+        "95 % interval\nif at least one ruler is right",
+    ]
     assert [name.split()[0] for name in names[:-3]] == (["vehicles"] if n else [])
 
 

@@ -39,7 +39,7 @@ function captionOf(record) {
   if (record.gsd_m_per_px === null) return "No metric scale";
   const bounds = interval(record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px, "m/px");
   const rest = usable(record) ? `confidence ${record.confidence.toFixed(2)}` : "do not use";
-  return `${number(record.gsd_m_per_px)} m/px (${bounds}), ${rest}`;
+  return `${number(record.gsd_m_per_px)} m/px (${bounds} ${PREMISE}), ${rest}`;
 }
 
 function painted(record, image, drawing) {

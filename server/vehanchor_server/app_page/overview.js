@@ -12,7 +12,7 @@ async function measureAll() {
   byId("subject").textContent = "all photographs";
   const body = html("tbody");
   const rows = [];
-  const head = ["Photograph", "Metres per pixel", "95 % interval", "Confidence", "Status"].map((words) => html("th", { scope: "col" }, words));
+  const head = ["Photograph", "Metres per pixel", `95 % interval ${PREMISE}`, "Confidence", "Status"].map((words) => html("th", { scope: "col" }, words));
   const table = html("table", { class: "overview" }, html("thead", {}, html("tr", {}, ...head)), body);
   const save = button("Save table", () => download("scales.csv", csv(rows), "text/csv"));
   byId("sections").replaceChildren(html("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scales" }, table), html("div", { class: "row" }, save));

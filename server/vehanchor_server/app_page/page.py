@@ -15,6 +15,7 @@ from vehanchor.imagery.formats.header import SUFFIXES
 from vehanchor.options import declared_options
 from vehanchor.rulers.standards import standards
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -139,6 +140,7 @@ def _assembled(
         "list": photograph_list,
         "suffixes": _accepted_files(),
         "scale_arguments": " ".join(scale_arguments()),
+        "interval_premise": INTERVAL_PREMISE,
         "regions": _options((*REGIONS, *COUNTRY_LENGTHS_M)),
         "known_sizes": _options(standards()),
         "policy": policy,

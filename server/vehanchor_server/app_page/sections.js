@@ -10,7 +10,7 @@ function reading(name, value, unit, ...notes) {
 function scaleReading(scale) {
   if (scale.gsd_m_per_px === null) return reading("Scale", "none", "", "no ruler found");
   const bounds = interval(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px, "m/px");
-  return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds);
+  return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds && `${bounds} ${PREMISE}`);
 }
 
 function confidenceReading(scale, name = "Confidence") {

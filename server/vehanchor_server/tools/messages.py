@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
 from vehanchor.records.text import by_hand_text, pixel_text, ruler_names, significant
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 from vehanchor_server.calls.compact import brief, has_unknown_extent
 from vehanchor_server.calls.remedies import advice_on
 
@@ -131,7 +132,9 @@ def _estimate_in_words(estimate: GsdEstimate) -> str:
     if estimate.gsd_m_per_px is None:
         words = [_no_scale(estimate).capitalize()]
     else:
-        interval = _interval(estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px)
+        interval = _interval(
+            estimate.gsd_ci95_low_m_per_px, estimate.gsd_ci95_high_m_per_px, INTERVAL_PREMISE
+        )
         words = [
             f"{significant(estimate.gsd_m_per_px)} m/px{interval}, "
             f"confidence {estimate.confidence:.2f} from {ruler_names(estimate)}: "
@@ -201,11 +204,12 @@ def _distance_in_words(record: DistanceMeasurement) -> str:
     return f"{size}; {_scale_origin(record)}: {_verdict(record)}"
 
 
-def _interval(low: float | None, high: float | None) -> str:
-    """Format an interval in brackets; empty without one."""
+def _interval(low: float | None, high: float | None, premise: str = "") -> str:
+    """Format an interval and its premise in brackets; empty without an interval."""
     if low is None or high is None:
         return ""
-    return f" (95 % interval {significant(low)} to {significant(high)})"
+    interval = f"95 % interval {significant(low)} to {significant(high)} {premise}"
+    return f" ({interval.rstrip()})"
 
 
 def _verdict(record: AnyRecord) -> str:

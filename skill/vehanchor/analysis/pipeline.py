@@ -466,14 +466,14 @@ def _vehicle_details(vehicles: VehicleWitness | None) -> dict[str, Any]:
 
 def _ruler_scale(witness: Witness, p_right: float) -> RulerScale:
     """Show the scale of one ruler."""
-    assert witness.right is not None
+    assert witness.right_with_guess is not None
     ruler = ruler_class(witness.kind)
     return RulerScale(
         kind=witness.kind,
         label=ruler.label,
         sets_scale=ruler.sets_scale,
         **_with_ci95(witness.gsd_m_per_px, witness.interval),
-        density_median_m_per_px=quantile(witness.right, 0.5),
+        density_median_m_per_px=quantile(witness.right_with_guess, 0.5),
         n=witness.n,
         p_right=min(1.0, p_right),
         probably_right=p_right >= PROBABLY_RIGHT,

@@ -319,7 +319,7 @@ def _print_table(records: Records) -> None:
     columns = {
         "image": "text",
         "m/px": "number",
-        "95 %": "number",
+        "95 % if right": "number",
         "confidence": "number",
         "vehicles": "number",
         "status": "word",

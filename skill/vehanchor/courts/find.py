@@ -114,6 +114,7 @@ class Court:
         gsd_m_per_px: GSD from its area.
         log_sd: standard deviation of the GSD's logarithm from the pixels alone.
         score: match of the template with the lines, at most 1.
+        coverage: 0..1, share of the lines' length found where it should be.
     """
 
     kind: str
@@ -123,6 +124,12 @@ class Court:
     gsd_m_per_px: float
     log_sd: float
     score: float
+    coverage: float
+
+    @property
+    def quality(self) -> float:
+        """How well the lines fit, at most 1."""
+        return self.score * self.coverage
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -367,6 +374,7 @@ def _measured_court(raster: Raster, candidate: _Match) -> Court | None:
         gsd_m_per_px=float(1.0 / px_per_m),
         log_sd=best.fit.log_sd,
         score=score,
+        coverage=best.fit.coverage,
     )
 
 

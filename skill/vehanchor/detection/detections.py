@@ -138,8 +138,9 @@ class Detections:
             chip network.
         others: objects of the model's other classes, in image pixels, best score first; overlapping
             boxes are merged within a class, not between classes.
-        n_tiles_total: number of tiles of the image at all resolutions; None if it was not counted.
-        stopped_because: reason for the end of the search; None without a search.
+        n_tiles_total: number of tiles of the image at all resolutions; None for boxes that no
+            search found, such as labels.
+        stopped_because: reason for the end of the search; None before, and without a search.
         stretch: above 1 if the vehicles say that the image is too wide, below -1 if it is too high,
             see ``vehanchor.detection.proportions``; None for a single vehicle, without a verifier,
             or before the end of the search.
@@ -162,6 +163,11 @@ class Detections:
     stretch_log_odds: float | None = None
     corrections: Corrections | None = None
     n_skipped: int = 0
+
+    @property
+    def were_searched(self) -> bool:
+        """Whether a search found these boxes, or is finding them."""
+        return self.n_tiles_total is not None
 
     @property
     def numbers(self) -> NDArray[np.intp]:

@@ -13,6 +13,7 @@ from vehanchor.errors import MissingExtraError
 from vehanchor.pictures.scale import write_picture
 from vehanchor.records.text import NO_SCALE, count, scale_text, significant
 from vehanchor.rulers.active import ruler_class
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 from vehanchor.scale.density import GRID
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, modal_density
 
@@ -275,7 +276,7 @@ def plot_rulers(axes: Axes, analysis: ScaleEvidence) -> None:
         axes.plot(scales, posterior, color=_INK, lw=2.2, label=label)
         axes.axvline(answer.gsd_m_per_px, color=_INK, lw=1.0, ls=":")
         low, high = answer.interval
-        _shade_interval(axes, low, high, "95 % interval")
+        _shade_interval(axes, low, high, f"95 % interval\n{INTERVAL_PREMISE}")
         ends += [low, high]
     axes.set_xscale("log")
     left = max(min(ends) / _PAD_FACTOR, scales[0])

@@ -9,7 +9,14 @@ from pydantic import Field, ValidationError
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.notices import Notice
-from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion, Short
+from vehanchor.records.record import (
+    CI95_HIGH,
+    CI95_LOW,
+    SCHEMA_VERSION,
+    Record,
+    SchemaVersion,
+    Short,
+)
 from vehanchor.records.ruler_registry import RulerKind
 from vehanchor.scale.defaults import Aggregation, Preset, Reason, Stopped
 
@@ -49,8 +56,8 @@ class FrameScale(Record):
     gsd_m_per_px: Annotated[float | None, Short(when_null=True)] = Field(
         description="Metres per pixel of that copy; null without a scale."
     )
-    gsd_ci95_low_m_per_px: float | None = Field(description="Lower end of its 95 % interval.")
-    gsd_ci95_high_m_per_px: float | None = Field(description="Upper end of its 95 % interval.")
+    gsd_ci95_low_m_per_px: float | None = Field(description=CI95_LOW)
+    gsd_ci95_high_m_per_px: float | None = Field(description=CI95_HIGH)
 
 
 class SceneScaleEstimate(Record):
@@ -86,8 +93,12 @@ class RulerScale(Record):
         description="Median of the density with which this ruler counts if it is right. For "
         "vehicles it can differ from their own scale, because all boxes vote.",
     )
-    gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its own 95 % interval.")
-    gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its own 95 % interval.")
+    gsd_ci95_low_m_per_px: float = Field(
+        gt=0, description="Lower end of its 95 % interval, if it is right."
+    )
+    gsd_ci95_high_m_per_px: float = Field(
+        gt=0, description="Upper end of its 95 % interval, if it is right."
+    )
     n: int = Field(
         ge=0, description="Number of things measured: vehicles, lines, tiles of the scene."
     )
@@ -221,8 +232,8 @@ class KnownScale(Record, strict=True):
     """Scale to give back for the next measurement in the same image, without a search."""
 
     gsd_m_per_px: float = Field(gt=0, description="Metres per pixel of the full image.")
-    gsd_ci95_low_m_per_px: float = Field(gt=0, description="Lower end of its 95 % interval.")
-    gsd_ci95_high_m_per_px: float = Field(gt=0, description="Upper end of its 95 % interval.")
+    gsd_ci95_low_m_per_px: float = Field(gt=0, description=CI95_LOW)
+    gsd_ci95_high_m_per_px: float = Field(gt=0, description=CI95_HIGH)
     confidence: float = Field(ge=0, le=1, description="Confidence in the scale.")
     image_id: str = Field(
         max_length=64, description="Identifies the image; the scale holds for this image only."
@@ -259,12 +270,8 @@ class GsdEstimate(Record):
     mode_length_px: float | None = Field(
         description="P_mode: modal vehicle length, pixels; null without vehicles."
     )
-    gsd_ci95_low_m_per_px: Annotated[float | None, Short()] = Field(
-        description="Lower end of the 95 % interval of the GSD."
-    )
-    gsd_ci95_high_m_per_px: Annotated[float | None, Short()] = Field(
-        description="Upper end of the 95 % interval of the GSD."
-    )
+    gsd_ci95_low_m_per_px: Annotated[float | None, Short()] = Field(description=CI95_LOW)
+    gsd_ci95_high_m_per_px: Annotated[float | None, Short()] = Field(description=CI95_HIGH)
     reason: Annotated[Reason | None, Short()] = Field(
         description="Why the scale is not usable; null for a usable scale. too_coarse: the "
         "vehicles have too few pixels. too_few: there is too little evidence. not_cars: the "

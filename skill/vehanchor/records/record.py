@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from vehanchor.errors import MissingExtraError
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 
 SCHEMA_VERSION: Literal[4] = 4
 """Version of all fields; it rises when a field is renamed, removed or redefined."""
@@ -16,6 +17,10 @@ SCHEMA_VERSION: Literal[4] = 4
 SchemaVersion = Annotated[
     Literal[4], Field(description="Version of this schema; others are refused.")
 ]
+
+CI95_LOW = f"Lower end of its 95 % interval {INTERVAL_PREMISE}."
+CI95_HIGH = f"Upper end of its 95 % interval {INTERVAL_PREMISE}."
+"""Descriptions of the ends of a scale's interval."""
 
 _SHOWN_FLOAT_DIGITS = 4
 # Types of pandas that have a missing value.

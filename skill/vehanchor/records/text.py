@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from vehanchor.scale.defaults import INTERVAL_PREMISE
+
 if TYPE_CHECKING:
     from vehanchor.records import FrameScale, GsdEstimate
 
@@ -26,7 +28,13 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def with_interval(
-    value: float | None, low: float | None, high: float | None, unit: str, missing: str = ""
+    value: float | None,
+    low: float | None,
+    high: float | None,
+    unit: str,
+    *,
+    missing: str = "",
+    premise: str = "",
 ) -> str:
     """Format a quantity with four digits, and with its 95 % interval if it has one.
 
@@ -36,12 +44,14 @@ def with_interval(
         high: upper end of the interval.
         unit: unit of all three.
         missing: text for a missing quantity.
+        premise: premise of the interval; empty for none.
     """
     if value is None:
         return missing
     text = f"{significant(value, 4)} {unit}"
     if low is not None and high is not None:
-        text += f"  (95 %: {significant(low, 4)} to {significant(high, 4)})"
+        interval = f"95 %: {significant(low, 4)} to {significant(high, 4)} {premise}"
+        text += f"  ({interval.rstrip()})"
     return text
 
 
@@ -58,6 +68,7 @@ def scale_text(record: GsdEstimate | FrameScale) -> str:
         high=record.gsd_ci95_high_m_per_px,
         unit="m/px",
         missing=NO_SCALE,
+        premise=INTERVAL_PREMISE,
     )
 
 

@@ -13,7 +13,7 @@ from vehanchor.rulers.camera import coarsening, cropped, lens_error
 from vehanchor.rulers.ruler import Ruler, as_assumed, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.reliability import MEASURING, RELIABILITY, SAME_NUMBER
+from vehanchor.scale.reliability import MEASURING, RELIABILITY, ROUGH, SAME_NUMBER
 
 if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
@@ -59,15 +59,17 @@ class GivenHeight(Ruler):
         is_assumed = options.height_basis == "assumed"
         reliability = RELIABILITY["assumed" if is_assumed else "measured height"]
         height_sd = reliability.log_sd
+        shared = [lens_error(optics)]
         if options.height_tolerance_m is not None:
             height_sd = options.height_tolerance_m / height_m / Z95
+        elif is_assumed:
+            shared.append(ROUGH)
         statement = (
             f"The given height, {options.height_basis}, gives {{}}: {height_m:g} m and "
             f"{optics.source}."
         )
         if view.plane is not None:
             statement += " This is the scale of the image's centre."
-        shared = [lens_error(optics)]
         if not is_assumed:
             shared.append(MEASURING)
         witness = point_witness(

@@ -19,7 +19,7 @@ from vehanchor.rulers.standards import Variant, exact_kind, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Mark, Witness
-from vehanchor.scale.reliability import CALLER, MEASURING, RECOGNITION, RELIABILITY
+from vehanchor.scale.reliability import CALLER, MEASURING, RECOGNITION, RELIABILITY, ROUGH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.density import Density
     from vehanchor.scale.plane import GroundPlane
+    from vehanchor.scale.reliability import Shared
 
     Point: TypeAlias = tuple[float, float]
     """x, y in pixels of the image."""
@@ -240,6 +241,29 @@ def _are_one_line(first: _DrawnLine, second: _DrawnLine) -> bool:
     return bool(gap_px <= tolerance_px)
 
 
+def _without_copies(lines: Lines) -> list[_DrawnLine]:
+    """Leave out lines whose ends are those of an earlier line, within the error of the ends.
+
+    Things of one kind can adjoin, as lanes do, so that only copies are one thing.
+    """
+    distinct: list[_DrawnLine] = []
+    for line in lines:
+        if not any(_have_same_ends(line, other) for other in distinct):
+            distinct.append(line)
+    return distinct
+
+
+def _have_same_ends(first: _DrawnLine, second: _DrawnLine) -> bool:
+    """Test whether the ends of two lines coincide, in either order."""
+    tolerance_px = _SAME_LINE_SDS * math.hypot(first.end_sd_px, second.end_sd_px)
+    start, end = first.ends
+    for other_start, other_end in (second.ends, second.ends[::-1]):
+        farthest_px = max(math.dist(start, other_start), math.dist(end, other_end))
+        if farthest_px <= tolerance_px:
+            return True
+    return False
+
+
 def _direction(points: Points) -> Direction:
     """Find the direction of a line through points: their principal axis."""
     offsets = points - points.mean(axis=0)
@@ -296,7 +320,10 @@ def _witness(group: Lines, region: str | None) -> Witness:
     """
     line = group[0].known_length
     variants: tuple[Variant, ...]
+    shared: tuple[Shared, ...] = ()
     if line.length_m is not None:
+        if line.basis == "assumed" and line.tolerance_m is None:
+            shared = (ROUGH,)
         chance_wrong = RELIABILITY[line.basis].chance_wrong
         # The same metres in several parts have one error, that of the most exact statement.
         log_sd = min(_log_sd_of_metres(part) for part in group)
@@ -308,9 +335,9 @@ def _witness(group: Lines, region: str | None) -> Witness:
         # The chance that the caller mistakes all things is a shared error; see RECOGNITION.
         own_chance = standard.chance_wrong - RECOGNITION.chance_wrong
         chance_wrong = max(_MIN_CHANCE_WRONG, own_chance)
-        length_px, drawing_log_sd = _mean_length(group)
+        length_px, drawing_log_sd = _mean_length(_without_copies(group))
     right = _mixture(variants, length_px, drawing_log_sd)
-    return _of_density(right, chance_wrong)
+    return _of_density(right, chance_wrong, shared)
 
 
 def _mixture(variants: Sequence[Variant], length_px: float, drawing_log_sd: float) -> Density:
@@ -405,22 +432,26 @@ def _impossible(metres: float, length_px: float) -> KnownLengthError:
     )
 
 
-def _of_density(right: Density, chance_wrong: float) -> Witness:
+def _of_density(right: Density, chance_wrong: float, shared: tuple[Shared, ...]) -> Witness:
     """Make a witness whose own scale is the median of a density ``[g]``."""
     median = quantile(right, 0.5)
-    return Witness(KnownLengths.kind, median, right=right, chance_wrong=chance_wrong)
+    return Witness(KnownLengths.kind, median, right=right, chance_wrong=chance_wrong, shared=shared)
 
 
 def _combined(witnesses: Sequence[Witness]) -> Witness:
     """Combine the witnesses of all lines.
 
     Each line may be wrong by itself, which its density includes. Contradictions show as several
-    modes of the product.
+    modes of the product. An error that all lines share does not shrink in the product.
     """
     if len(witnesses) == 1:
         return witnesses[0]
+    shared: tuple[Shared, ...] = ()
+    if all(witness.shared for witness in witnesses):
+        shared = witnesses[0].shared
+        witnesses = [replace(witness, shared=()) for witness in witnesses]
     densities = [witness.density for witness in witnesses]
-    return _of_density(product(*densities), chance_wrong=0.0)
+    return _of_density(product(*densities), chance_wrong=0.0, shared=shared)
 
 
 def _disagreement(groups: Sequence[Lines], witnesses: Sequence[Witness]) -> tuple[Notice, ...]:

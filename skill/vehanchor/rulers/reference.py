@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vehanchor.options import Reference
     from vehanchor.records import ReferenceSource
 
-# Share of the model's spread that remains if the caller states the length. A choice.
+# Share of the model's spread that remains if the caller's length replaces it. A choice.
 _KNOWN_LENGTH = 0.5
 # Number of cars of the usual length that stand for those out of sight: about (0.09 / 0.06)**2, the
 # squared ratio of the spreads of log lengths within fleets and between them.
@@ -41,7 +41,6 @@ class ReferenceLength(NamedTuple):
             lengths by appearance are not used.
         guess_m: length that the caller states without a calibration, metres; None without one. It
             is a guess beside this length.
-        guess_log_sd: standard deviation of the log of the guess.
     """
 
     length_m: float
@@ -50,7 +49,6 @@ class ReferenceLength(NamedTuple):
     log_mean: float = 0.0
     by_appearance: float | None = None
     guess_m: float | None = None
-    guess_log_sd: float = 0.0
 
     @property
     def stated_m(self) -> float:
@@ -72,9 +70,9 @@ def reference_length(
 ) -> ReferenceLength:
     """Choose the length of a calibration, else the fleet's by appearance, else the model's.
 
-    A length that the caller states without a calibration is a guess beside it, which would leave
-    half of the spread between regions. A region removes less, because a city differs from its
-    region; it moves lengths by appearance towards its own by the precisions of both.
+    A length that the caller states without a calibration is a guess beside it. Of the spread
+    between regions, a region leaves a part, because a city differs from its region; it moves
+    lengths by appearance towards its own by the precisions of both.
 
     Args:
         card: card of the model that found the vehicles.
@@ -98,12 +96,12 @@ def reference_length(
     sd_m = card.reference_length_sd_m
     guess_m = reference.reference_length_m
     if guess_m is not None:
-        log_sd = _KNOWN_LENGTH * sd_m / guess_m
         if trusts_caller:
+            log_sd = _KNOWN_LENGTH * sd_m / guess_m
             return ReferenceLength(guess_m, "given", log_sd)
         without_guess = replace(reference, reference_length_m=None)
         length = reference_length(card, without_guess, appearance)
-        return length._replace(guess_m=guess_m, guess_log_sd=log_sd)
+        return length._replace(guess_m=guess_m)
     if card.bodies is not None and appearance is not None:
         errors = card.errors.appearance
         return _by_appearance(card.bodies, appearance, errors=errors, region=reference.region)

@@ -26,7 +26,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import rectified
 from vehanchor.rulers.fleet import select
 from vehanchor.rulers.reference import reference_length, unmeasured_region
-from vehanchor.rulers.ruler import Ruler
+from vehanchor.rulers.ruler import Ruler, as_assumed
 from vehanchor.rulers.vehicle_notices import (
     DOUBT_CODES,
     added_outliers,
@@ -38,7 +38,6 @@ from vehanchor.scale.density import (
     UNCALIBRATED,
     blurred,
     credible_interval,
-    flat,
     lognormal,
     product,
     vehicle_likelihood,
@@ -52,9 +51,9 @@ from vehanchor.scale.lengths import (
 from vehanchor.scale.paper import paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import (
-    CALLER,
     POINTING,
     RELIABILITY,
+    ROUGH,
     CoarseErrors,
     appearance_error,
     log_odds_by_density,
@@ -201,15 +200,24 @@ class VehicleWitness(Witness):
     def with_votes(self) -> VehicleWitness:
         """Add the evidence: votes of all boxes, the chance that they are wrong, and the lacks.
 
-        The witness must have vehicles.
+        A reference length that the caller guesses is a guess beside them. The witness must have
+        vehicles.
         """
         likelihood = self._likelihood(self.fleet.detections.scores)
-        return replace(
+        without_guess = replace(
             self,
             right=self._widened(likelihood),
             chance_wrong=self._chance_wrong,
             lacks=self._lacks(likelihood),
         )
+        guess = self._guessed_length()
+        if guess is None:
+            return without_guess
+        lacks = [Lack("assumed", without_guess)]
+        for lack in without_guess.lacks:
+            without = replace(lack.without, guess=guess)
+            lacks.append(Lack(lack.reason, without))
+        return replace(without_guess, guess=guess, lacks=tuple(lacks))
 
     def _likelihood(self, scores: Scores) -> Density:
         """Compute the density ``[g]`` of the scale for a known fleet.
@@ -265,30 +273,31 @@ class VehicleWitness(Witness):
         )
 
     def _widened(self, likelihood: Density) -> Density:
-        """Widen a likelihood ``[g]`` by the errors of the reference length and of coarse vehicles.
-
-        A reference length that the caller guesses narrows it, where the vehicles allow it.
-        """
+        """Widen a likelihood ``[g]`` by the errors of the reference length and of coarseness."""
         reference = self.reference
         log_sd = math.hypot(reference.log_sd, self._coarse_errors.log_sd)
-        widened = blurred(likelihood, log_sd, reference.log_mean)
-        if reference.guess_m is None:
-            return widened
-        return product(widened, self._density_of_guess(reference.guess_m))
+        return blurred(likelihood, log_sd, reference.log_mean)
 
-    def _density_of_guess(self, guess_m: float) -> Density:
-        """Compute the density ``[g]`` of the scale by a reference length that the caller guesses.
+    def _guessed_length(self) -> Witness | None:
+        """Make the witness of a reference length that the caller guesses; None without one.
 
         It is a guess like others: it may be wrong by itself, or with all guesses of the caller.
         """
+        guess_m = self.reference.guess_m
+        if guess_m is None:
+            return None
         assert self.mode_length_px is not None
         mode_log_sd, _ = self.statistical_log_sds
-        log_sd = math.hypot(self.reference.guess_log_sd, mode_log_sd)
-        own_p_right = 1.0 - RELIABILITY["assumed"].chance_wrong
-        caller_p_right = 1.0 - CALLER.chance_wrong
-        p_right = own_p_right * caller_p_right
-        right = lognormal(guess_m / self.mode_length_px, log_sd)
-        return p_right * right + (1.0 - p_right) * flat()
+        log_sd = math.hypot(RELIABILITY["assumed"].log_sd, mode_log_sd)
+        gsd_m_per_px = guess_m / self.mode_length_px
+        guess = Witness(
+            self.kind,
+            gsd_m_per_px,
+            right=lognormal(gsd_m_per_px, log_sd),
+            chance_wrong=RELIABILITY["assumed"].chance_wrong,
+            shared=(ROUGH,),
+        )
+        return as_assumed(guess)
 
     @property
     def _chance_wrong(self) -> float:
@@ -385,7 +394,7 @@ class Vehicles(Ruler):
         # The paper takes the caller's length as it is. So do boxes that no search found, such as
         # labels: the model's own length is that of its boxes.
         is_paper = view.options.method.preset == "paper"
-        trusts_caller = is_paper or detections.stopped_because is None
+        trusts_caller = is_paper or not detections.were_searched
         reference = reference_length(
             card, view.options.reference, fleet.appearance, trusts_caller=trusts_caller
         )
@@ -417,11 +426,12 @@ class Vehicles(Ruler):
         log_odds = None
         if plane is None and detections.stretch_log_odds is not None:
             log_odds = detections.stretch_log_odds + log_odds_by_density(view.image.density_aspect)
+        voting = vehicles.with_votes()
         return replace(
-            vehicles.with_votes(),
+            voting,
             stretch_log_odds=log_odds,
             gsd_m_per_px=reference.stated_m / mode_px,
-            notices=(*vehicles.notices, *unmeasured, *_notices(vehicles, stretch)),
+            notices=(*voting.notices, *unmeasured, *_notices(voting, stretch)),
         )
 
 
@@ -452,10 +462,8 @@ def _unlikely_guess(vehicles: VehicleWitness) -> tuple[Notice, ...]:
     guess_m = vehicles.reference.guess_m
     if guess_m is None or mode_px is None:
         return ()
-    without_guess = vehicles.reference._replace(guess_m=None)
-    without = replace(vehicles, reference=without_guess).with_votes()
-    assert without.right is not None
-    low, high = credible_interval(without.right)
+    assert vehicles.right is not None
+    low, high = credible_interval(vehicles.right)
     if low <= guess_m / mode_px <= high:
         return ()
     low_m = low * mode_px

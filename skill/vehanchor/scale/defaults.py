@@ -23,6 +23,10 @@ Reason = Literal["too_few", "too_coarse", "not_cars", "disagree", "assumed", "im
 PROBABLY_RIGHT = 0.5
 """Chance from which a ruler counts as right in words and pictures."""
 
+INTERVAL_PREMISE = "if at least one ruler is right"
+"""Premise of the 95 % interval of a scale, wherever it is shown. The confidence also counts the
+case that all rulers are wrong."""
+
 NMS_IOU = 0.45
 """Overlap above which the box with the lower score is dropped (paper, section III-B)."""
 

@@ -12,6 +12,9 @@ Witnesses share an error if it has one cause, such as one lens, one height or on
 they do not confirm each other beyond that error: its standard deviation blurs their product, and
 with the chance s the error makes all of them wrong.
 
+A guess about a measurement, such as the length of the cars, is a witness that says nothing if the
+measurement is wrong. It narrows the scale, and is no evidence that the measurement is right.
+
 The answer follows from this posterior alone:
 
 * The value is the median, given that at least one witness that can set a scale is right.
@@ -42,6 +45,7 @@ from vehanchor.scale.density import (
     flat,
     mass_within,
     normalised,
+    product,
     quantile,
 )
 from vehanchor.scale.lengths import Interval
@@ -110,6 +114,7 @@ class Witness:
         assumed: whether it rests on a guess of the caller, neither found in the picture nor
             measured.
         shared: errors in common with other witnesses.
+        guess: a guess of the caller about this measurement; None without one.
         lacks: weaknesses whose removal would raise its weight.
         n: number of things measured.
         statement: the measurement in a sentence; None if not needed.
@@ -124,6 +129,7 @@ class Witness:
     sets_scale: bool = True
     assumed: bool = False
     shared: tuple[Shared, ...] = ()
+    guess: Witness | None = None
     lacks: tuple[Lack, ...] = ()
     n: int = 1
     statement: str | None = None
@@ -140,7 +146,16 @@ class Witness:
         """Density ``[g]`` of the scale by this witness alone; flat if nothing was found."""
         if self.right is None:
             return flat()
-        return self.factor(self.shared)
+        if self.guess is None:
+            return self.factor(self.shared)
+        return _Posterior([self]).density
+
+    @cached_property
+    def right_with_guess(self) -> Density | None:
+        """Density ``[g]`` as ``right``, narrowed by the guess."""
+        if self.right is None or self.guess is None:
+            return self.right
+        return product(self.right, self.guess.density)
 
     @property
     def interval(self) -> Interval | None:
@@ -148,9 +163,9 @@ class Witness:
 
         The interval includes the shared errors, and is extended to the witness's own scale.
         """
-        if self.right is None or self.gsd_m_per_px is None:
+        if self.right_with_guess is None or self.gsd_m_per_px is None:
             return None
-        low, high = credible_interval(blurred(self.right, _total_log_sd(self.shared)))
+        low, high = credible_interval(blurred(self.right_with_guess, _total_log_sd(self.shared)))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
     def factor(self, errors: Sequence[Shared]) -> Density:
@@ -166,7 +181,7 @@ class Witness:
 
 
 def with_shared_error(witness: Witness, error: Shared, *, removes: Reason) -> Witness:
-    """Add a shared error to a witness, and the lack whose removal takes it away.
+    """Add a shared error to a witness and its guess, and the lack whose removal takes it away.
 
     Args:
         witness: a witness that found something.
@@ -177,10 +192,17 @@ def with_shared_error(witness: Witness, error: Shared, *, removes: Reason) -> Wi
     for lack in witness.lacks:
         if lack.reason == removes:
             continue
-        shared = (*lack.without.shared, error)
-        lacks.append(Lack(lack.reason, replace(lack.without, shared=shared)))
+        lacks.append(Lack(lack.reason, _sharing(lack.without, error)))
     lacks.append(Lack(removes, witness))
-    return replace(witness, shared=(*witness.shared, error), lacks=tuple(lacks))
+    return replace(_sharing(witness, error), lacks=tuple(lacks))
+
+
+def _sharing(witness: Witness, error: Shared) -> Witness:
+    """Add a shared error to a witness and its guess."""
+    guess = witness.guess
+    if guess is not None:
+        guess = replace(guess, shared=(*guess.shared, error))
+    return replace(witness, shared=(*witness.shared, error), guess=guess)
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,7 +418,7 @@ class _Posterior:
     """
 
     def __init__(self, witnesses: Sequence[Witness]) -> None:
-        self._groups = _group_by_shared_errors(witnesses)
+        self._cases = _cases(dict(enumerate(witnesses)))
         log_product = self._log_product(wrong=())
         # The largest cell becomes 1 before the exponential, so that no product underflows.
         self._log_peak = log_product.max()
@@ -416,11 +438,81 @@ class _Posterior:
         return np.asarray(masses / self._total)
 
     def _log_product(self, wrong: Collection[int]) -> Density:
+        guesses = [_index_of_guess(k) for k in wrong]
         logs = []
-        for group in self._groups:
+        for case in self._cases:
+            logs.append(math.log(case.weight) + case.log_product([*wrong, *guesses]))
+        return np.asarray(np.logaddexp.reduce(logs, axis=0))
+
+
+class _Case(NamedTuple):
+    """Case of the posterior: each witness with a guess is right, or says nothing.
+
+    Attributes:
+        weight: factor on the product of the groups.
+        groups: all witnesses of the case.
+    """
+
+    weight: float
+    groups: Sequence[_Group]
+
+    def log_product(self, wrong: Collection[int]) -> Density:
+        """Multiply the groups ``[g]`` relative to flat ones, of which cases have different numbers.
+
+        Args:
+            wrong: indices of the witnesses that say nothing.
+        """
+        logs = []
+        for group in self.groups:
             density = np.maximum(group.density(wrong), MIN_PROBABILITY)
-            logs.append(np.log(density))
+            logs.append(np.log(density / flat()))
         return np.asarray(np.sum(logs, axis=0))
+
+
+def _cases(witnesses: Mapping[int, Witness]) -> list[_Case]:
+    """Split the posterior into cases: a guess counts only if the witness that needs it is right.
+
+    Args:
+        witnesses: by index.
+    """
+    for k, witness in witnesses.items():
+        if witness.guess is not None:
+            return _cases_of_guess(witnesses, k)
+    return [_Case(1.0, _group_by_shared_errors(witnesses))]
+
+
+def _cases_of_guess(witnesses: Mapping[int, Witness], k: int) -> list[_Case]:
+    """Split the posterior into the cases that the witness ``k`` is right, and that it is wrong."""
+    witness = witnesses[k]
+    assert witness.guess is not None
+    # The floor of the factor is the case that it says nothing.
+    factor = witness.factor(())
+    floor = factor.min()
+    chance_wrong = float(floor * len(factor))
+    above_floor = np.maximum(factor - floor, 0.0)
+    cases = []
+    if above_floor.any():
+        alone = replace(witness, right=normalised(above_floor), chance_wrong=0.0, guess=None)
+        pair = {k: alone, _index_of_guess(k): witness.guess}
+        # The guess narrows this case. If it agrees, it does not make the case more likely.
+        pair_alone = _Case(1.0, _group_by_shared_errors(pair))
+        agreement = float(np.exp(pair_alone.log_product(())).mean())
+        weight = (1.0 - chance_wrong) / max(1.0, agreement)
+        cases += _weighted(_cases({**witnesses, **pair}), weight)
+    if chance_wrong > 0.0:
+        says_nothing = replace(witness, right=flat(), chance_wrong=0.0, guess=None)
+        cases += _weighted(_cases({**witnesses, k: says_nothing}), chance_wrong)
+    return cases
+
+
+def _weighted(cases: Iterable[_Case], factor: float) -> list[_Case]:
+    """Multiply the weights of cases by a factor."""
+    return [case._replace(weight=case.weight * factor) for case in cases]
+
+
+def _index_of_guess(k: int) -> int:
+    """Return the index of the guess of the witness ``k``: negative, unlike that of a witness."""
+    return -1 - k
 
 
 class _Group(NamedTuple):
@@ -475,14 +567,14 @@ def _part_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Dens
     return np.asarray(np.exp(log_part - log_peak) / np.exp(log_whole - log_peak).sum())
 
 
-def _group_by_shared_errors(witnesses: Sequence[Witness]) -> list[_Group]:
-    """Group witnesses that share an error, directly or through others."""
+def _group_by_shared_errors(witnesses: Mapping[int, Witness]) -> list[_Group]:
+    """Group witnesses, by index, that share an error, directly or through others."""
     n_sharing: Counter[str] = Counter()
-    for witness in witnesses:
+    for witness in witnesses.values():
         n_sharing.update({error.name for error in witness.shared})
 
     groups: list[_Group] = []
-    for k, witness in enumerate(witnesses):
+    for k, witness in witnesses.items():
         own = [error for error in witness.shared if n_sharing[error.name] == 1]
         common = {error.name: error for error in witness.shared if n_sharing[error.name] > 1}
         factors = {k: witness.factor(own)}

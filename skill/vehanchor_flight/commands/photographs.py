@@ -23,6 +23,7 @@ from vehanchor.cli.terminal import (
 )
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.text import NO_SCALE, count, significant, with_interval
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 from vehanchor.storage.atomic import check_output_path, write_record
 
 if TYPE_CHECKING:
@@ -212,6 +213,7 @@ def _common_scale_text(record: FlightEstimate) -> str:
         high=record.gsd_ci95_high_m_per_px,
         unit="m/px",
         missing=NO_SCALE,
+        premise=INTERVAL_PREMISE,
     )
 
 
@@ -271,7 +273,7 @@ def _print_photographs(
     columns = {
         "photograph": "text",
         "m/px": "number",
-        "95 %": "number",
+        "95 % if right": "number",
         "conf.": "number",
         "supported by": "text",
         "status": "word",

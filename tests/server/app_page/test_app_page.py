@@ -20,6 +20,7 @@ from mcp.types import CallToolResult, TextResourceContents, Tool
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import ERAS, by_path, picture_of
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 from vehanchor_server.app_page.page import APP_URI, page_html, scale_arguments, view_html
 from vehanchor_server.app_page.panel import PANEL_KEY
 from vehanchor_server.services import create_services
@@ -244,8 +245,14 @@ def panel_of(result: CallToolResult) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("page", [page_html(), view_html()], ids=["host", "view"])
+def test_the_page_has_the_premise_of_the_interval(page: str) -> None:
+    assert f'data-interval-premise="{INTERVAL_PREMISE}"' in page
+    assert "${bounds} ${PREMISE}" in page
+
+
+@pytest.mark.parametrize("page", [page_html(), view_html()], ids=["host", "view"])
 def test_the_page_knows_the_arguments_of_a_scale(page: str) -> None:
-    [names] = re.findall(r'<body data-scale-arguments="([^"]+)">', page)
+    [names] = re.findall(r'<body data-scale-arguments="([^"]+)"', page)
     assert names.split(" ") == scale_arguments()
     assert {"image", "region", "drop", "gsd_m_per_px"} <= set(scale_arguments())
 

@@ -113,6 +113,7 @@ def test_one_image_has_facts(run: Any) -> None:
     assert (result.exit_code, result.stderr) == (0, "")
     for fact in ("cars.png", "m/px  (95 %:", "19 kept of 20 found"):
         assert fact in result.stdout
+    assert "if at least one ruler is right)" in _words(result.stdout)
 
 
 def test_json_is_the_record_with_its_source(run: Any, folder: Path) -> None:

@@ -18,7 +18,8 @@ from vehanchor.imagery.raster import Raster, StoredPixels, Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.rulers.courts import witness_of
-from vehanchor.scale.posterior import Witness
+from vehanchor.scale.density import Votes, blurred, vehicle_likelihood
+from vehanchor.scale.posterior import Witness, answer
 
 
 def _measured(
@@ -128,9 +129,9 @@ def test_a_small_image_is_searched_at_every_possible_size(
 # --- Witness
 
 
-def _court(gsd: float, kind: str = "tennis", log_sd: float = 0.001) -> Court:
+def _court(gsd: float, kind: str = "tennis", *, score: float = 0.9, coverage: float = 1.0) -> Court:
     corners = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0), (0.0, 5.0)])
-    return Court(kind, corners, 23.77, 10.97, gsd, log_sd, 0.9)
+    return Court(kind, corners, 23.77, 10.97, gsd, 0.001, score, coverage)
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +176,39 @@ def test_a_court_that_contradicts_the_others_is_left_out() -> None:
     witness = found_witness(witness_of([_court(0.3), _court(0.301), _court(0.4)]))
     assert witness.n == 2
     assert witness.gsd_m_per_px == pytest.approx(0.3, rel=0.01)
+
+
+def test_the_chance_of_a_court_follows_how_well_its_lines_fit() -> None:
+    scores = (0.9, 0.8, 0.7, 0.6)
+    witnesses = [found_witness(witness_of([_court(0.3, score=score)])) for score in scores]
+    chances = [witness.chance_wrong for witness in witnesses]
+    assert chances == sorted(chances)
+    assert chances[0] < 0.05
+
+
+def test_lines_that_hardly_fit_are_probably_not_a_court() -> None:
+    """Lanes of a freeway were taken for a court with these numbers."""
+    lanes = found_witness(witness_of([_court(0.3, score=0.594, coverage=0.698)]))
+    assert lanes.chance_wrong > 0.5
+
+
+def test_the_best_of_several_courts_gives_their_chance() -> None:
+    poor = _court(0.301, score=0.6, coverage=0.7)
+    alone = found_witness(witness_of([_court(0.3)]))
+    together = found_witness(witness_of([_court(0.3), poor]))
+    assert together.chance_wrong == alone.chance_wrong
+
+
+def test_a_poor_court_beside_cars_leaves_their_scale_in_the_interval() -> None:
+    lengths = 4.5 / 0.305 * np.exp(np.linspace(-0.1, 0.1, 9))
+    votes = vehicle_likelihood(
+        lengths, np.full(9, 0.95), lengths_m=4.5, votes=Votes(-13.76, 17.4), log_sds=0.12
+    )
+    cars = Witness("vehicles", 0.305, right=blurred(votes, 0.055), chance_wrong=0.01)
+    lanes = found_witness(witness_of([_court(0.339, score=0.594, coverage=0.698)]))
+    decided = answer([cars, lanes])
+    assert decided is not None
+    assert decided.interval.low < 0.305
 
 
 # --- Images

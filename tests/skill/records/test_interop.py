@@ -25,15 +25,20 @@ from vehanchor.records import (
     SCHEMA_VERSION,
     AreaMeasurement,
     EstimateDetails,
+    FrameScale,
     GsdEstimate,
     ImagePoint,
+    KnownScale,
     Notice,
     OutlinePolygon,
     OutlineRing,
 )
 from vehanchor.records.flat import flat_columns, flat_row
+from vehanchor.records.record import Record
 from vehanchor.records.text import significant, with_interval
+from vehanchor.scale.defaults import INTERVAL_PREMISE
 from vehanchor.segmentation.prompt import read_prompt
+from vehanchor_flight.records import FlightPhotograph
 
 # --- Tables
 
@@ -233,6 +238,19 @@ def test_an_interval_follows_its_value() -> None:
     text = with_interval(0.12, 0.1, high=0.15, unit="m/px")
     assert text == "0.1200 m/px  (95 %: 0.1000 to 0.1500)"
     assert with_interval(12, None, high=15, unit="m") == "12.00 m"
+
+
+def test_the_interval_of_a_scale_states_its_premise() -> None:
+    """Command line, overlay and plot show this text."""
+    text = with_interval(0.12, 0.1, high=0.15, unit="m/px", premise=INTERVAL_PREMISE)
+    assert text.endswith("(95 %: 0.1000 to 0.1500 if at least one ruler is right)")
+
+
+@pytest.mark.parametrize("record", [GsdEstimate, FrameScale, KnownScale, FlightPhotograph])
+def test_records_describe_the_interval_with_its_premise(record: type[Record]) -> None:
+    for end in ("low", "high"):
+        description = record.model_fields[f"gsd_ci95_{end}_m_per_px"].description or ""
+        assert "95 % interval if at least one ruler is right" in description
 
 
 # --- Stored records

@@ -44,6 +44,7 @@ def record_of(
         np.array(boxes).reshape(-1, 5),
         np.full(cars, 0.95),
         reductions=None if stretch is None else np.ones(cars),
+        n_tiles_total=1,
         stretch=stretch,
     )
     card = made_card(5.0).model_copy(update={"votes": votes, "reference_length_sd_m": 0.4})

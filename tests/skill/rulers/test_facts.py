@@ -18,6 +18,7 @@ from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.detections import Detections
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
+from vehanchor.rulers.standards import lengths_of
 
 # A line of 1,000 px, across an image of 4000 x 3000 px.
 Line = tuple[float, float, float, float]
@@ -112,15 +113,72 @@ def test_no_repetition_of_a_line_makes_a_scale_surer(
     if swap:
         lines = [_swapped(line) for line in lines]
     repeated = record_of(12, known_lengths=[_measured(line, gsd, basis) for line in [LINE, *lines]])
+    _check_no_surer(repeated, once)
+
+
+def _check_no_surer(repeated: GsdEstimate, once: GsdEstimate) -> None:
+    """The chance does not rise, and the value stays in the interval."""
     assert repeated.confidence <= once.confidence + 0.01
     assert once.gsd_ci95_low_m_per_px is not None
     assert once.gsd_ci95_high_m_per_px is not None
     assert repeated.gsd_m_per_px is not None
-    assert (
-        0.99 * once.gsd_ci95_low_m_per_px
-        <= repeated.gsd_m_per_px
-        <= 1.01 * once.gsd_ci95_high_m_per_px
-    )
+    low = 0.99 * once.gsd_ci95_low_m_per_px
+    high = 1.01 * once.gsd_ci95_high_m_per_px
+    assert low <= repeated.gsd_m_per_px <= high
+
+
+@given(
+    gsd=st.floats(0.09, 0.11),
+    n_steps=st.sampled_from([1, 2, 4]),
+    basis=st.sampled_from(["measured", "assumed"]),
+)
+def test_a_smaller_copy_makes_no_line_surer(gsd: float, n_steps: int, basis: str) -> None:
+    """A line that contradicts the cars does so less, the less exactly it is drawn."""
+    x1, y1, x2, y2, metres, _ = _measured(LINE, gsd, basis)
+    in_copy = (x1 / n_steps, y1 / n_steps, x2 / n_steps, y2 / n_steps, metres, basis)
+    frame = (4000 // n_steps, 3000 // n_steps)
+    once = record_of(12, known_lengths=[(x1, y1, x2, y2, metres, basis)])
+    _check_no_surer(record_of(12, known_lengths=[in_copy], frame=frame), once)
+
+
+@given(
+    gsd=st.floats(0.05, 0.2),
+    what=st.sampled_from(["tennis_court_length", "iso_container_40ft", "motorway_lane_width"]),
+    n_copies=st.integers(2, 4),
+    across=st.floats(-0.7, 0.7),
+    swap=st.booleans(),
+)
+def test_no_repetition_of_a_named_thing_makes_a_scale_surer(
+    gsd: float, what: str, n_copies: int, across: float, swap: bool
+) -> None:
+    _, variants = lengths_of(what)
+    length_px = variants[0].metres / gsd
+    line: Line = (100, 100, 100 + length_px, 100)
+    again = _swapped(_shifted(line, across)) if swap else _shifted(line, across)
+    once = record_of(12, known_lengths=[(*line, what)])
+    copies = [(*line, what), *[(*again, what)] * (n_copies - 1)]
+    _check_no_surer(record_of(12, known_lengths=copies), once)
+
+
+@given(factor=st.floats(0.5, 2.0), repeated=st.floats(0.985, 1.015))
+def test_a_height_that_repeats_the_file_makes_no_scale_surer(
+    factor: float, repeated: float
+) -> None:
+    camera = replace_height(factor * CARS_GSD / TRUE_GSD * (MAVIC.height_m or 0.0))
+    once = record_of(12, camera=camera)
+    given_height: dict[str, Any] = {
+        "height_m": repeated * camera.height_m,
+        "height_basis": "measured",
+    }
+    _check_no_surer(record_of(12, camera=camera, **given_height), once)
+
+
+@given(factor=st.floats(0.5, 2.0))
+def test_a_scale_that_is_given_back_makes_no_scale_surer(factor: float) -> None:
+    line = _measured(LINE, factor * CARS_GSD, "assumed")
+    once = record_of(12, known_lengths=[line])
+    given_back: dict[str, Any] = {"gsd_m_per_px": once.gsd_m_per_px, "gsd_basis": "assumed"}
+    _check_no_surer(record_of(12, known_lengths=[line], **given_back), once)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.019, 1.021, 1.1, 1.3, 2.0])
@@ -203,6 +261,48 @@ def test_any_number_of_guesses_is_not_usable(n: int) -> None:
     lines: list[Line] = [(100, 100 + 200 * k, 1100, 100 + 200 * k) for k in range(n)]
     record = record_of(0, known_lengths=[_measured(line, CARS_GSD, "assumed") for line in lines])
     assert record.status == "low_confidence"
+
+
+def _guesses(kinds: str, factor: float) -> dict[str, Any]:
+    """Make guesses that are wrong by one factor: reference length, line and height."""
+    guesses: dict[str, Any] = {}
+    if "length" in kinds:
+        guesses["reference_length_m"] = factor * 5.0
+    if "line" in kinds:
+        guesses["known_lengths"] = [_measured(LINE, factor * CARS_GSD, "assumed")]
+    if "height" in kinds:
+        guesses["height_m"] = factor * CARS_GSD / TRUE_GSD * 100.0
+        guesses["focal_35mm"] = 26.0
+    return guesses
+
+
+ALL_GUESSES = "length, line and height"
+
+
+@pytest.mark.parametrize("cars", [1, 2, 5, 30, 171])
+@pytest.mark.parametrize("factor", [1 / 2, 1 / 1.5, 1.5, 2])
+@pytest.mark.parametrize("kinds", ["length and line", "length and height", ALL_GUESSES])
+def test_wrong_guesses_do_not_make_each_other_sure(cars: int, factor: float, kinds: str) -> None:
+    record = record_of(cars, **_guesses(kinds, factor))
+    is_right = record.gsd_m_per_px == pytest.approx(CARS_GSD, rel=0.2)
+    assert is_right or record.status != "ok"
+
+
+@pytest.mark.parametrize("cars", [1, 3])
+@pytest.mark.parametrize("factor", [1 / 1.3, 1.0, 1.3])
+def test_a_guessed_length_of_cars_does_not_confirm_other_guesses(cars: int, factor: float) -> None:
+    without = record_of(cars, **_guesses("line and height", factor))
+    beside = record_of(cars, **_guesses(ALL_GUESSES, factor))
+    assert beside.confidence <= without.confidence + 0.01
+
+
+def test_a_guessed_length_of_cars_is_no_evidence_of_cars() -> None:
+    """One box is a car, or another thing; a usual length of cars does not tell which."""
+    alone = record_of(1)
+    beside = record_of(1, reference_length_m=5.0)
+    vehicles_alone = alone.rulers[0]
+    vehicles_beside = beside.rulers[0]
+    assert vehicles_beside.p_right <= vehicles_alone.p_right + 0.01
 
 
 def test_the_kept_vehicles_are_those_whose_lengths_fit_the_answer() -> None:

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import vehanchor
 from tests.analyses import log_sd, made_card, measured
+from tests.conftest import ROOT
+from tests.skill.imagery.files import EXIF_PREFIX, after_start, exif, segment
 from tests.skill.rulers.test_camera import MAVIC
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
@@ -46,6 +49,31 @@ def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
     witness = measured(GivenHeight(), view)
     assert witness.gsd_m_per_px is None
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
+
+
+RESIZED = {
+    "Make": "SONY",
+    "Model": "ILCE-6000",
+    "FocalLength": 20.0,
+    "FocalPlaneXResolution": 1361.7,
+    "FocalPlaneResolutionUnit": 3,
+    "PixelXDimension": 800,
+    "PixelYDimension": 600,
+}
+"""Tags of a photograph of 0.162 m/px that a program resized, with the pitch of the original."""
+
+
+def test_the_lens_of_a_resized_picture_needs_a_second_source() -> None:
+    block = segment(EXIF_PREFIX + exif(RESIZED))
+    picture = after_start((ROOT / "examples/scenes/no_cars.jpg").read_bytes(), block)
+    height: dict[str, Any] = {"height_m": 110.0, "height_basis": "measured"}
+    alone = vehanchor.estimate_gsd(picture, **height)
+    assert alone.gsd_m_per_px == pytest.approx(0.041, rel=0.03)
+    assert alone.status == "low_confidence"
+    line = (100, 100, 400, 100, 48.6, "measured")
+    beside = vehanchor.estimate_gsd(picture, known_lengths=[line], **height)
+    assert beside.gsd_m_per_px == pytest.approx(0.162, rel=0.02)
+    assert beside.status == "ok"
 
 
 CROP = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)

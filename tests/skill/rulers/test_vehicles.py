@@ -123,6 +123,16 @@ def test_vehicles_have_five_weaknesses(lengths: list[float]) -> None:
     ]
 
 
+def test_a_guessed_length_replaces_that_of_given_boxes_alone() -> None:
+    """A search that pauses has not ended, and its boxes were found."""
+    view = replace(_view(_LENGTHS), options=ScaleOptions.of({"reference_length_m": 7.0}))
+    pausing = replace(view, detections=replace(view.detections, n_tiles_total=9))
+    given = Vehicles().measure(view).reference
+    found = Vehicles().measure(pausing).reference
+    assert (given.length_m, given.guess_m) == (7.0, None)
+    assert (found.length_m, found.guess_m) == (5.0, 7.0)
+
+
 @pytest.fixture(scope="module")
 def card() -> DetectorCard:
     return load_detector(resolve_model()).card
