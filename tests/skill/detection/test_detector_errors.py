@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tests.models import write_detector
 from vehanchor.detection.detector import Detector, load_detector, networks_sha256
 from vehanchor.detection.detector_errors import (
+    AppearanceErrors,
     DetectorErrors,
     StretchLimits,
     TilePriorOdds,
@@ -167,16 +168,20 @@ def test_a_changed_comment_does_not_make_results_stale(own: Path) -> None:
     assert networks_sha256(load_detector(own).card) == before
 
 
-def test_the_first_numbers_are_not_in_the_checksum(own: Path, bundled_file: Path) -> None:
-    """Journals were written before these numbers stood in a file."""
-    _write_errors(own, bundled_file.read_text(encoding="utf-8"))
-    card = load_detector(own).card
-    assert card.errors.sha256 == (
-        "ef1e67b13702519766c151b9577e5d4f24d2ddbe3fd56c5fe152444c4ba8b540"
-    )
-    changed = card.errors.model_copy(update={"boxes": DetectorErrors().boxes})
-    other = card.model_copy(update={"errors": changed})
-    assert networks_sha256(other) != networks_sha256(card)
+# --- Errors of a fleet by its appearance
+
+
+def test_the_error_by_appearance_falls_smoothly_with_the_number_of_cars() -> None:
+    log_sds = [AppearanceErrors().fleet_log_sd(n / 4) for n in range(200)]
+    steps = -np.diff(log_sds)
+    assert (steps > 0).all()
+    # No step of the curve is larger than the one before it.
+    assert (np.diff(steps) < 0).all()
+
+
+def test_many_cars_have_the_error_between_places() -> None:
+    errors = AppearanceErrors()
+    assert errors.fleet_log_sd(1000) == pytest.approx(errors.log_sd, rel=0.01)
 
 
 # --- Use in a search
