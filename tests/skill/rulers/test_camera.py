@@ -80,7 +80,7 @@ def test_the_interval_has_the_errors_of_height_with_lens(by_equivalent: Witness)
     assert by_equivalent.interval is not None
     low, high = by_equivalent.interval
     assert low < TRUE_GSD < high
-    assert high / low == pytest.approx(1.825, rel=0.01)
+    assert high / low == pytest.approx(2.08, rel=0.01)
 
 
 def test_the_statement_names_its_sources(by_equivalent: Witness) -> None:
