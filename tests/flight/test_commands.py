@@ -124,7 +124,7 @@ def folder_of_one_scale(run: Any, tmp_path: Path) -> Result:
 
 def test_one_scale_is_printed_for_all(folder_of_one_scale: Result) -> None:
     assert "scale of all" in folder_of_one_scale.stdout
-    assert "0.168" in folder_of_one_scale.stdout
+    assert "0.169" in folder_of_one_scale.stdout
     assert _progress(folder_of_one_scale)[-1] == "pooling the evidence of 5 of 5 images"
 
 
@@ -133,7 +133,8 @@ def test_each_row_of_a_table_has_the_scale_of_all(tmp_path: Path) -> None:
     rows = [json.loads(line) for line in (tmp_path / "scales.jsonl").read_text().splitlines()]
     readable = rows[:4]
     assert len({row["gsd_m_per_px"] for row in readable}) == 1
-    assert [row["status"] for row in readable] == ["ok"] * 4
+    # Few cars, and the scene-scale prior prefers another scale.
+    assert [row["status"] for row in readable] == ["low_confidence"] * 4
     assert [row["n_vehicles"] for row in readable] == [3, 3, 0, 3]
     assert rows[4]["error_code"] == "image_undecodable"
     assert not (tmp_path / "scales.jsonl.journal").exists()

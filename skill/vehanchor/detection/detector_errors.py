@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import tomllib
 from typing import TYPE_CHECKING, Annotated
 
@@ -76,6 +77,9 @@ class AppearanceErrors(_Errors):
         log_sd: standard deviation, between places, of the log of a fleet's length by its
             appearance.
         log_mean: mean error of that log.
+        kind_log_sd: further standard deviation of that log for a fleet of one kind of car, such as
+            golf carts. It falls with the number of cars, which are of more and more kinds.
+        kind_cars: number of cars at which half of the variance of ``kind_log_sd`` is left.
         fair_odds: odds of a car at which its length by appearance errs as the network states.
         doubt_power: power of that error at other odds.
     """
@@ -83,8 +87,20 @@ class AppearanceErrors(_Errors):
     length_over_width: _Ratio = 2.6
     log_sd: _Spread = 0.055
     log_mean: Annotated[float, Field(ge=-1.0, le=1.0)] = -0.015
+    kind_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.09
+    kind_cars: Annotated[float, Field(ge=0.1, le=1000.0)] = 2.0
     fair_odds: Annotated[float, Field(ge=0.001, le=1e6)] = 20.0
     doubt_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.125
+
+    def fleet_log_sd(self, n_cars: float) -> float:
+        """Compute the error of a fleet's log length by appearance.
+
+        Args:
+            n_cars: expected number of cars in the fleet.
+        """
+        kind_share = self.kind_cars / (self.kind_cars + n_cars)
+        kind_log_sd = self.kind_log_sd * math.sqrt(kind_share)
+        return math.hypot(self.log_sd, kind_log_sd)
 
 
 class LookAlikeLimits(_Errors):

@@ -1,6 +1,10 @@
 """Camera metadata as a ruler: height above take-off, focal length and sensor.
 
-At the centre of a nadir image, the scale is ``height * pixel pitch / focal length``.
+At the centre of a nadir image, the scale is ``height * pixel pitch / focal length``. The height is
+that above take-off. Nearly always the ground is level with it within some metres. In the other
+case, the take-off was on a hill or in a valley, and the height above the ground can be half or
+double. A prior that fits the height fits other heights nearly as well, so that it hardly confirms
+it; one that prefers another height supports the second case.
 """
 
 from __future__ import annotations
@@ -16,7 +20,14 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
-from vehanchor.scale.reliability import FILE, RELIABILITY, Shared
+from vehanchor.scale.reliability import (
+    FILE,
+    HILL_CHANCE,
+    HILL_LOG_SD,
+    LEVEL_SD_M,
+    RELIABILITY,
+    Shared,
+)
 
 if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
@@ -25,10 +36,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.posterior import Witness
 
 
-# Error of a barometer, and of a take-off from a hand or a roof.
 # Error of the file's height that no guess repeats: two steps of the grid of scales.
 _OWN_LOG_SD = 0.01
-_HEIGHT_SD_M = 2.0
 _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
 _MAX_DIGITAL_ZOOM = 1.01
@@ -154,8 +163,10 @@ class Camera(Ruler):
         # is shared with guesses.
         of_file = Shared(
             FILE.name,
-            math.hypot(tilt_log_sd, height_log_sd(height_m)),
+            math.hypot(tilt_log_sd, _level_log_sd(height_m)),
             chance_wrong=RELIABILITY[condition].chance_wrong,
+            chance_large=HILL_CHANCE,
+            large_log_sd=math.hypot(tilt_log_sd, HILL_LOG_SD),
         )
         return point_witness(
             self.kind,
@@ -199,8 +210,18 @@ def coarsening(tilt_deg: float) -> tuple[float, float]:
 
 
 def height_log_sd(height_m: float) -> float:
-    """Compute the log standard deviation of a height above take-off as one above the ground."""
-    return math.hypot(RELIABILITY[Camera.kind].log_sd, _HEIGHT_SD_M / height_m)
+    """Compute the log standard deviation of a height above take-off as one above the ground.
+
+    It is that of both cases together, level ground and a hill.
+    """
+    level_variance = _level_log_sd(height_m) ** 2
+    hill_variance = HILL_LOG_SD**2
+    return math.sqrt((1.0 - HILL_CHANCE) * level_variance + HILL_CHANCE * hill_variance)
+
+
+def _level_log_sd(height_m: float) -> float:
+    """Compute the log standard deviation of a height above take-off over level ground."""
+    return math.hypot(RELIABILITY[Camera.kind].log_sd, LEVEL_SD_M / height_m)
 
 
 def _tilted(tilt_deg: float, consequence: str) -> Notice:

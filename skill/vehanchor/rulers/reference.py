@@ -66,6 +66,7 @@ def reference_length(
     reference: Reference,
     appearance: Appearance | None,
     *,
+    n_cars: float = math.inf,
     trusts_caller: bool = False,
 ) -> ReferenceLength:
     """Choose the length of a calibration, else the fleet's by appearance, else the model's.
@@ -78,6 +79,7 @@ def reference_length(
         card: card of the model that found the vehicles.
         reference: the caller's options for the reference length.
         appearance: appearance of the vehicles of the fleet; None if unknown.
+        n_cars: expected number of cars in the fleet; few cars err more by their appearance.
         trusts_caller: whether a length of the caller replaces all others, as in the paper.
 
     Returns:
@@ -100,11 +102,17 @@ def reference_length(
             log_sd = _KNOWN_LENGTH * sd_m / guess_m
             return ReferenceLength(guess_m, "given", log_sd)
         without_guess = replace(reference, reference_length_m=None)
-        length = reference_length(card, without_guess, appearance)
+        length = reference_length(card, without_guess, appearance, n_cars=n_cars)
         return length._replace(guess_m=guess_m)
     if card.bodies is not None and appearance is not None:
         errors = card.errors.appearance
-        return _by_appearance(card.bodies, appearance, errors=errors, region=reference.region)
+        return _by_appearance(
+            card.bodies,
+            appearance,
+            errors=errors,
+            log_sd=errors.fleet_log_sd(n_cars),
+            region=reference.region,
+        )
     if reference.region is not None:
         region_length_m = _region_length(reference.region, _box_lengths_m(card))
         if region_length_m is not None:
@@ -124,7 +132,12 @@ def _box_lengths_m(card: DetectorCard) -> Mapping[str, float]:
 
 
 def _by_appearance(
-    bodies: BodyLengths, appearance: Appearance, *, errors: AppearanceErrors, region: str | None
+    bodies: BodyLengths,
+    appearance: Appearance,
+    *,
+    errors: AppearanceErrors,
+    log_sd: float,
+    region: str | None,
 ) -> ReferenceLength:
     """Read the reference length from appearances, and move it towards that of a region.
 
@@ -132,6 +145,7 @@ def _by_appearance(
         bodies: lengths of vehicle bodies, to which appearances refer.
         appearance: appearance of the vehicles of the fleet.
         errors: errors of a fleet's mean length by appearance.
+        log_sd: standard deviation of its log, for the fleet's number of cars.
         region: name of a region or country; None if unknown.
 
     Raises:
@@ -145,7 +159,7 @@ def _by_appearance(
         return ReferenceLength(
             math.exp(log_length),
             "appearance",
-            log_sd=errors.log_sd,
+            log_sd=log_sd,
             log_mean=errors.log_mean,
             by_appearance=0.0,
         )
@@ -158,13 +172,13 @@ def _by_appearance(
 
     # Precision-weighted mean of both lengths: variances of the appearance and within the region.
     region_log_sd = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
-    variance = errors.log_sd**2
+    variance = log_sd**2
     region_share = variance / (variance + region_log_sd**2)
     moved = region_share * (math.log(region_length_m) - fleet_log_length)
     return ReferenceLength(
         math.exp(log_length + moved),
         "region",
-        log_sd=math.sqrt(1 - region_share) * errors.log_sd,
+        log_sd=math.sqrt(1 - region_share) * log_sd,
         log_mean=(1 - region_share) * errors.log_mean,
         by_appearance=moved,
     )

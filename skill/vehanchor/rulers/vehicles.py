@@ -395,8 +395,13 @@ class Vehicles(Ruler):
         # labels: the model's own length is that of its boxes.
         is_paper = view.options.method.preset == "paper"
         trusts_caller = is_paper or not detections.were_searched
+        votes = card.votes or UNCALIBRATED
         reference = reference_length(
-            card, view.options.reference, fleet.appearance, trusts_caller=trusts_caller
+            card,
+            view.options.reference,
+            fleet.appearance,
+            n_cars=votes.expected_cars(fleet.scores),
+            trusts_caller=trusts_caller,
         )
         mode_px = None
         aggregation = view.options.lengths.aggregation or card.aggregation

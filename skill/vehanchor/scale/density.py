@@ -182,6 +182,11 @@ class Votes(NamedTuple):
         limited = np.clip(log_odds, _MIN_LOG_ODDS, _MAX_LOG_ODDS)
         return np.round(limited / _LOG_ODDS_STEP) * _LOG_ODDS_STEP
 
+    def expected_cars(self, scores: ArrayLike) -> float:
+        """Compute the expected number of cars among boxes of these scores."""
+        odds = np.exp(self.log_odds(scores))
+        return float((odds / (1.0 + odds)).sum())
+
 
 UNCALIBRATED = Votes(-4.0, 10.0)
 """Votes of a detector without fitted ones: a box of score 0.4 is a car with even odds, one of 0.9

@@ -165,7 +165,7 @@ class Witness:
         """
         if self.right_with_guess is None or self.gsd_m_per_px is None:
             return None
-        low, high = credible_interval(blurred(self.right_with_guess, _total_log_sd(self.shared)))
+        low, high = credible_interval(_blurred_by(self.right_with_guess, self.shared))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
     def factor(self, errors: Sequence[Shared]) -> Density:
@@ -253,9 +253,11 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     p_right = []
     answers_without = []
     for k in range(len(witnesses)):
-        # P(witness k is right | all witnesses) is one minus the part in which it is wrong.
-        p_wrong = float(posterior.part_if_wrong([k]).sum())
-        p_right.append(max(0.0, 1.0 - p_wrong))
+        # P(witness k is right | all witnesses) is one minus the part in which it is wrong, and the
+        # part in which an error of it is large: its own scale is wrong, too.
+        if_right = posterior.density - posterior.part_if_wrong([k])
+        p_usual = float((if_right * _share_of_usual_errors(witnesses[k])).sum())
+        p_right.append(max(0.0, p_usual))
         answers_without.append(judge(_all_but(witnesses, k)))
     reason = None
     if not decision.usable:
@@ -304,6 +306,18 @@ def judge(witnesses: Sequence[Witness]) -> Answer | None:
         chance=min(chance, MAX_CHANCE),
         density=supported,
     )
+
+
+def _share_of_usual_errors(witness: Witness) -> Density:
+    """Compute the chance ``[g]`` that no error of a right witness is large, for each true scale."""
+    assert witness.right is not None
+    if all(error.chance_large == 0.0 for error in witness.shared):
+        return np.ones_like(witness.right)
+    usual_errors = [error._replace(chance_large=0.0) for error in witness.shared]
+    usual = _blurred_by(witness.right, usual_errors)
+    p_usual = math.prod(1.0 - error.chance_large for error in witness.shared)
+    whole = _blurred_by(witness.right, witness.shared)
+    return np.minimum(p_usual * usual / np.maximum(whole, MIN_PROBABILITY), 1.0)
 
 
 def _guesses_confirmed_by_priors(witnesses: Sequence[Witness], posterior: _Posterior) -> Density:
@@ -596,7 +610,15 @@ def _larger_errors(first: Mapping[str, Shared], second: Mapping[str, Shared]) ->
         same = merged.get(name, error)
         log_sd = max(error.log_sd, same.log_sd)
         chance_wrong = max(error.chance_wrong, same.chance_wrong)
-        merged[name] = Shared(name, log_sd, chance_wrong)
+        chance_large = max(error.chance_large, same.chance_large)
+        large_log_sd = max(error.large_log_sd, same.large_log_sd)
+        merged[name] = Shared(
+            name,
+            log_sd,
+            chance_wrong=chance_wrong,
+            chance_large=chance_large,
+            large_log_sd=large_log_sd,
+        )
     return merged
 
 
@@ -608,8 +630,28 @@ def _with_errors(density: Density, errors: Sequence[Shared]) -> Density:
         errors: independent of each other.
     """
     chance_right = math.prod(1.0 - error.chance_wrong for error in errors)
-    right = blurred(density, _total_log_sd(errors))
+    right = _blurred_by(density, errors)
     return chance_right * right + (1.0 - chance_right) * flat()
+
+
+def _blurred_by(density: Density, errors: Sequence[Shared]) -> Density:
+    """Blur a density ``[g]`` by errors that do not make it wrong.
+
+    Args:
+        density: of any sum.
+        errors: independent of each other.
+    """
+    for k, error in enumerate(errors):
+        if error.chance_large == 0.0:
+            continue
+        # Two cases, each with an error of one size: the usual one, and the large one.
+        usual = error._replace(chance_large=0.0)
+        large = usual._replace(log_sd=error.large_log_sd)
+        others = (*errors[:k], *errors[k + 1 :])
+        in_usual_case = _blurred_by(density, (*others, usual))
+        in_large_case = _blurred_by(density, (*others, large))
+        return (1.0 - error.chance_large) * in_usual_case + error.chance_large * in_large_case
+    return blurred(density, _total_log_sd(errors))
 
 
 def _total_log_sd(errors: Iterable[Shared]) -> float:

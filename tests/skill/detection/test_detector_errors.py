@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tests.models import write_detector
 from vehanchor.detection.detector import Detector, load_detector, networks_sha256
 from vehanchor.detection.detector_errors import (
+    AppearanceErrors,
     DetectorErrors,
     StretchLimits,
     TilePriorOdds,
@@ -165,6 +166,22 @@ def test_a_changed_comment_does_not_make_results_stale(own: Path) -> None:
     before = networks_sha256(load_detector(own).card)
     _write_errors(own, "# of 300 cars\n[boxes]\nlog_sd = 0.20\n")
     assert networks_sha256(load_detector(own).card) == before
+
+
+# --- Errors of a fleet by its appearance
+
+
+def test_the_error_by_appearance_falls_smoothly_with_the_number_of_cars() -> None:
+    log_sds = [AppearanceErrors().fleet_log_sd(n / 4) for n in range(200)]
+    steps = -np.diff(log_sds)
+    assert (steps > 0).all()
+    # No step of the curve is larger than the one before it.
+    assert (np.diff(steps) < 0).all()
+
+
+def test_many_cars_have_the_error_between_places() -> None:
+    errors = AppearanceErrors()
+    assert errors.fleet_log_sd(1000) == pytest.approx(errors.log_sd, rel=0.01)
 
 
 # --- Use in a search

@@ -18,7 +18,7 @@ from vehanchor.detection.scene_scale import (
     tile_windows,
 )
 from vehanchor.scale.defaults import CAR_LENGTH_M
-from vehanchor.scale.density import GRID, credible_interval
+from vehanchor.scale.density import GRID, credible_interval, quantile
 
 _CALIBRATION = SceneCalibration(np.log(0.01), 0.08, floor=0.02)
 
@@ -39,6 +39,23 @@ def test_a_sharp_place_may_be_finer_than_it_looks(gsd: float, wider: float) -> N
     assert open_prior.density.sum() == pytest.approx(1)
     assert plain.low / low == pytest.approx(wider, rel=0.15)
     assert high == pytest.approx(plain.high, rel=0.03)
+
+
+@pytest.mark.parametrize(("log_sd", "lower"), [(0.2, 1.0), (0.6, 1.9)])
+def test_only_a_wide_density_opens_far_to_finer_scales(log_sd: float, lower: float) -> None:
+    """Fields and lawns resemble little in training, and look coarser than they are."""
+    sharp = _prior(0.06, log_sd).density
+    coarse = _prior(0.6, log_sd).density
+    opened = quantile(coarse, 0.16) / 0.6 / (quantile(sharp, 0.16) / 0.06)
+    assert opened == pytest.approx(lower, rel=0.2)
+
+
+def test_a_density_opens_smoothly_with_its_width() -> None:
+    log_sds = np.linspace(0.2, 0.7, 26)
+    lows = np.log([quantile(_prior(0.06, log_sd).density, 0.16) for log_sd in log_sds])
+    steps = np.diff(lows)
+    assert (steps < 0).all()
+    assert np.abs(steps).max() < 0.12
 
 
 def test_a_length_that_fits_the_scene_has_the_better_odds() -> None:

@@ -13,12 +13,14 @@ import pytest
 from tests.analyses import log_sd, made_card, measured
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
+from vehanchor.detection.scene_scale import SceneScalePrior
 from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.ruler import View
+from vehanchor.scale.density import Density, Votes, lognormal
 from vehanchor.scale.posterior import Witness
 
 MAVIC = CameraMetadata(
@@ -78,7 +80,7 @@ def test_the_interval_has_the_errors_of_height_with_lens(by_equivalent: Witness)
     assert by_equivalent.interval is not None
     low, high = by_equivalent.interval
     assert low < TRUE_GSD < high
-    assert high / low == pytest.approx(math.exp(2 * 1.96 * 0.128), rel=0.01)
+    assert high / low == pytest.approx(2.30, rel=0.01)
 
 
 def test_the_statement_names_its_sources(by_equivalent: Witness) -> None:
@@ -198,7 +200,81 @@ def test_an_unknown_pitch_widens_the_interval() -> None:
 def test_the_nearer_the_ground_the_less_a_height_says() -> None:
     low = _measured(_but(height_m=20.0))
     high = _measured(_but(height_m=500.0))
-    assert log_sd(low) > 0.15 > 0.13 > log_sd(high)
+    assert log_sd(low) > log_sd(high)
+
+
+# --- Level ground, or a hill
+
+
+def _seeing(
+    camera: CameraMetadata, prior: Density | None = None, car_gsd: float | None = None
+) -> View:
+    """View with a prior of the scene, and perhaps a clear car, 4.6 m long at a scale."""
+    view = _view(camera)
+    if prior is not None:
+        view = replace(view, prior=SceneScalePrior(prior, n_tiles=24))
+    if car_gsd is not None:
+        box = [2000.0, 1500.0, 4.6 / car_gsd, 2.1 / car_gsd, 0.0]
+        view = replace(
+            view,
+            card=made_card(4.6).model_copy(update={"votes": Votes(-4.0, 9.5)}),
+            detections=Detections(np.array([box]), np.array([0.99])),
+        )
+    return view
+
+
+def _chance(view: View) -> float:
+    estimate = analyse_view(view).estimate
+    assert estimate.confidence is not None
+    return estimate.confidence
+
+
+@pytest.mark.parametrize("height_m", [60.0, 100.0, 200.0])
+def test_a_height_is_just_not_usable_by_itself(height_m: float) -> None:
+    assert 0.88 < _chance(_seeing(_but(height_m=height_m))) < 0.9
+
+
+def test_a_height_that_the_scene_agrees_with_is_usable() -> None:
+    view = _seeing(MAVIC, prior=lognormal(TRUE_GSD, 0.4))
+    assert analyse_view(view).estimate.status == "ok"
+
+
+def test_a_low_height_is_not_usable_by_itself() -> None:
+    """The ground is level within some metres, which are too much of 25 m."""
+    assert analyse_view(_seeing(_but(height_m=25.0))).estimate.status != "ok"
+
+
+def test_a_prior_hardly_confirms_a_height() -> None:
+    """It fits the double nearly as well: half of the chance of error stays."""
+    alone = _chance(_seeing(MAVIC))
+    confirmed = _chance(_seeing(MAVIC, prior=lognormal(TRUE_GSD, 0.4)))
+    assert alone < confirmed < alone + 0.5 * (1.0 - alone)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_prior_that_prefers_another_height_makes_a_height_unusable(factor: float) -> None:
+    view = _seeing(MAVIC, prior=lognormal(factor * TRUE_GSD, 0.3))
+    assert analyse_view(view).estimate.status != "ok"
+
+
+@pytest.mark.parametrize("factor", [0.5, 1 / 1.5, 1.5, 2.0])
+def test_a_height_that_a_car_contradicts_is_not_usable(factor: float) -> None:
+    estimate = analyse_view(_seeing(MAVIC, car_gsd=factor * TRUE_GSD)).estimate
+    assert estimate.gsd_m_per_px is not None
+    is_of_car = abs(math.log(estimate.gsd_m_per_px / (factor * TRUE_GSD))) < 0.2
+    assert is_of_car or estimate.status != "ok"
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_car_outweighs_half_or_double_the_height(factor: float) -> None:
+    estimate = analyse_view(_seeing(MAVIC, car_gsd=factor * TRUE_GSD)).estimate
+    assert estimate.gsd_m_per_px == pytest.approx(factor * TRUE_GSD, rel=0.2)
+
+
+def test_a_height_over_a_hill_is_probably_wrong_as_it_stands() -> None:
+    analysis = analyse_view(_seeing(MAVIC, car_gsd=2 * TRUE_GSD))
+    p_right = {ruler.kind: ruler.p_right for ruler in analysis.estimate.rulers}
+    assert p_right["camera"] < 0.5 < p_right["vehicles"]
 
 
 @pytest.mark.parametrize(

@@ -138,6 +138,25 @@ def card() -> DetectorCard:
     return load_detector(resolve_model()).card
 
 
+def _reference_log_sd(card: DetectorCard, scores: list[float]) -> float:
+    """Error of the reference length of cars that all look 4.4 m long."""
+    view = _searched(replace(_view([40.0] * len(scores)), card=card))
+    looks = np.full(len(scores), math.log(4.4))
+    appearance = Appearance(looks, np.full(len(scores), 0.1), np.full(len(scores), 5.0))
+    found = replace(view.detections, scores=np.array(scores), appearance=appearance)
+    return Vehicles().measure(replace(view, detections=found)).reference.log_sd
+
+
+def test_few_cars_err_more_by_their_appearance_than_many(card: DetectorCard) -> None:
+    assert _reference_log_sd(card, [0.99]) > 1.3 * _reference_log_sd(card, [0.99] * 12)
+
+
+def test_boxes_that_are_hardly_cars_do_not_count_as_cars(card: DetectorCard) -> None:
+    one_car = _reference_log_sd(card, [0.99])
+    with_doubtful_ones = _reference_log_sd(card, [0.99, 0.2, 0.2, 0.2])
+    assert with_doubtful_ones == pytest.approx(one_car, rel=0.03)
+
+
 @pytest.mark.parametrize("code", ["FR", "fr", "Us", "in", "NP"])
 def test_a_country_has_a_length_near_its_region(card: DetectorCard, code: str) -> None:
     chosen = reference_length(card, Reference(region=code), None)
