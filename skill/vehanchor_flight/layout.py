@@ -54,11 +54,14 @@ class Layout(NamedTuple):
     Attributes:
         feet: ``[m]`` points below the cameras in pixels of the reference, x to the right as real
             and y down as imaginary part; the reference is at 0.
+        headings: ``[m]`` complex numbers of length 1 that turn directions in each photograph to
+            those in the reference.
         off: ``[s]`` distance of each overlap's shift to the shift in the layout, in diagonals of a
             photograph.
     """
 
     feet: Numbers
+    headings: Numbers
     off: Lengths
 
 
@@ -85,7 +88,8 @@ def lay_out(
     """
     if not overlaps:
         at_reference = np.zeros(len(feet), np.complex128)
-        return Layout(at_reference, np.zeros(0))
+        unturned = np.ones(len(feet), np.complex128)
+        return Layout(at_reference, unturned, off=np.zeros(0))
     first = [overlap.first for overlap in overlaps]
     second = [overlap.second for overlap in overlaps]
     pairs = _Pairs(
@@ -134,7 +138,7 @@ def lay_out(
         shift_penalty = 1 + (off / _SHIFT_REACH) ** 2
         penalty = heading_penalty * shift_penalty
         weights = n_matches / penalty**2
-    return Layout(positions, off)
+    return Layout(positions, headings, off=off)
 
 
 class _Pairs(NamedTuple):

@@ -15,10 +15,12 @@ import numpy as np
 from vehanchor.rulers.active import uses
 from vehanchor.rulers.positions import Positions, baseline, camera_positions_m
 from vehanchor.scale.lengths import Z95
+from vehanchor_flight.common_ground import Placement, corners_from_above
 from vehanchor_flight.components import Component
+from vehanchor_flight.copies import is_same_picture
 from vehanchor_flight.graph import Link, Unary, solve, tilt_share
 from vehanchor_flight.layout import lay_out
-from vehanchor_flight.matching import Overlap, match
+from vehanchor_flight.matching import Overlap, can_match, match, unmoved
 from vehanchor_flight.pairs import candidate_pairs
 from vehanchor_flight.photograph import reference_member
 from vehanchor_flight.records import FlightLink
@@ -158,12 +160,37 @@ def _match_candidates(
     rectified = []
     for photograph, own_features in zip(photographs, features, strict=True):
         rectified.append(_rectified(photograph, own_features))
+    pairs = set(candidate_pairs(features, positions))
+    copies = _copies(photographs, features)
     overlaps = []
-    for first, second in candidate_pairs(features, positions):
+    for first, second in sorted(pairs | copies):
         matched = match(rectified[first], rectified[second])
+        if matched is None and (first, second) in copies:
+            matched = unmoved(_centre(photographs[first]))
         if matched is not None:
             overlaps.append(Overlap(first, second, matched))
     return overlaps
+
+
+def _copies(
+    photographs: Sequence[Photograph], features: Sequence[Features]
+) -> set[tuple[int, int]]:
+    """Find the copies of a picture that has too few features for a match, the lower index first.
+
+    Each copy is paired with the first picture that is the same.
+    """
+    originals: list[int] = []
+    pairs = set()
+    for index, own_features in enumerate(features):
+        if can_match(own_features):
+            continue
+        for original in originals:
+            if is_same_picture(photographs[original], photographs[index]):
+                pairs.add((original, index))
+                break
+        else:
+            originals.append(index)
+    return pairs
 
 
 def _rectified(photograph: Photograph, features: Features) -> Features:
@@ -280,11 +307,36 @@ def _component(
         subgraph.log_scales,
         log_sds=np.hypot(link_sds, tilt_sds),
         reference=reference,
+        placements=_placements(members, layout, offsets),
         extra=extra,
         maybe_tilted=bool(tilt_sds.any()),
     )
     distances = layout.off.tolist()
     return component, dict(zip(own_overlaps, distances, strict=True))
+
+
+def _placements(
+    members: Sequence[Photograph], layout: Layout, offsets: Offsets
+) -> tuple[Placement, ...]:
+    """Place the members of a component in the pixels of its reference.
+
+    Args:
+        members: of the component.
+        layout: of the members.
+        offsets: ``[n]`` logs of their metres per pixel over the reference's.
+    """
+    placements = []
+    for k, member in enumerate(members):
+        factor = complex(layout.headings[k]) * math.exp(offsets[k])
+        foot = complex(*_foot(member))
+        placement = Placement(
+            0,
+            factor,
+            shift=complex(layout.feet[k]) - factor * foot,
+            corners=corners_from_above(member),
+        )
+        placements.append(placement)
+    return tuple(placements)
 
 
 def _diagonal(photograph: Photograph) -> float:

@@ -93,7 +93,7 @@ def estimate_flight(
             inputs,
             detector,
             call_options,
-            featured=not same_scale,
+            featured=True,
             journal=open_journal,
             lines=lines,
         )
