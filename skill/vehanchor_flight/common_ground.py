@@ -6,8 +6,8 @@ the vehicles of a flight are counted by the ground:
 
 * Each photograph has a placement in the frame of its ground, from the overlaps.
 * Boxes of several photographs at one place are one car (``distinct_vehicles``).
-* As many cars count as one photograph shows of the same ground on average. A car that drives is
-  found at another place in each photograph, and counts once, too.
+* Of any ground, no more cars count than the photograph with the strongest vehicles shows. A car
+  that drives is at another place in each photograph, and counts once, too.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     Counts: TypeAlias = NDArray[np.float64]
     """Numbers ``[n]`` of photographs or of cars."""
 
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the points or boxes ``[n]`` have a property."""
+
     Indices: TypeAlias = NDArray[np.intp]
     """Indices ``[n]`` of photographs or of cars."""
 
@@ -44,8 +47,6 @@ if TYPE_CHECKING:
 _SAME_PLACE = 0.4
 # Points across and down a photograph at which its common ground is counted. A choice.
 _GRID = 8
-# Rounding of sums of reciprocals.
-_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class Placement:
         """Convert points ``[n]`` in pixels of the photograph to the frame."""
         return np.asarray(self.factor * points + self.shift)
 
-    def shows(self, points: Points) -> NDArray[np.bool_]:
+    def shows(self, points: Points) -> Flags:
         """Find which points ``[n]`` of the frame are in the photograph."""
         own = (points - self.shift) / self.factor
         starts = self.corners[:, None]
@@ -140,6 +141,7 @@ class _Boxes(NamedTuple):
         lengths: ``[n]`` in pixels of the frame.
         scores: ``[n]`` detection scores.
         shares: ``[n]`` one over the number of photographs that show its place.
+        on_new_ground: ``[n]`` whether no photograph with stronger vehicles shows its place.
     """
 
     members: Indices
@@ -148,6 +150,7 @@ class _Boxes(NamedTuple):
     lengths: Lengths
     scores: Counts
     shares: Counts
+    on_new_ground: Flags
 
 
 class _Car(NamedTuple):
@@ -193,9 +196,7 @@ def distinct_vehicles(
     ]
 
 
-def _selected(
-    detections: Detections, kept: NDArray[np.bool_], scores: NDArray[np.float64]
-) -> Detections:
+def _selected(detections: Detections, kept: Flags, scores: NDArray[np.float64]) -> Detections:
     """Select vehicles by a mask ``[n]``, with other scores ``[n]``."""
     reductions = detections.reductions
     if reductions is not None:
@@ -216,9 +217,16 @@ def _selected(
 def _boxes_of(
     ground: int, members: Sequence[Photograph], placements: Sequence[Placement]
 ) -> _Boxes:
-    """Collect the boxes of all photographs of a ground."""
+    """Collect the boxes of all photographs of a ground, the strongest photograph first."""
     indices = [k for k, placement in enumerate(placements) if placement.ground == ground]
+
+    def strength(member: int) -> float:
+        return _strength(members[member])
+
+    # A reversed sort keeps the order of equals, too.
+    indices.sort(key=strength, reverse=True)
     parts = []
+    stronger: list[Placement] = []
     for member in indices:
         detections = members[member].rectified_detections
         placement = placements[member]
@@ -232,14 +240,30 @@ def _boxes_of(
             lengths=detections.boxes[:, 2] * abs(placement.factor),
             scores=detections.scores,
             shares=1.0 / _n_showing(centres, ground, placements),
+            on_new_ground=~_is_shown(centres, stronger),
         )
         parts.append(part)
+        stronger.append(placement)
     columns = zip(*parts, strict=True)
     return _Boxes(*(np.concatenate(column) for column in columns))
 
 
+def _strength(photograph: Photograph) -> float:
+    """Measure the evidence of a photograph's own vehicles, which few good ones raise most."""
+    scores = photograph.rectified_detections.scores
+    return float((scores**2).sum())
+
+
+def _is_shown(points: Points, placements: Sequence[Placement]) -> Flags:
+    """Find which points ``[n]`` of a ground are in any of these photographs."""
+    is_shown = np.zeros(len(points), dtype=bool)
+    for placement in placements:
+        is_shown |= placement.shows(points)
+    return is_shown
+
+
 def _cars(boxes: _Boxes) -> list[_Car]:
-    """List the cars of a ground, as many as one photograph shows of it on average."""
+    """List the cars of a ground, as many as the strongest photographs of its parts show."""
     numbers = _same_car(boxes)
     cars = []
     for number in range(int(numbers.max(initial=-1)) + 1):
@@ -253,7 +277,7 @@ def _cars(boxes: _Boxes) -> list[_Car]:
         cars.append(car)
     # Cars that drive, and false alarms, are found in few of the photographs of their place.
     cars.sort(key=_most_often_first)
-    n_cars = int(np.ceil(boxes.shares.sum() - _ROUNDING))
+    n_cars = int(boxes.on_new_ground.sum())
     return cars[:n_cars]
 
 

@@ -31,6 +31,7 @@ from vehanchor_flight.photograph import (
     reference_member,
 )
 from vehanchor_flight.record import Failure, conclude_flight
+from vehanchor_flight.same_scale import check_same_scale
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -44,7 +45,11 @@ if TYPE_CHECKING:
 
 
 def conclude(results: Results, card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
-    """Make the record of searched photographs, which need features."""
+    """Make the record of searched photographs, which need features.
+
+    Raises:
+        InvalidParameterError: the photographs contradict the claim that they have one scale.
+    """
     indices = []
     members = []
     for index, result in enumerate(results):
@@ -54,6 +59,7 @@ def conclude(results: Results, card: DetectorCard, *, same_scale: bool) -> Fligh
     features = [member.features for member in members if member.features is not None]
     linked, links = link_photographs(members, features)
     if same_scale:
+        check_same_scale(members, linked)
         # One scale is stated, but pictures of the same ground are one witness of it.
         component = single_component(
             indices, reference_member(members), placements_by_ground(linked)

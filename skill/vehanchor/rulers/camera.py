@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Error of a barometer, and of a take-off from a hand or a roof.
 # Error of the file's height that no guess repeats: two steps of the grid of scales.
 _OWN_LOG_SD = 0.01
-_HEIGHT_SD_M = 2.0
+HEIGHT_SD_M = 2.0
 _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
 _MAX_DIGITAL_ZOOM = 1.01
@@ -200,7 +200,7 @@ def coarsening(tilt_deg: float) -> tuple[float, float]:
 
 def height_log_sd(height_m: float) -> float:
     """Compute the log standard deviation of a height above take-off as one above the ground."""
-    return math.hypot(RELIABILITY[Camera.kind].log_sd, _HEIGHT_SD_M / height_m)
+    return math.hypot(RELIABILITY[Camera.kind].log_sd, HEIGHT_SD_M / height_m)
 
 
 def _tilted(tilt_deg: float, consequence: str) -> Notice:
