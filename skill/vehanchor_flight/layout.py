@@ -98,7 +98,9 @@ def lay_out(
         second=np.array(second),
         reference=reference,
     )
-    n_matches = np.array([overlap.match.n for overlap in overlaps], dtype=np.float64)
+    # A link without matched points places a photograph that has no other.
+    counts = [max(overlap.match.n, 1) for overlap in overlaps]
+    n_matches = np.array(counts, dtype=np.float64)
     # Each overlap maps pixels of its first photograph to those of its second.
     matrices = np.array([overlap.match.turn for overlap in overlaps])
     transforms = matrices[:, 0] + 1j * matrices[:, 1]

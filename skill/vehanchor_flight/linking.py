@@ -19,6 +19,7 @@ from vehanchor_flight.common_ground import Placement, corners_from_above
 from vehanchor_flight.components import Component
 from vehanchor_flight.copies import is_same_picture
 from vehanchor_flight.graph import Link, Unary, solve, tilt_share
+from vehanchor_flight.height_links import link_by_height
 from vehanchor_flight.layout import lay_out
 from vehanchor_flight.matching import Overlap, can_match, match, unmoved
 from vehanchor_flight.pairs import candidate_pairs
@@ -41,6 +42,9 @@ if TYPE_CHECKING:
 
     Point: TypeAlias = NDArray[np.float64]
     """Point x, y ``[2]`` in pixels."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the photographs ``[n]`` have a property."""
 
     Offsets: TypeAlias = NDArray[np.float64]
     """Logs ``[n]`` of each photograph's metres per pixel over the reference's."""
@@ -67,6 +71,7 @@ def link_photographs(
     """
     positions = _positions(photographs)
     overlaps = _match_candidates(photographs, features, positions)
+    overlaps += link_by_height(photographs, overlaps, positions)
     linked = _link_consistently(photographs, overlaps, positions)
     flight_links = [
         _flight_link(
@@ -297,7 +302,9 @@ def _component(
     )
     extra: tuple[Witness, ...] = ()
     if positions is not None:
-        own_positions = positions[subgraph.members]
+        # A link by heights places a photograph where its neighbour is, which is no measurement.
+        is_matched = _is_matched(len(members), member_overlaps)
+        own_positions = np.where(is_matched[:, None], positions[subgraph.members], math.nan)
         extra = _positions_witness(layout, own_positions, members[reference])
     links = [_link(overlap, photographs) for overlap in own_overlaps.values()]
     tilt_sds = _sds_by_tilt(members, offsets, links)
@@ -313,6 +320,15 @@ def _component(
     )
     distances = layout.off.tolist()
     return component, dict(zip(own_overlaps, distances, strict=True))
+
+
+def _is_matched(n: int, overlaps: Sequence[Overlap]) -> Flags:
+    """Find which of ``n`` members have an overlap with matched points."""
+    is_matched = np.zeros(n, dtype=bool)
+    for overlap in overlaps:
+        if overlap.match.n > 0:
+            is_matched[[overlap.first, overlap.second]] = True
+    return is_matched
 
 
 def _placements(

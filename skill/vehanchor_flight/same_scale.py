@@ -36,7 +36,7 @@ _EXACT_LOG_SD = 0.01  # Of a georeference. A choice.
 _MAX_NAMES = 3  # Of a group, in the message.
 
 
-class _Claim(NamedTuple):
+class Claim(NamedTuple):
     """Scale of one photograph by one source.
 
     Attributes:
@@ -61,7 +61,7 @@ def check_same_scale(members: Sequence[Photograph], grounds: Sequence[Component]
         InvalidParameterError: two groups of photographs have different scales.
     """
     _check("their georeferences", _known(_by_georeference, members))
-    by_height = _known(_by_height_and_lens, members)
+    by_height = _known(by_height_and_lens, members)
     by_lens = _known(_by_lens, members)
     _check("the heights and lenses in their metadata", by_height)
     # Without all heights, the claim is that all were taken from one.
@@ -73,21 +73,21 @@ def check_same_scale(members: Sequence[Photograph], grounds: Sequence[Component]
 
 
 def _known(
-    claim_of: Callable[[Photograph], _Claim | None], members: Sequence[Photograph]
-) -> list[_Claim]:
+    claim_of: Callable[[Photograph], Claim | None], members: Sequence[Photograph]
+) -> list[Claim]:
     """List what a source claims of those photographs of which it knows the scale."""
     claims = [claim_of(member) for member in members]
     return [claim for claim in claims if claim is not None]
 
 
-def _by_georeference(photograph: Photograph) -> _Claim | None:
+def _by_georeference(photograph: Photograph) -> Claim | None:
     gsd = photograph.view.image.georeference_gsd_m_per_px
     if gsd is None or gsd <= 0:
         return None
-    return _Claim(photograph.name, gsd, _EXACT_LOG_SD)
+    return Claim(photograph.name, gsd, _EXACT_LOG_SD)
 
 
-def _by_lens(photograph: Photograph) -> _Claim | None:
+def _by_lens(photograph: Photograph) -> Claim | None:
     """Take the angle of a pixel, which is the scale from a height of one metre."""
     image = photograph.view.image
     rulers = photograph.view.options.rulers
@@ -103,10 +103,11 @@ def _by_lens(photograph: Photograph) -> _Claim | None:
     if plane is not None:
         coarser, tilt_log_sd = coarsening(plane.tilt_deg)
     log_sd = math.hypot(optics.log_sd, tilt_log_sd)
-    return _Claim(photograph.name, coarser / pixels, log_sd)
+    return Claim(photograph.name, coarser / pixels, log_sd)
 
 
-def _by_height_and_lens(photograph: Photograph) -> _Claim | None:
+def by_height_and_lens(photograph: Photograph) -> Claim | None:
+    """Compute the scale by height and lens; errors that photographs share do not count."""
     by_lens = _by_lens(photograph)
     if by_lens is None:
         return None
@@ -119,18 +120,18 @@ def _by_height_and_lens(photograph: Photograph) -> _Claim | None:
         return None
     scale = by_lens.scale * camera.height_m
     log_sd = math.hypot(by_lens.log_sd, HEIGHT_SD_M / camera.height_m)
-    return _Claim(photograph.name, scale, log_sd)
+    return Claim(photograph.name, scale, log_sd)
 
 
-def _by_overlaps(ground: Component, members: Sequence[Photograph]) -> list[_Claim]:
+def _by_overlaps(ground: Component, members: Sequence[Photograph]) -> list[Claim]:
     claims = []
     for k, index in enumerate(ground.members.tolist()):
         scale = math.exp(ground.offsets[k])
-        claims.append(_Claim(members[index].name, scale, float(ground.log_sds[k])))
+        claims.append(Claim(members[index].name, scale, float(ground.log_sds[k])))
     return claims
 
 
-def _by_itself(photograph: Photograph) -> _Claim | None:
+def _by_itself(photograph: Photograph) -> Claim | None:
     """Take a photograph's own scale, if it is usable and does not rest on a few vehicles."""
     own = photograph.analysis.estimate
     low = own.gsd_ci95_low_m_per_px
@@ -141,10 +142,10 @@ def _by_itself(photograph: Photograph) -> _Claim | None:
     if own.leading_ruler == Vehicles.kind and n_vehicles < MIN_KDE_VEHICLES:
         return None
     log_sd = math.log(high / low) / (2 * Z95)
-    return _Claim(photograph.name, own.gsd_m_per_px, log_sd)
+    return Claim(photograph.name, own.gsd_m_per_px, log_sd)
 
 
-def _check(source: str, claims: Sequence[_Claim], *, is_relative: bool = False) -> None:
+def _check(source: str, claims: Sequence[Claim], *, is_relative: bool = False) -> None:
     """Compare the photographs by one source.
 
     Args:
@@ -171,11 +172,11 @@ def _check(source: str, claims: Sequence[_Claim], *, is_relative: bool = False) 
     )
 
 
-def _scale(claim: _Claim) -> float:
+def _scale(claim: Claim) -> float:
     return claim.scale
 
 
-def _under_one_folder(claims: Sequence[_Claim]) -> list[_Claim]:
+def _under_one_folder(claims: Sequence[Claim]) -> list[Claim]:
     """Leave out of the names the folder that all of them have."""
     folders = [claim.name.split("/")[:-1] for claim in claims]
     n_common = 0
@@ -191,13 +192,13 @@ def _under_one_folder(claims: Sequence[_Claim]) -> list[_Claim]:
     return relative
 
 
-def _groups(ordered: Sequence[_Claim]) -> list[list[_Claim]]:
+def _groups(ordered: Sequence[Claim]) -> list[list[Claim]]:
     """Divide claims into groups of nearly the same scale.
 
     Args:
         ordered: the claims, the finest first.
     """
-    groups: list[list[_Claim]] = []
+    groups: list[list[Claim]] = []
     for claim in ordered:
         if groups and math.log(claim.scale / groups[-1][0].scale) <= _MAX_LOG_RATIO:
             groups[-1].append(claim)
@@ -206,7 +207,7 @@ def _groups(ordered: Sequence[_Claim]) -> list[list[_Claim]]:
     return groups
 
 
-def _described(group: Sequence[_Claim], finest: Sequence[_Claim], *, is_relative: bool) -> str:
+def _described(group: Sequence[Claim], finest: Sequence[Claim], *, is_relative: bool) -> str:
     """State the scale of a group, and name its first photographs."""
     scale = _middle(group)
     if is_relative:
@@ -220,5 +221,5 @@ def _described(group: Sequence[_Claim], finest: Sequence[_Claim], *, is_relative
     return f"{text}: {names}"
 
 
-def _middle(group: Sequence[_Claim]) -> float:
+def _middle(group: Sequence[Claim]) -> float:
     return group[len(group) // 2].scale
