@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from vehanchor.scale.reliability import RELIABILITY
 from vehanchor_flight.matching import Match, Overlap
 from vehanchor_flight.record import number_sorties
 from vehanchor_flight.same_scale import by_height_and_lens
@@ -38,14 +39,14 @@ class _Station(NamedTuple):
     Attributes:
         photograph: its index.
         sortie: number of its sortie, which has one take-off.
-        height_m: height above take-off.
+        log_sd: standard deviation of the log scale, relative to others of the sortie.
         gsd_m_per_px: scale by height and lens.
         side_m: side of a square as large as the ground that it shows, metres.
     """
 
     photograph: int
     sortie: int
-    height_m: float
+    log_sd: float
     gsd_m_per_px: float
     side_m: float
 
@@ -87,7 +88,7 @@ def link_by_height(
 
 
 def _stations(photographs: Sequence[Photograph], positions: Positions) -> list[_Station]:
-    """List the photographs with a position, a known tilt, a height and a lens."""
+    """List the photographs with a position, a height and a lens."""
     sorties = number_sorties([photograph.view.image for photograph in photographs])
     stations = []
     for index, photograph in enumerate(photographs):
@@ -97,12 +98,15 @@ def _stations(photographs: Sequence[Photograph], positions: Positions) -> list[_
         is_placed = bool(np.isfinite(positions[index]).all())
         if claim is None or camera is None or not is_placed:
             continue
-        if camera.height_m is None or camera.off_nadir_deg is None:
+        if camera.height_m is None:
             continue
+        tilt_log_sd = 0.0
+        if camera.off_nadir_deg is None:
+            tilt_log_sd = RELIABILITY["camera, tilt unknown"].log_sd
         station = _Station(
             index,
             sorties[index],
-            height_m=camera.height_m,
+            log_sd=math.hypot(_HEIGHT_SD_M / camera.height_m, tilt_log_sd),
             gsd_m_per_px=claim.scale,
             side_m=math.sqrt(image.width_px * image.height_px) * claim.scale,
         )
@@ -137,7 +141,7 @@ def _overlap(station: _Station, neighbour: _Station, photographs: Sequence[Photo
     shift = second_centre - ratio * first_centre
     matched = Match(
         math.log(ratio),
-        math.hypot(_HEIGHT_SD_M / first.height_m, _HEIGHT_SD_M / second.height_m),
+        math.hypot(first.log_sd, second.log_sd),
         n=0,
         turn=np.array([[ratio, 0.0, shift[0]], [0.0, ratio, shift[1]]]),
         first_at=first_centre,
