@@ -287,28 +287,20 @@ def _most_often_first(car: _Car) -> tuple[float, float]:
 
 def _same_car(boxes: _Boxes) -> Indices:
     """Number the cars: boxes of several photographs at one place have one number, ``[n]``."""
-    from scipy.spatial import cKDTree
-
     n_boxes = len(boxes.centres)
     numbers = np.full(n_boxes, -1)
-    if n_boxes == 0:
-        return numbers
-    positions = np.column_stack([boxes.centres.real, boxes.centres.imag])
-    log_lengths = np.log(boxes.lengths)
-    tree = cKDTree(positions)
+    # Boxes in order of x, so that those near a place are a slice.
+    x = boxes.centres.real
+    by_x = np.argsort(x, kind="stable")
     reaches = _SAME_PLACE * boxes.lengths
-    near = tree.query_ball_point(positions, reaches)
+    starts = np.searchsorted(x[by_x], x - reaches, side="left")
+    ends = np.searchsorted(x[by_x], x + reaches, side="right")
     photographs_of: list[set[int]] = []
     for box in range(n_boxes):
-        # The nearest earlier box of the same size, whose car this photograph has not found yet.
-        others = np.array([other for other in near[box] if other < box], dtype=np.intp)
-        distances = np.abs(boxes.centres[others] - boxes.centres[box])
-        is_close = distances <= _SAME_PLACE * boxes.lengths[others]
-        is_equal = np.abs(log_lengths[others] - log_lengths[box]) <= GROUP_LOG_REACH
-        fitting = others[is_close & is_equal]
-        order = np.argsort(distances[is_close & is_equal], kind="stable")
+        near = by_x[starts[box] : ends[box]]
         member = int(boxes.members[box])
-        for number in numbers[fitting[order]].tolist():
+        for number in numbers[_same_place(boxes, box, near[near < box])].tolist():
+            # A photograph finds a car once.
             if member not in photographs_of[number]:
                 numbers[box] = number
                 break
@@ -317,3 +309,13 @@ def _same_car(boxes: _Boxes) -> Indices:
             photographs_of.append(set())
         photographs_of[numbers[box]].add(member)
     return numbers
+
+
+def _same_place(boxes: _Boxes, box: int, others: Indices) -> Indices:
+    """Select the boxes at the place of a box and of about its size, the nearest first."""
+    distances = np.abs(boxes.centres[others] - boxes.centres[box])
+    shorter = np.minimum(boxes.lengths[others], boxes.lengths[box])
+    log_ratios = np.abs(np.log(boxes.lengths[others] / boxes.lengths[box]))
+    is_same = (distances <= _SAME_PLACE * shorter) & (log_ratios <= GROUP_LOG_REACH)
+    order = np.argsort(distances[is_same], kind="stable")
+    return np.asarray(others[is_same][order])
