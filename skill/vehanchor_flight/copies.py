@@ -1,8 +1,8 @@
-"""Copies of one photograph: of another size, or of the same size with other bytes."""
+"""Copies of one photograph: of another size, or of the same size with other bytes or a shift."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
@@ -19,13 +19,16 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor_flight.record import Results
 
+    Point: TypeAlias = NDArray[np.float64]
+    """Point or step x, y ``[2]`` in pixels."""
+
 _REDUCED_SIDE_PX = 32  # Side of the copy by which two sizes of a photograph are recognised.
 _MIN_READ_PX = 512  # The longer side is read with at least this many pixels.
 # Mean difference of two copies, in grey levels, is at most this: our choice. JPEG and resampling
 # cause about 1.
 _MAX_COPY_DIFFERENCE = 3.0
 _ASPECT_TOLERANCE = 0.01  # Relative difference between the aspect ratios of two copies.
-# The cars of two copies have the same centres, up to this share of their lengths: our choice.
+# The cars of two copies have the same pattern, up to this share of their lengths: our choice.
 _MAX_SHIFT = 0.1
 # Mean difference between the log lengths of the cars of two copies: our choice. Different cars of
 # one length and one place in the picture are rarer.
@@ -103,25 +106,38 @@ def _look_the_same(first: Photograph, second: Photograph) -> bool:
     return bool(difference <= _MAX_COPY_DIFFERENCE)
 
 
-def is_same_picture(first: Photograph, second: Photograph) -> bool:
-    """Check whether two photographs of one size are copies with the same cars.
+def shift_of_copy(first: Photograph, second: Photograph) -> Point | None:
+    """Find how far the cars of a picture are moved in another one of the same cars.
 
-    Pictures without features cannot be matched. Copies of them are recognised by their pixels, or
-    by their cars: each at the same place with the same length.
+    Pictures without features cannot be matched. Copies of them, and frames of a hovering film, are
+    recognised by their pixels, or by their cars: the same lengths at the same places, up to a
+    common shift. A single car has no such pattern, and must be at one place.
+
+    Args:
+        first: one photograph.
+        second: another one.
+
+    Returns:
+        ``[2]`` x, y in pixels from the first to the second; None if they are not the same.
     """
     first_image = first.view.image
     second_image = second.view.image
     if first_image.image_id and first_image.image_id == second_image.image_id:
-        return True
+        return np.zeros(2)
     if first_image.width_px != second_image.width_px or not _look_the_same(first, second):
-        return False
+        return None
     boxes = first.view.detections.boxes
     others = second.view.detections.boxes
     if len(boxes) != len(others) or not len(boxes):
-        return False
-    steps = boxes[:, None, :2] - others[None, :, :2]
+        return None
+    shift: Point = np.zeros(2)
+    if len(boxes) > 1:
+        shift = np.asarray(others[:, :2].mean(axis=0) - boxes[:, :2].mean(axis=0))
+    steps = boxes[:, None, :2] + shift - others[None, :, :2]
     distances = np.hypot(steps[..., 0], steps[..., 1])
     nearest = distances.argmin(axis=1)
     is_near = distances.min(axis=1) <= _MAX_SHIFT * boxes[:, 2]
     log_lengths = np.abs(np.log(boxes[:, 2] / others[nearest, 2]))
-    return bool(is_near.all() and log_lengths.mean() <= _MAX_LOG_LENGTH)
+    if is_near.all() and log_lengths.mean() <= _MAX_LOG_LENGTH:
+        return shift
+    return None

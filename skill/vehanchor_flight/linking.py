@@ -17,11 +17,11 @@ from vehanchor.rulers.positions import Positions, baseline, camera_positions_m
 from vehanchor.scale.lengths import Z95
 from vehanchor_flight.common_ground import Placement, corners_from_above
 from vehanchor_flight.components import Component
-from vehanchor_flight.copies import is_same_picture
+from vehanchor_flight.copies import shift_of_copy
 from vehanchor_flight.graph import Link, Unary, solve, tilt_share
 from vehanchor_flight.height_links import link_by_height
 from vehanchor_flight.layout import lay_out
-from vehanchor_flight.matching import Overlap, can_match, match, unmoved
+from vehanchor_flight.matching import Overlap, can_match, match, shifted
 from vehanchor_flight.pairs import candidate_pairs
 from vehanchor_flight.photograph import reference_member
 from vehanchor_flight.records import FlightLink
@@ -168,10 +168,10 @@ def _match_candidates(
     pairs = set(candidate_pairs(features, positions))
     copies = _copies(photographs, features)
     overlaps = []
-    for first, second in sorted(pairs | copies):
+    for first, second in sorted(pairs | copies.keys()):
         matched = match(rectified[first], rectified[second])
         if matched is None and (first, second) in copies:
-            matched = unmoved(_centre(photographs[first]))
+            matched = shifted(_centre(photographs[first]), copies[first, second])
         if matched is not None:
             overlaps.append(Overlap(first, second, matched))
     return overlaps
@@ -179,19 +179,23 @@ def _match_candidates(
 
 def _copies(
     photographs: Sequence[Photograph], features: Sequence[Features]
-) -> set[tuple[int, int]]:
+) -> dict[tuple[int, int], Point]:
     """Find the copies of a picture that has too few features for a match, the lower index first.
 
     Each copy is paired with the first picture that is the same.
+
+    Returns:
+        The shift ``[2]`` of each pair in pixels, from the first to the second.
     """
     originals: list[int] = []
-    pairs = set()
+    pairs: dict[tuple[int, int], Point] = {}
     for index, own_features in enumerate(features):
         if can_match(own_features):
             continue
         for original in originals:
-            if is_same_picture(photographs[original], photographs[index]):
-                pairs.add((original, index))
+            shift = shift_of_copy(photographs[original], photographs[index])
+            if shift is not None:
+                pairs[original, index] = shift
                 break
         else:
             originals.append(index)

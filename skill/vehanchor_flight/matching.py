@@ -79,20 +79,21 @@ def can_match(features: Features) -> bool:
     return len(features) >= _MIN_FEATURES
 
 
-def unmoved(centre: Point) -> Match:
-    """Make the match of two copies of a photograph.
+def shifted(centre: Point, shift: Point) -> Match:
+    """Make the match of two photographs that differ by a shift only.
 
     Args:
         centre: ``[2]`` of both, pixels.
+        shift: ``[2]`` from the first to the second, pixels.
     """
-    identity = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    turn = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
     return Match(
         0.0,
         _LOG_SD,
         n=_MIN_INLIERS,
-        turn=identity,
+        turn=turn,
         first_at=centre,
-        second_at=centre,
+        second_at=centre + shift,
     )
 
 

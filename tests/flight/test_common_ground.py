@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.flight.ground import ground
-from tests.models import car_park, paint_vehicles, write_detector
+from tests.models import blank_image, car_park, paint_vehicles, write_detector
 from vehanchor.detection.detector import Detector
 from vehanchor.rulers.ruler import point_witness
 from vehanchor.scale.density import credible_interval
@@ -112,6 +112,19 @@ def test_different_photographs_are_surer_than_one(detector: Detector, same_scale
 def test_copies_without_features_count_once(detector: Detector, same_scale: bool) -> None:
     picture = car_park(LENGTHS)
     flight = _flight([picture, picture.copy(), picture.copy()], detector, same_scale)
+    assert flight.n_vehicles == 2
+
+
+@MODES
+def test_a_film_over_plain_ground_counts_its_cars_once(
+    detector: Detector, same_scale: bool
+) -> None:
+    frames = []
+    for k in range(6):
+        frame = blank_image(WIDTH_PX, HEIGHT_PX)
+        paint_vehicles(frame, [[150 + 6 * k, 120, 30, 12, 0.4], [260 + 6 * k, 200, 31, 12, 1.2]])
+        frames.append(frame)
+    flight = _flight(frames, detector, same_scale)
     assert flight.n_vehicles == 2
 
 
