@@ -60,7 +60,7 @@ def estimate_flight(
             belong to one photograph.
         engine: holds the models; None for the bundled ones.
         same_scale: all photographs have one scale, as in a survey at one height: pool their
-            evidence.
+            evidence. Pictures of the same ground are one witness, as without it.
         known_lengths_table: CSV of lines of known length in photographs given as paths; see
             ``lines_in``.
         journal: file with the result of each photograph, from which the same call resumes after an
@@ -72,6 +72,8 @@ def estimate_flight(
         The record; a photograph without evidence and without links to others has no scale.
 
     Raises:
+        InvalidParameterError: the photographs contradict ``same_scale``; the message names the
+            groups of different scales.
         OutputError: the journal cannot be written.
         VehAnchorError: as ``vehanchor.estimate_gsd``.
     """
