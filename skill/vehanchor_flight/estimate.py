@@ -10,19 +10,17 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from vehanchor.analysis.pipeline import analyse_view, search_raster
 from vehanchor.detection.detector import networks_sha256
 from vehanchor.errors import ImageError, InvalidParameterError, VehAnchorError
-from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.imagery.tiles import read_preview
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Journal, Key, Source
-from vehanchor_flight.components import single_component
+from vehanchor_flight.components import placements_by_ground, single_component
+from vehanchor_flight.copies import reduced_picture, without_copies
 from vehanchor_flight.features import find_features
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.linking import link_photographs
@@ -33,42 +31,40 @@ from vehanchor_flight.photograph import (
     reference_member,
 )
 from vehanchor_flight.record import Failure, conclude_flight
+from vehanchor_flight.same_scale import check_same_scale
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
-    from vehanchor.imagery.raster import Raster
     from vehanchor.rulers.known_length_table import KnownLengthTable
     from vehanchor_flight.features import Features
     from vehanchor_flight.record import Results
     from vehanchor_flight.records import FlightEstimate
 
-_REDUCED_SIDE_PX = 32  # Side of the copy by which two sizes of a photograph are recognised.
-_MIN_READ_PX = 512  # The longer side is read with at least this many pixels.
-# Mean difference of two copies, in grey levels, is at most this: our choice. JPEG and resampling
-# cause about 1.
-_MAX_COPY_DIFFERENCE = 3.0
-_ASPECT_TOLERANCE = 0.01  # Relative difference between the aspect ratios of two copies.
-
 
 def conclude(results: Results, card: DetectorCard, *, same_scale: bool) -> FlightEstimate:
-    """Make the record of searched photographs; without ``same_scale`` they need features."""
+    """Make the record of searched photographs, which need features.
+
+    Raises:
+        InvalidParameterError: the photographs contradict the claim that they have one scale.
+    """
     indices = []
     members = []
     for index, result in enumerate(results):
         if isinstance(result, Photograph):
             indices.append(index)
             members.append(result)
-    if same_scale:
-        reference = reference_member(members)
-        component = single_component(indices, reference)
-        return conclude_flight(results, [component], card, same_scale=True)
     features = [member.features for member in members if member.features is not None]
     linked, links = link_photographs(members, features)
+    if same_scale:
+        check_same_scale(members, linked)
+        # One scale is stated, but pictures of the same ground are one witness of it.
+        component = single_component(
+            indices, reference_member(members), placements_by_ground(linked)
+        )
+        return conclude_flight(results, [component], card, same_scale=True)
     # Linking counts the usable photographs only; the record counts all.
     indices_of_usable = np.asarray(indices)
     components = []
@@ -178,72 +174,6 @@ def _search(
         result = StoredPhotograph.of(view, analysis)
         reduced = reduced_picture(raster)
         return replace(result, reduced=reduced), features
-
-
-def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
-    """Reduce an image to ``[32, 32]`` grey levels."""
-    side_px = max(raster.width_px, raster.height_px)
-    factor = max(1, side_px // _MIN_READ_PX)
-    whole = Window(
-        0,
-        0,
-        width_px=max(1, raster.width_px // factor),
-        height_px=max(1, raster.height_px // factor),
-    )
-    preview = read_preview(raster, whole, factor)
-    grey = cv2.cvtColor(preview, cv2.COLOR_RGB2GRAY)
-    size = (_REDUCED_SIDE_PX, _REDUCED_SIDE_PX)
-    reduced = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(reduced, np.uint8)
-
-
-def without_copies(results: Results) -> list[Photograph | Failure]:
-    """Keep the largest of several sizes of a photograph; the others become failures."""
-    remaining = list(results)
-    originals: list[Photograph] = []
-    for index, photograph in _widest_first(results):
-        copied = (other for other in originals if _is_copy(photograph, other))
-        original = next(copied, None)
-        if original is None:
-            originals.append(photograph)
-        else:
-            error = ImageError(f"it is a smaller copy of {original.name!r}, which counts once")
-            remaining[index] = Failure(photograph.name, error)
-    return remaining
-
-
-def _widest_first(results: Results) -> list[tuple[int, Photograph]]:
-    """List the photographs with their indices; those of equal width keep their order."""
-    photographs = []
-    for index, result in enumerate(results):
-        if isinstance(result, Photograph):
-            photographs.append((index, result))
-
-    def width_px(indexed: tuple[int, Photograph]) -> int:
-        _, photograph = indexed
-        return photograph.view.image.width_px
-
-    # A reversed sort keeps the order of equals, too.
-    return sorted(photographs, key=width_px, reverse=True)
-
-
-def _is_copy(small: Photograph, large: Photograph) -> bool:
-    """Check whether two photographs of different size have one shape and show the same."""
-    if small.reduced is None or large.reduced is None:
-        return False
-    small_image = small.view.image
-    large_image = large.view.image
-    if small_image.width_px == large_image.width_px:
-        return False
-    # Quotient of the aspect ratios.
-    numerator = small_image.width_px * large_image.height_px
-    denominator = small_image.height_px * large_image.width_px
-    aspect = numerator / denominator
-    if abs(aspect - 1) > _ASPECT_TOLERANCE:
-        return False
-    differences = small.reduced.astype(float) - large.reduced
-    difference = np.abs(differences).mean()
-    return bool(difference <= _MAX_COPY_DIFFERENCE)
 
 
 def check_options(options: ScaleOptions) -> None:

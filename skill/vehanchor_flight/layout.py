@@ -54,11 +54,14 @@ class Layout(NamedTuple):
     Attributes:
         feet: ``[m]`` points below the cameras in pixels of the reference, x to the right as real
             and y down as imaginary part; the reference is at 0.
+        headings: ``[m]`` complex numbers of length 1 that turn directions in each photograph to
+            those in the reference.
         off: ``[s]`` distance of each overlap's shift to the shift in the layout, in diagonals of a
             photograph.
     """
 
     feet: Numbers
+    headings: Numbers
     off: Lengths
 
 
@@ -85,7 +88,8 @@ def lay_out(
     """
     if not overlaps:
         at_reference = np.zeros(len(feet), np.complex128)
-        return Layout(at_reference, np.zeros(0))
+        unturned = np.ones(len(feet), np.complex128)
+        return Layout(at_reference, unturned, off=np.zeros(0))
     first = [overlap.first for overlap in overlaps]
     second = [overlap.second for overlap in overlaps]
     pairs = _Pairs(
@@ -94,7 +98,9 @@ def lay_out(
         second=np.array(second),
         reference=reference,
     )
-    n_matches = np.array([overlap.match.n for overlap in overlaps], dtype=np.float64)
+    # A link without matched points places a photograph that has no other.
+    counts = [max(overlap.match.n, 1) for overlap in overlaps]
+    n_matches = np.array(counts, dtype=np.float64)
     # Each overlap maps pixels of its first photograph to those of its second.
     matrices = np.array([overlap.match.turn for overlap in overlaps])
     transforms = matrices[:, 0] + 1j * matrices[:, 1]
@@ -134,7 +140,7 @@ def lay_out(
         shift_penalty = 1 + (off / _SHIFT_REACH) ** 2
         penalty = heading_penalty * shift_penalty
         weights = n_matches / penalty**2
-    return Layout(positions, off)
+    return Layout(positions, headings, off=off)
 
 
 class _Pairs(NamedTuple):

@@ -15,10 +15,13 @@ import numpy as np
 from vehanchor.rulers.active import uses
 from vehanchor.rulers.positions import Positions, baseline, camera_positions_m
 from vehanchor.scale.lengths import Z95
+from vehanchor_flight.common_ground import Placement, corners_from_above
 from vehanchor_flight.components import Component
+from vehanchor_flight.copies import shift_of_copy
 from vehanchor_flight.graph import Link, Unary, solve, tilt_share
+from vehanchor_flight.height_links import link_by_height
 from vehanchor_flight.layout import lay_out
-from vehanchor_flight.matching import Overlap, match
+from vehanchor_flight.matching import Overlap, can_match, match, shifted
 from vehanchor_flight.pairs import candidate_pairs
 from vehanchor_flight.photograph import reference_member
 from vehanchor_flight.records import FlightLink
@@ -39,6 +42,9 @@ if TYPE_CHECKING:
 
     Point: TypeAlias = NDArray[np.float64]
     """Point x, y ``[2]`` in pixels."""
+
+    Flags: TypeAlias = NDArray[np.bool_]
+    """Which of the photographs ``[n]`` have a property."""
 
     Offsets: TypeAlias = NDArray[np.float64]
     """Logs ``[n]`` of each photograph's metres per pixel over the reference's."""
@@ -65,6 +71,7 @@ def link_photographs(
     """
     positions = _positions(photographs)
     overlaps = _match_candidates(photographs, features, positions)
+    overlaps += link_by_height(photographs, overlaps, positions)
     linked = _link_consistently(photographs, overlaps, positions)
     flight_links = [
         _flight_link(
@@ -158,12 +165,41 @@ def _match_candidates(
     rectified = []
     for photograph, own_features in zip(photographs, features, strict=True):
         rectified.append(_rectified(photograph, own_features))
+    pairs = set(candidate_pairs(features, positions))
+    copies = _copies(photographs, features)
     overlaps = []
-    for first, second in candidate_pairs(features, positions):
+    for first, second in sorted(pairs | copies.keys()):
         matched = match(rectified[first], rectified[second])
+        if matched is None and (first, second) in copies:
+            matched = shifted(_centre(photographs[first]), copies[first, second])
         if matched is not None:
             overlaps.append(Overlap(first, second, matched))
     return overlaps
+
+
+def _copies(
+    photographs: Sequence[Photograph], features: Sequence[Features]
+) -> dict[tuple[int, int], Point]:
+    """Find the copies of a picture that has too few features for a match, the lower index first.
+
+    Each copy is paired with the first picture that is the same.
+
+    Returns:
+        The shift ``[2]`` of each pair in pixels, from the first to the second.
+    """
+    originals: list[int] = []
+    pairs: dict[tuple[int, int], Point] = {}
+    for index, own_features in enumerate(features):
+        if can_match(own_features):
+            continue
+        for original in originals:
+            shift = shift_of_copy(photographs[original], photographs[index])
+            if shift is not None:
+                pairs[original, index] = shift
+                break
+        else:
+            originals.append(index)
+    return pairs
 
 
 def _rectified(photograph: Photograph, features: Features) -> Features:
@@ -270,7 +306,9 @@ def _component(
     )
     extra: tuple[Witness, ...] = ()
     if positions is not None:
-        own_positions = positions[subgraph.members]
+        # A link by heights places a photograph where its neighbour is, which is no measurement.
+        is_matched = _is_matched(len(members), member_overlaps)
+        own_positions = np.where(is_matched[:, None], positions[subgraph.members], math.nan)
         extra = _positions_witness(layout, own_positions, members[reference])
     links = [_link(overlap, photographs) for overlap in own_overlaps.values()]
     tilt_sds = _sds_by_tilt(members, offsets, links)
@@ -280,11 +318,45 @@ def _component(
         subgraph.log_scales,
         log_sds=np.hypot(link_sds, tilt_sds),
         reference=reference,
+        placements=_placements(members, layout, offsets),
         extra=extra,
         maybe_tilted=bool(tilt_sds.any()),
     )
     distances = layout.off.tolist()
     return component, dict(zip(own_overlaps, distances, strict=True))
+
+
+def _is_matched(n: int, overlaps: Sequence[Overlap]) -> Flags:
+    """Find which of ``n`` members have an overlap with matched points."""
+    is_matched = np.zeros(n, dtype=bool)
+    for overlap in overlaps:
+        if overlap.match.n > 0:
+            is_matched[[overlap.first, overlap.second]] = True
+    return is_matched
+
+
+def _placements(
+    members: Sequence[Photograph], layout: Layout, offsets: Offsets
+) -> tuple[Placement, ...]:
+    """Place the members of a component in the pixels of its reference.
+
+    Args:
+        members: of the component.
+        layout: of the members.
+        offsets: ``[n]`` logs of their metres per pixel over the reference's.
+    """
+    placements = []
+    for k, member in enumerate(members):
+        factor = complex(layout.headings[k]) * math.exp(offsets[k])
+        foot = complex(*_foot(member))
+        placement = Placement(
+            0,
+            factor,
+            shift=complex(layout.feet[k]) - factor * foot,
+            corners=corners_from_above(member),
+        )
+        placements.append(placement)
+    return tuple(placements)
 
 
 def _diagonal(photograph: Photograph) -> float:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _MIN_INLIERS = 14
 _MIN_INLIER_SHARE = 0.12
+_MIN_FEATURES = 4 * _MIN_INLIERS  # Photographs with fewer may have no match. A choice.
 _MAX_DISTANCE_RATIO = 0.9  # Lowe's ratio test: best match over second-best match.
 _TOLERANCE_PX = 4.0  # Of the reduced copies: displacement by relief and lens.
 _RANSAC_CONFIDENCE = 0.999
@@ -68,6 +69,32 @@ class Overlap(NamedTuple):
     first: int
     second: int
     match: Match
+
+
+def can_match(features: Features) -> bool:
+    """Check whether a photograph has enough features to be matched safely.
+
+    Of the features of two photographs of the same ground, half or fewer agree.
+    """
+    return len(features) >= _MIN_FEATURES
+
+
+def shifted(centre: Point, shift: Point) -> Match:
+    """Make the match of two photographs that differ by a shift only.
+
+    Args:
+        centre: ``[2]`` of both, pixels.
+        shift: ``[2]`` from the first to the second, pixels.
+    """
+    turn = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    return Match(
+        0.0,
+        _LOG_SD,
+        n=_MIN_INLIERS,
+        turn=turn,
+        first_at=centre,
+        second_at=centre + shift,
+    )
 
 
 def match(first: Features, second: Features) -> Match | None:

@@ -4,9 +4,10 @@ One photograph is the reference. All that the other photographs measured is conv
 of the reference. Then the rulers and the posterior of a single photograph decide on the scale:
 
 * Vehicles: the boxes of all photographs vote together for one scale (``pooled_detections``).
+  A car that several photographs show counts once (``vehanchor_flight.common_ground``).
 * Any other ruler, and the scene-scale prior: the densities of the photographs are shifted to the
   reference and multiplied (``combined_density``). The errors of photographs of one flight are
-  correlated, so that n densities count as fewer than n.
+  correlated, so that n densities count as fewer than n; pictures of one ground count as one.
 
 Scales are natural logs of metres per pixel. The *offset* of a photograph is its log scale less that
 of the reference: one of its pixels is as long on the ground as ``exp(offset)`` of the reference's.
@@ -31,6 +32,7 @@ from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.witnesses import expected_scale, measure_all
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
+from vehanchor_flight.common_ground import distinct_vehicles, n_distinct
 from vehanchor_flight.photograph import constant_detail_share, per_photograph_witnesses
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.facts import ImageFacts
+    from vehanchor_flight.common_ground import Placement
     from vehanchor_flight.photograph import Photograph
 
     Offsets: TypeAlias = NDArray[np.float64]
@@ -70,6 +73,7 @@ def pool(
     log_scales: ArrayLike,
     reference: int,
     extra: Iterable[Witness] = (),
+    placements: Sequence[Placement] = (),
 ) -> ScaleAnalysis:
     """Pool the evidence of photographs with known ratios of scales.
 
@@ -78,6 +82,7 @@ def pool(
         log_scales: ``[n]`` natural logs of their metres per pixel, up to a constant.
         reference: index of the member that sets the pixels of the result.
         extra: evidence of rulers that only a flight has, in the reference's pixels.
+        placements: ``[n]`` of the photographs on their ground; without any, no ground is common.
 
     Returns:
         The analysis, as if all evidence were from the reference.
@@ -87,9 +92,16 @@ def pool(
         return members[0].analysis
     logs = np.asarray(log_scales, dtype=np.float64)
     offsets = logs - logs[reference]
-    photograph_witnesses = _pooled_witnesses(members, offsets)
+    photograph_witnesses = _pooled_witnesses(members, offsets, placements)
     witnesses = (*photograph_witnesses, *flight_witnesses)
-    view = _pooled_view(members, offsets, reference=reference, witnesses=witnesses)
+    if placements:
+        detections = distinct_vehicles(members, placements)
+    else:
+        detections = [member.rectified_detections for member in members]
+    pooled_boxes = pooled_detections(detections, offsets)
+    view = _pooled_view(
+        members, offsets, reference=reference, witnesses=witnesses, detections=pooled_boxes
+    )
     all_witnesses = measure_all(view, witnesses)
     pooled = conclude(view, all_witnesses)
     return _with_tilt_of(members[reference], pooled)
@@ -100,6 +112,7 @@ def _pooled_view(
     offsets: Offsets,
     reference: int,
     witnesses: Sequence[Witness],
+    detections: Detections,
 ) -> View:
     """Make the input of the rulers: the reference, with boxes and priors of all photographs.
 
@@ -108,10 +121,10 @@ def _pooled_view(
         offsets: ``[n]`` logs of each photograph's metres per pixel over the reference's.
         reference: index of the reference.
         witnesses: pooled evidence of the rulers that use no vehicles.
+        detections: pooled boxes.
     """
     own_view = members[reference].view
     detail_share = _median_detail_share(members)
-    detections = [member.rectified_detections for member in members]
     # In an oblique view, the other rulers help to distinguish whole cars from parts of cars.
     expected = None
     if own_view.tilt is not None:
@@ -119,7 +132,7 @@ def _pooled_view(
     # The view has no tilt, because the boxes of oblique photographs are rectified already.
     return View(
         _facts_with_all_notices(members, reference),
-        pooled_detections(detections, offsets),
+        detections,
         card=own_view.card,
         options=own_view.options,
         measure_detail_share=constant_detail_share(detail_share),
@@ -261,22 +274,27 @@ def _pooled_log_odds(detections: Sequence[Detections]) -> float | None:
     return float(np.mean(log_odds) * np.sqrt(len(log_odds)))
 
 
-def combined_density(densities: Sequence[Density], gain: float) -> Density:
+def combined_density(
+    densities: Sequence[Density], gain: float, n_independent: float | None = None
+) -> Density:
     """Multiply densities of one ruler in many photographs, with correlated errors.
 
     Args:
         densities: ``[g]`` probabilities each.
         gain: n densities count as n ** gain: 0 for a common error, 1 for independent errors.
+        n_independent: number n of the densities, without those of common ground; None for all.
 
     Returns:
         ``[g]`` probabilities.
     """
     # The geometric mean of the densities counts once, whatever n. Its power n ** gain is between
     # this mean (gain 0) and the product of n independent densities (gain 1).
+    if n_independent is None:
+        n_independent = float(len(densities))
     floored = [np.maximum(density, _MIN_PROBABILITY) for density in densities]
     logs = [np.log(density) for density in floored]
     mean_logs = np.mean(logs, axis=0)
-    combined_logs = mean_logs * len(densities) ** gain
+    combined_logs = mean_logs * n_independent**gain
     combined = np.exp(combined_logs - combined_logs.max())
     return np.asarray(combined / combined.sum())
 
@@ -310,22 +328,39 @@ def _pooled_prior(members: Sequence[Photograph], offsets: Offsets) -> SceneScale
     return SceneScalePrior(density, n_tiles)
 
 
-def _pooled_witnesses(members: Sequence[Photograph], offsets: Offsets) -> list[Witness]:
+def _pooled_witnesses(
+    members: Sequence[Photograph], offsets: Offsets, placements: Sequence[Placement]
+) -> list[Witness]:
     """Pool the witnesses of each ruler that measures photographs one by one."""
     by_kind: dict[str, list[OffsetWitness]] = {}
-    for member, offset in zip(members, offsets.tolist(), strict=True):
+    grounds: dict[str, list[Placement]] = {}
+    for k, member in enumerate(members):
+        offset = float(offsets[k])
         for witness in per_photograph_witnesses(member.analysis.witnesses):
             of_kind = by_kind.setdefault(witness.kind, [])
             of_kind.append((witness, offset))
-    return [_pooled_witness(kind, witnesses) for kind, witnesses in by_kind.items()]
+            if placements and witness.found:
+                own_grounds = grounds.setdefault(witness.kind, [])
+                own_grounds.append(placements[k])
+    pooled = []
+    for kind, witnesses in by_kind.items():
+        n_grounds = None
+        if kind in grounds:
+            n_grounds = n_distinct(grounds[kind])
+        pooled.append(_pooled_witness(kind, witnesses, n_grounds))
+    return pooled
 
 
-def _pooled_witness(kind: str, witnesses: Sequence[OffsetWitness]) -> Witness:
+def _pooled_witness(
+    kind: str, witnesses: Sequence[OffsetWitness], n_grounds: float | None = None
+) -> Witness:
     """Pool the witnesses of one ruler.
 
     Args:
         kind: of the ruler.
         witnesses: of the photographs, each with the offset of its photograph.
+        n_grounds: number of photographs that show different ground; None if all do. What several
+            photographs show is measured once.
 
     Returns:
         One witness. The errors that it shares with other rulers are those of the first photograph.
@@ -345,7 +380,9 @@ def _pooled_witness(kind: str, witnesses: Sequence[OffsetWitness]) -> Witness:
             densities.append(shifted(witness.right, offset))
     gain = ruler_class(kind).pooling_gain
     assert gain is not None  # Rulers without a gain measure the pooled boxes.
-    right = combined_density(densities, gain)
+    if n_grounds is None:
+        n_grounds = float(len(measured))
+    right = combined_density(densities, gain, n_grounds)
     # A lack holds the witness as it would be without one doubt; its density is pooled, too.
     lacks = []
     for lack in first.lacks:
@@ -357,13 +394,19 @@ def _pooled_witness(kind: str, witnesses: Sequence[OffsetWitness]) -> Witness:
         gsd_m_per_px=quantile(right, 0.5),
         right=right,
         chance_wrong=sum(chances_wrong) / len(measured),
-        n=sum(witness.n for witness, _ in measured),
+        n=_n_measured([witness.n for witness, _ in measured], n_grounds),
         lacks=tuple(lacks),
         # The sentence and the lines in the picture are those of a single photograph.
         statement=None,
         marks=(),
         notices=notices,
     )
+
+
+def _n_measured(counts: Sequence[int], n_grounds: float) -> int:
+    """Count the things that photographs measured, without those of common ground."""
+    mean = sum(counts) / len(counts)
+    return max(1, round(mean * n_grounds))
 
 
 def _moved(witness: Witness, offset: float) -> Witness:

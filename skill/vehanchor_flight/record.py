@@ -153,6 +153,7 @@ def conclude_flight(
             component.log_scales,
             reference=component.reference,
             extra=component.extra,
+            placements=component.placements,
         )
         is_unlinked = has_others and len(component) == 1
         component_record = FlightComponent(

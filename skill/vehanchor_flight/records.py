@@ -93,7 +93,11 @@ class FlightLink(Record):
     second: str = Field(description="The other photograph.")
     ratio: float = Field(gt=0, description="Metres per pixel of the first over the second.")
     ratio_log_sd: float = Field(ge=0, description="Standard deviation of its natural log.")
-    n_matches: int = Field(ge=0, description="Number of matched points.")
+    n_matches: int = Field(
+        ge=0,
+        description="Number of matched points; 0 for a link by positions and heights in the "
+        "metadata.",
+    )
     dropped: str | None = Field(description="Why the link is not used; null for a used link.")
 
 

@@ -25,6 +25,7 @@ from vehanchor_flight.reconstruction.estimate import (
     model_sha256,
     photograph_files,
     search_model,
+    uses_positions,
 )
 from vehanchor_flight.reconstruction.files import images_of, read_model
 from vehanchor_flight.reconstruction.model import Reconstruction
@@ -59,7 +60,7 @@ def estimate_flight(
             belong to one photograph.
         engine: holds the models; None for the bundled ones.
         same_scale: all photographs have one scale, as in a survey at one height: pool their
-            evidence.
+            evidence. Pictures of the same ground are one witness, as without it.
         known_lengths_table: CSV of lines of known length in photographs given as paths; see
             ``lines_in``.
         journal: file with the result of each photograph, from which the same call resumes after an
@@ -71,6 +72,8 @@ def estimate_flight(
         The record; a photograph without evidence and without links to others has no scale.
 
     Raises:
+        InvalidParameterError: the photographs contradict ``same_scale``; the message names the
+            groups of different scales.
         OutputError: the journal cannot be written.
         VehAnchorError: as ``vehanchor.estimate_gsd``.
     """
@@ -93,7 +96,7 @@ def estimate_flight(
             inputs,
             detector,
             call_options,
-            featured=not same_scale,
+            featured=True,
             journal=open_journal,
             lines=lines,
         )
@@ -115,8 +118,9 @@ def rescale(
     Args:
         model: folder of a project of OpenDroneMap, OpenSfM or COLMAP, a ``reconstruction.json``, or
             a model that ``read_model`` returned.
-        options: as in ``vehanchor.estimate_gsd``. Metadata is not used: positions and heights in it
-            may have made the wrong size.
+        options: as in ``vehanchor.estimate_gsd``. Metadata is not used, because positions and
+            heights in it may have made the wrong size; but the positions give a model without a
+            position on Earth its size, and any model if ``rulers`` names them.
         engine: holds the models; None for the bundled ones.
         images: folder of the photographs; None looks near the model's files.
         known_lengths_table: CSV of lines of known length in the photographs; see ``lines_in``.
@@ -140,6 +144,7 @@ def rescale(
     else:
         folder = Path(images)
     detector = checked_detector(call_engine.detector, call_options)
+    by_positions = uses_positions(reconstruction, call_options.rulers)
     rulers = replace(call_options.rulers, metadata=False)
     call_options = replace(call_options, rulers=rulers)
     files = photograph_files(reconstruction, folder)
@@ -156,7 +161,7 @@ def rescale(
             lines=lines,
             journal=open_journal,
         )
-        return conclude_model(reconstruction, results, folder)
+        return conclude_model(reconstruction, results, folder, by_positions=by_positions)
 
 
 def _reconstruction(model: str | os.PathLike[str] | Reconstruction) -> Reconstruction:

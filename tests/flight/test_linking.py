@@ -14,7 +14,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera_tilt import CameraTilt
-from vehanchor_flight.estimate import reduced_picture, without_copies
+from vehanchor_flight.copies import reduced_picture, without_copies
 from vehanchor_flight.features import Features
 from vehanchor_flight.graph import Link, Solution, Unary, solve
 from vehanchor_flight.linking import link_photographs

@@ -95,7 +95,7 @@ def estimate_with_flight(
         job.stop.check()
     opened: list[OpenedImage] = []
     images = _open_each(resources.sources, source, more=more, opened=opened)
-    photographs = search_flight(images, detector, options, featured=not question.subject)
+    photographs = search_flight(images, detector, options, featured=True)
     members = []
     for photograph, opened_image in zip(photographs, opened, strict=True):
         members.append(_require_readable(photograph, opened_image))

@@ -57,6 +57,9 @@ _TURNS = {
 }
 """Change that turns a stored image upright, by its EXIF orientation."""
 
+_BACK = {6: 8, 8: 6}
+"""Orientation that undoes another; the orientations that are not listed undo themselves."""
+
 
 @dataclass(frozen=True)
 class Window:
@@ -96,6 +99,7 @@ class Raster(ABC):
         source: the caller's path, or "bytes", "file", "array", "image", "dataset".
         georeference_gsd_m_per_px: GSD by the file's georeference; None without one.
         warnings: notices for the user.
+        orientation: EXIF orientation of the stored pixels, which are turned upright; 1 if they are.
         camera: camera metadata of the file; None if it has none or the source is not a file.
         ground: georeference of the image; None without one.
         pixel_aspect: height of a pixel over its width, both on the ground, by the file; 1 for
@@ -106,6 +110,7 @@ class Raster(ABC):
         cached_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
     """
 
+    orientation = 1
     camera: CameraMetadata | None = None
     ground: Ground | None = None
     pixel_aspect = 1.0
@@ -132,6 +137,7 @@ class Raster(ABC):
         self.source = source
         self.georeference_gsd_m_per_px = georeference_gsd_m_per_px
         self.warnings = notes
+        self.orientation = orientation
         self._orientation = orientation
         self._stretch: Stretch | None = None
         self._no_data: float | None = None
@@ -181,6 +187,36 @@ class Raster(ABC):
                 f"{window} is not inside the image of {self.width_px} x {self.height_px} px"
             )
         return window
+
+    def use_stored_pixels(self) -> None:
+        """Read the pixels as they are stored from now on, and no longer upright."""
+        if _TURNS[self.orientation].swap:
+            width_px = self.width_px
+            self.width_px = self.height_px
+            self.height_px = width_px
+        if self._orientation == self.orientation:
+            self._orientation = 1
+        else:
+            # The decoder has turned the pixels already: turn them back.
+            self._orientation = _BACK.get(self.orientation, self.orientation)
+        self.orientation = 1
+
+    def stored_size_px(self) -> tuple[int, int]:
+        """Return width and height of the stored pixels."""
+        if _TURNS[self.orientation].swap:
+            return self.height_px, self.width_px
+        return self.width_px, self.height_px
+
+    def stored_point(self, x: float, y: float) -> tuple[float, float]:
+        """Map a point of the oriented frame to the stored frame; both in pixels."""
+        turn = _TURNS[self.orientation]
+        if turn.flip_columns:
+            x = self.width_px - x
+        if turn.flip_rows:
+            y = self.height_px - y
+        if turn.swap:
+            return y, x
+        return x, y
 
     def _contains(self, window: Window) -> bool:
         """Test whether a window has pixels and lies inside the image."""

@@ -75,10 +75,10 @@ a valley, or that the height is stale. A choice: with it, a height is just not u
 usable if the scene-scale prior prefers it to its double and its half. Of 80 photographs of towns
 whose cars were left out, 57 are usable at the true height, 54 of 160 at 1.5 times or two thirds of
 it, and 13 of 160 at double or half; with one width of 0.12 it was 12, 7 and 1. With a chance of
-0.12 it was 62, 66 and 17, with 0.17 51, 35 and 8. Where the prior knows nothing, as over fields, nothing
-tells these heights apart. The ground is level in both
-flights at hand whose scale is known without the height: positions of 31 pairs of ``chia`` agree
-within 2 %, and the cars of ``tilt`` within their error."""
+0.12 it was 62, 66 and 17, with 0.17 51, 35 and 8. Where the prior knows nothing, as over fields,
+nothing tells these heights apart. The ground is level in both flights at hand whose scale is known
+without the height: positions of 31 pairs of ``chia`` agree within 2 %, and the cars of ``tilt``
+within their error."""
 
 HILL_LOG_SD = 0.45
 """Standard deviation of the log of the height above take-off over that above the ground, on a hill:

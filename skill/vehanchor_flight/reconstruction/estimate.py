@@ -16,7 +16,9 @@ import numpy as np
 from vehanchor.errors import ImageNotFoundError, ReconstructionError, VehAnchorError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.active import uses
 from vehanchor.rulers.known_length_table import with_lines_of
+from vehanchor.rulers.positions import Positions, baseline, camera_positions_m
 from vehanchor.storage.journal import Source
 from vehanchor_flight.photograph import reference_member
 from vehanchor_flight.pooling import pool
@@ -34,8 +36,10 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.options import ScaleOptions
+    from vehanchor.options.rulers import Rulers
     from vehanchor.records import GsdEstimate, RulerScale
     from vehanchor.rulers.known_length_table import KnownLengthTable
+    from vehanchor.scale.posterior import Witness
     from vehanchor.storage.journal import Journal
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction
@@ -58,8 +62,16 @@ def conclude_model(
     model: Reconstruction,
     results: Sequence[SearchedPhotograph | Failure],
     images: Path,
+    *,
+    by_positions: bool = False,
 ) -> ModelScale:
     """Make the record of searched photographs.
+
+    Args:
+        model: the reconstruction.
+        results: its photographs.
+        images: folder of the photographs.
+        by_positions: whether the positions in their metadata are a ruler.
 
     Raises:
         VehAnchorError: none of them can be used.
@@ -72,7 +84,10 @@ def conclude_model(
     reference = reference_member(members)
     # The model knows the ratios of the scales: the photographs pool like those of a flight.
     model_gsds = [photograph.gsd for photograph in searched]
-    analysis = pool(members, np.log(model_gsds), reference)
+    extra: tuple[Witness, ...] = ()
+    if by_positions:
+        extra = _positions_witness(model, searched, model_gsds[reference])
+    analysis = pool(members, np.log(model_gsds), reference, extra)
     pooled = analysis.estimate
     factor = _factor(pooled, model_gsds[reference])
     photographs = []
@@ -96,6 +111,46 @@ def conclude_model(
         model_sha256=pooled.details.model_sha256,
         warnings=(*pooled.warnings, *_parts_notice(model)),
     )
+
+
+def uses_positions(model: Reconstruction, rulers: Rulers) -> bool:
+    """Decide whether the positions in the photographs' metadata give a model its size.
+
+    A model with a position on Earth has its size from them: they would confirm themselves. They are
+    used for it only if the caller names them.
+    """
+    if rulers.rulers is None and model.origin is not None:
+        return False
+    return uses(rulers, Positions.kind)
+
+
+def _positions_witness(
+    model: Reconstruction, searched: Sequence[SearchedPhotograph], model_gsd: float
+) -> tuple[Witness, ...]:
+    """Compare the cameras of the model with the positions in metres; no witness if they differ.
+
+    Args:
+        model: the reconstruction.
+        searched: its photographs.
+        model_gsd: model units per pixel of the reference.
+    """
+    positions = camera_positions_m([photograph.view.image for photograph in searched])
+    if positions is None:
+        return ()
+    normal = model_plane(model).normal
+    # Axes in the ground plane, seen from above: x to the right, y down. Their turn about the
+    # vertical is free, so that x can be any horizontal direction.
+    unit = np.eye(3)[np.argmin(np.abs(normal))]
+    right = np.cross(unit, normal)
+    right /= np.linalg.norm(right)
+    down = np.cross(right, normal)
+    centres = np.array([photograph.above_ground.shot.centre for photograph in searched])
+    layout = (centres @ right + 1j * (centres @ down)) / model_gsd
+    # The model knows the poses, so that the aim of the cameras adds no error.
+    witness = baseline(layout, positions, width_px=0.0)
+    if witness is None:
+        return ()
+    return (witness,)
 
 
 def _parts_notice(model: Reconstruction) -> list[Notice]:

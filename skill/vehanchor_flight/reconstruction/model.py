@@ -74,6 +74,12 @@ class Lens:
         """Mean focal length."""
         return float(np.sqrt(self.focal_x_px * self.focal_y_px))
 
+    def fits(self, width_px: int, height_px: int) -> bool:
+        """Check whether an image, perhaps a copy of another size, has the lens's proportions."""
+        across = width_px / self.width_px
+        down = height_px / self.height_px
+        return abs(across / down - 1) <= _ASPECT_TOLERANCE
+
     def of_size(self, width_px: int, height_px: int) -> Lens:
         """Convert the lens to a copy of the image of another size.
 
@@ -82,8 +88,7 @@ class Lens:
         """
         across = width_px / self.width_px
         down = height_px / self.height_px
-        stretch = across / down
-        if abs(stretch - 1) > _ASPECT_TOLERANCE:
+        if not self.fits(width_px, height_px):
             size_in_model = f"{self.width_px:g} x {self.height_px:g}"
             raise ReconstructionError(
                 f"the photograph has {width_px} x {height_px} px, and its camera in the model "

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.card import DetectorCard
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.detector_errors import DetectorErrors
+    from vehanchor.imagery.raster import Raster
     from vehanchor.options import KnownLength, ScaleOptions
     from vehanchor.scale.posterior import Witness
     from vehanchor_flight.reconstruction.ground import Plane
@@ -257,6 +258,7 @@ def search_photograph(
         TooObliqueError: the horizon is in the photograph or close to it.
     """
     with open_raster(image, options.reading) as raster:
+        options = _read_as_in_model(raster, shot, options)
         size = (raster.width_px, raster.height_px)
         above_ground = ShotAboveGround.of(shot, points, whole_plane, size)
         view = search_raster(raster, detector, options)
@@ -273,6 +275,36 @@ def search_photograph(
         others=others,
         prior=view.prior,
     )
+
+
+def _read_as_in_model(raster: Raster, shot: Shot, options: ScaleOptions) -> ScaleOptions:
+    """Read the pixels of a photograph that the camera of the model counts.
+
+    COLMAP and OpenSfM ignore the EXIF orientation: their cameras count stored pixels (checked with
+    pycolmap 4.2.1). A camera with the proportions of the upright photograph alone belongs to a copy
+    that was turned before.
+
+    Args:
+        raster: the photograph; it is switched to stored pixels.
+        shot: of the model.
+        options: of the method, with lines in the upright photograph.
+
+    Returns:
+        The options with lines in the pixels that are read.
+    """
+    if raster.orientation == 1 or not shot.lens.fits(*raster.stored_size_px()):
+        return options
+    options = options.in_pixels(raster.width_px, raster.height_px)
+    lines = []
+    for line in options.rulers.known_lengths:
+        x1, y1 = raster.stored_point(line.x1, line.y1)
+        x2, y2 = raster.stored_point(line.x2, line.y2)
+        lines.append(replace(line, x1=x1, y1=y1, x2=x2, y2=y2))
+    raster.use_stored_pixels()
+    rulers = replace(options.rulers, known_lengths=tuple(lines))
+    # The lines are in pixels now, whatever they were before.
+    frame = replace(options.frame, coordinates="pixels")
+    return replace(options, rulers=rulers, frame=frame)
 
 
 def merge_cars(photographs: Sequence[SearchedPhotograph]) -> list[Photograph]:

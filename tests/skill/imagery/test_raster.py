@@ -102,3 +102,21 @@ def test_windows_are_slices_of_the_whole(windowed_file: Path, data: st.DataObjec
         part = raster.read(Window(x, y, width_px=columns, height_px=rows))
     assert part.flags.c_contiguous
     np.testing.assert_array_equal(part, whole[y : y + rows, x : x + columns])
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+@pytest.mark.parametrize("make", [png_with, tiff_with])
+def test_pixels_can_be_read_as_stored(make: Callable[[int], bytes], orientation: int) -> None:
+    with open_raster(make(orientation)) as raster:
+        assert raster.stored_size_px() == (WIDTH_PX, HEIGHT_PX)
+        raster.use_stored_pixels()
+        assert (raster.width_px, raster.height_px) == (WIDTH_PX, HEIGHT_PX)
+        assert np.abs(raster.read().astype(int) - RGB).max() <= 4
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+def test_points_are_turned_as_the_image(orientation: int) -> None:
+    upright = UPRIGHT[orientation](np.arange(WIDTH_PX * HEIGHT_PX).reshape(HEIGHT_PX, WIDTH_PX))
+    with open_raster(png_with(orientation)) as raster:
+        x, y = raster.stored_point(3.5, 5.5)
+    assert WIDTH_PX * int(y) + int(x) == upright[5, 3]

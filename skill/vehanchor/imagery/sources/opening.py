@@ -197,6 +197,7 @@ def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
     raster = ArrayRaster(
         pixels, source, reading.bands, bgr=True, orientation=orientation, alpha=has_alpha
     )
+    raster.orientation = header.orientation
     raster.camera = read_camera(read_at, header)
     raster.density_aspect = density_aspect(read_at)
     return raster
