@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 _MAX_REMEDIES = 2
+_SEVERAL = {"not_perspective", "several_pictures", "several_scales"}
 _REMEDIES = {
     "image": "send the original image",
+    "picture": "send one photograph that was taken straight down, alone and as it was taken",
     "drop": "drop boxes that are not cars, see view_image (drop)",
     "region": "give the region (region)",
     "car": "add a car that has no box (add)",
@@ -52,6 +54,9 @@ def _remedies(estimate: GsdEstimate) -> list[str]:
     # The original helps if this image was reduced too far, or stretched in one direction.
     if reason == "too_coarse" or (reason == "disagree" and "stretched" in codes):
         return ["image", "line"]
+    # A line drawn in one of several pictures says nothing about the others.
+    if reason == "disagree" and not _SEVERAL.isdisjoint(codes):
+        return ["picture"]
     if reason in ("not_cars", "disagree"):
         return ["drop", "line"] if has_vehicles else ["line"]
     # The region helps if the length of the cars is the model's or the looks' estimate.

@@ -145,6 +145,7 @@ class Detections:
             or before the end of the search.
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
+        n_copies: number of vehicles that were left out because their pixels repeat another one's.
     """
 
     boxes: Boxes
@@ -159,6 +160,7 @@ class Detections:
     stretch: float | None = None
     corrections: Corrections | None = None
     n_skipped: int = 0
+    n_copies: int = 0
 
     @property
     def numbers(self) -> NDArray[np.intp]:

@@ -190,6 +190,13 @@ def _cause_of_too_coarse(estimate: GsdEstimate) -> Advice | None:
 
 
 def _cause_of_disagreement(estimate: GsdEstimate) -> Advice | None:
+    if _warns(estimate, "not_perspective"):
+        return Advice(
+            "the image is not one perspective view",
+            "send a photograph taken straight down, or a perspective view made from this image",
+        )
+    if _warns(estimate, "several_pictures") or _warns(estimate, "several_scales"):
+        return Advice("the image seems to consist of several pictures", "send each picture alone")
     if _warns(estimate, "tilt_suspected"):
         return Advice(
             "the camera was tilted by an unknown angle",
