@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 _MAX_REMEDIES = 2
-_SEVERAL = {"not_perspective", "several_pictures", "several_scales"}
+_NO_PHOTOGRAPH = {"nothing_visible", "not_perspective", "several_pictures", "several_scales"}
 _REMEDIES = {
     "image": "send the original image",
     "picture": "send one photograph that was taken straight down, alone and as it was taken",
@@ -51,12 +51,12 @@ def _remedies(estimate: GsdEstimate) -> list[str]:
     codes = {notice.code for notice in estimate.warnings}
     reason = estimate.reason
     has_vehicles = bool(estimate.n_vehicles)
+    # A line drawn in one of several pictures says nothing about the others.
+    if not _NO_PHOTOGRAPH.isdisjoint(codes):
+        return ["picture"]
     # The original helps if this image was reduced too far, or stretched in one direction.
     if reason == "too_coarse" or (reason == "disagree" and "stretched" in codes):
         return ["image", "line"]
-    # A line drawn in one of several pictures says nothing about the others.
-    if reason == "disagree" and not _SEVERAL.isdisjoint(codes):
-        return ["picture"]
     if reason in ("not_cars", "disagree"):
         return ["drop", "line"] if has_vehicles else ["line"]
     # The region helps if the length of the cars is the model's or the looks' estimate.

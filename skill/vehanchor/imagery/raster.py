@@ -68,7 +68,7 @@ class Window:
 
 
 class RasterNote(NamedTuple):
-    """Notice about the image for its user: ``bands_selected`` or ``pixels_stretched``."""
+    """Notice about the image for its user; its code is one of ``NoticeCode``."""
 
     code: str
     message: str
@@ -216,10 +216,12 @@ class Raster(ABC):
     def _choose_stretch(self, sample: NDArray[Any]) -> None:
         """Choose no-data value and stretch from a sample of stored values, ``[n, 3]``.
 
-        A warning states each choice, except the scaling of 0..1 to 0..255.
+        A warning states each choice, except the scaling of 0..1 to 0..255, and that nothing can be
+        seen. Of uint8, only faint images are stretched.
         """
         clauses = []
-        no_data = find_no_data(sample)
+        is_8_bit = sample.dtype == np.uint8
+        no_data = None if is_8_bit else find_no_data(sample)
         if no_data is not None:
             self._no_data, share = no_data
             clauses.append(
@@ -238,6 +240,13 @@ class Raster(ABC):
             )
         if clauses:
             note = RasterNote("pixels_stretched", "; ".join(clauses))
+            self.warnings = (*self.warnings, note)
+        if sample.size == 0 or sample.min() == sample.max():
+            note = RasterNote(
+                "nothing_visible",
+                "All sampled pixels have one value, so that nothing can be seen: check that the "
+                "file is complete and was exported with its picture.",
+            )
             self.warnings = (*self.warnings, note)
 
 

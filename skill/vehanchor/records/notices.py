@@ -16,6 +16,7 @@ class NoticeCode(StrEnum):
 
     # About the image.
     PIXELS_STRETCHED = "pixels_stretched"
+    NOTHING_VISIBLE = "nothing_visible"
     BANDS_SELECTED = "bands_selected"
     DETAIL_MISSING = "detail_missing"
     GEOREFERENCE_DIFFERS = "georeference_differs"

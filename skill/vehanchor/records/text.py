@@ -119,6 +119,23 @@ ADVICE: Mapping[Reason, Advice] = {
 """Advice by the ``reason`` alone."""
 
 
+_SEVERAL_PICTURES = Advice(
+    "the image seems to consist of several pictures", "send each picture alone"
+)
+_ADVICE_ON_IMAGES: Mapping[str, Advice] = {
+    "nothing_visible": Advice(
+        "nothing can be seen in the image", "send a file that shows the picture in other programs"
+    ),
+    "not_perspective": Advice(
+        "the image is not one perspective view",
+        "send a photograph taken straight down, or a perspective view made from this image",
+    ),
+    "several_pictures": _SEVERAL_PICTURES,
+    "several_scales": _SEVERAL_PICTURES,
+}
+"""Advice by notices about the whole image, before any other."""
+
+
 def advice_for(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> Advice | None:
     """Find the advice for a record by its reason and by what else the record shows.
 
@@ -131,6 +148,9 @@ def advice_for(estimate: GsdEstimate | None, check: str = CHECK_VEHICLES) -> Adv
     """
     if estimate is None or estimate.reason is None:
         return None
+    for code, advice in _ADVICE_ON_IMAGES.items():
+        if _warns(estimate, code):
+            return advice
     advice = ADVICE[estimate.reason]
     find_cause = _CAUSES.get(estimate.reason)
     if find_cause is not None:
@@ -190,13 +210,6 @@ def _cause_of_too_coarse(estimate: GsdEstimate) -> Advice | None:
 
 
 def _cause_of_disagreement(estimate: GsdEstimate) -> Advice | None:
-    if _warns(estimate, "not_perspective"):
-        return Advice(
-            "the image is not one perspective view",
-            "send a photograph taken straight down, or a perspective view made from this image",
-        )
-    if _warns(estimate, "several_pictures") or _warns(estimate, "several_scales"):
-        return Advice("the image seems to consist of several pictures", "send each picture alone")
     if _warns(estimate, "tilt_suspected"):
         return Advice(
             "the camera was tilted by an unknown angle",

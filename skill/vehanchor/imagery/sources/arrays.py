@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from vehanchor.options import ImageLimits
 
 
+# Step of the sample that shows whether an image of 8 bits is faint, from the sample of others.
+_FAINT_STEP = 4
+
+
 class ArrayRaster(Raster):
     """Image in memory, converted window by window to avoid a second copy.
 
@@ -65,7 +69,8 @@ class ArrayRaster(Raster):
         sample = pixels[::step, ::step]
         self._alpha = self._find_alpha(sample, is_declared=alpha)
         if pixels.dtype == np.uint8:
-            return
+            # A coarser sample shows as well whether an image is faint.
+            sample = sample[::_FAINT_STEP, ::_FAINT_STEP]
         for channel in sorted(set(self._channels)):
             check_finite(pixels[:, :, channel])
         if self._alpha is None:

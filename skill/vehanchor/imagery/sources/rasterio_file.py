@@ -263,6 +263,10 @@ def _dtype(name: str) -> np.dtype[Any]:
         ) from None
 
 
+# Step of the sample that shows whether an image of 8 bits is faint, from the sample of others.
+_FAINT_STEP = 16
+
+
 class DatasetRaster(Raster):
     """Image read through rasterio.
 
@@ -308,8 +312,10 @@ class DatasetRaster(Raster):
         self._has_mask = self._find_mask()
         self.closing = ExitStack()
         self._alpha = self._find_alpha()
-        if dtype != np.uint8 and self._palette is None:
-            self._choose_stretch(self._sample())
+        if self._palette is None:
+            sample = self._sample()
+            # A coarser sample shows as well whether an image of 8 bits is faint.
+            self._choose_stretch(sample[::_FAINT_STEP] if dtype == np.uint8 else sample)
 
     def close(self) -> None:
         """Close the file unless it is the caller's dataset."""
