@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
     RgbImage: TypeAlias = NDArray[np.uint8]
     """``[h, w, 3]`` RGB."""
+
+
+_Value = TypeVar("_Value", bound=np.generic)
 
 
 class _Turn(NamedTuple):
@@ -157,6 +160,15 @@ class Raster(ABC):
         stored = self._read_stored(window_in_file)
         return self._to_rgb(stored)
 
+    def is_nonzero(self) -> NDArray[np.bool_]:
+        """Test which pixels ``[h, w]`` of the stored frame are not 0 in all bands, for a mask."""
+        size = (self.width_px, self.height_px)
+        if _TURNS[self._orientation].swap:
+            size = (self.height_px, self.width_px)
+        whole = Window(0, 0, width_px=size[0], height_px=size[1])
+        stored = self._read_stored(whole)
+        return np.asarray(stored.rgb.any(axis=2))
+
     def _contains(self, window: Window) -> bool:
         """Test whether a window has pixels and lies inside the image."""
         right_px = window.x_px + window.width_px
@@ -250,8 +262,8 @@ class Raster(ABC):
             self.warnings = (*self.warnings, note)
 
 
-def oriented(stored: RgbImage, orientation: int) -> RgbImage:
-    """Turn a stored image ``[h, w, 3]`` upright, as a view.
+def oriented(stored: NDArray[_Value], orientation: int) -> NDArray[_Value]:
+    """Turn a stored image ``[h, w, 3]`` or mask ``[h, w]`` upright, as a view.
 
     Args:
         stored: pixels in the file's orientation.

@@ -108,6 +108,7 @@ def open_file(
     header: ImageHeader,
     bands: BandChoice,
     limits: ImageLimits,
+    valid: IsValid | None = None,
 ) -> DatasetRaster:
     """Open a TIFF or JPEG 2000; sidecar files are ignored.
 
@@ -117,6 +118,7 @@ def open_file(
         header: its header, which has been checked (``file_check``).
         bands: bands to use as red, green and blue.
         limits: limits to apply to the blocks as GDAL reads them.
+        valid: as in ``DatasetRaster``.
 
     Raises:
         MissingExtraError: rasterio is not installed.
@@ -151,7 +153,7 @@ def open_file(
         is_georeferenced = layout is not None and layout.georeferenced
         orientation = 1 if is_georeferenced else header.orientation
         with gdal_environment(source):
-            raster = DatasetRaster(dataset, source, bands, orientation=orientation)
+            raster = DatasetRaster(dataset, source, bands, orientation=orientation, valid=valid)
         raster.closing = stack.pop_all()
     return raster
 
@@ -275,6 +277,7 @@ class DatasetRaster(Raster):
         source: name of the image.
         bands: bands to use as red, green and blue.
         orientation: EXIF orientation to apply.
+        valid: ``[h, w]``, whether a pixel holds data by a file beside the image; None without one.
 
     Raises:
         InvalidParameterError: ``bands`` names a missing band.
@@ -283,7 +286,13 @@ class DatasetRaster(Raster):
     """
 
     def __init__(
-        self, dataset: Any, source: str, bands: BandChoice, *, orientation: int = 1
+        self,
+        dataset: Any,
+        source: str,
+        bands: BandChoice,
+        *,
+        orientation: int = 1,
+        valid: IsValid | None = None,
     ) -> None:
         self._palette = _read_palette(dataset)
         if self._palette is None:
@@ -310,6 +319,7 @@ class DatasetRaster(Raster):
         self._dataset = dataset
         self._unique_indexes = sorted(set(self._indexes))
         self._has_mask = self._find_mask()
+        self._valid = valid
         self.closing = ExitStack()
         self._alpha = self._find_alpha()
         if self._palette is None:
@@ -386,10 +396,24 @@ class DatasetRaster(Raster):
             # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands
             # are empty.
             valid = masks.any(axis=0)
+        if self._valid is not None:
+            valid = _both(valid, self._valid_part(window, shape))
         if self._alpha is not None:
             (alpha,) = self._read_bands([self._alpha], window, shape)
             valid = _both(valid, alpha != 0)
         return valid
+
+    def _valid_part(self, window: Window, shape: Shape | None) -> IsValid:
+        """Cut a window out of the mask beside the file, reduced to ``shape`` if it is given."""
+        assert self._valid is not None
+        rows = slice(window.y_px, window.y_px + window.height_px)
+        columns = slice(window.x_px, window.x_px + window.width_px)
+        part = self._valid[rows, columns]
+        if shape is None:
+            return part
+        size = (shape[1], shape[0])
+        reduced = cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        return np.asarray(reduced, np.bool_)
 
     def _read_bands(self, indexes: list[int], window: Window, shape: Shape | None) -> Bands:
         """Read bands of a window, ``[bands, h, w]``."""
