@@ -73,8 +73,11 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
         detections: vehicles in pixels of the image, before the caller's corrections.
 
     Returns:
-        The detections with ``n_copies``; the same ones without copies.
+        The detections with ``n_copies``; the same ones without copies, and of a detector without a
+        chip network, which may be meant for drawings.
     """
+    if detections.appearance is None:
+        return detections
     n_vehicles = len(detections.boxes)
     n_compared = _MAX_COMPARED if raster.in_memory else _MAX_READ
     distinct: list[_Picture] = []
