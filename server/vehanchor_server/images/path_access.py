@@ -15,6 +15,7 @@ gets the file object and reads it whole.
 from __future__ import annotations
 
 import os
+import re
 import stat
 import sys
 from collections import deque
@@ -42,6 +43,11 @@ _NO_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _FILE_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | _NO_WAITING
 _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY", 0)
 
+# Names of other places: schemes such as local:// and data:, a home directory, a drive of Windows.
+_FOREIGN_PATH = re.compile(
+    r"[a-z][a-z0-9+.-]*://|data:|~|[a-z]:[\\/]" if os.name == "posix" else r"[a-z]{2,}://|data:|~",
+    re.IGNORECASE,
+)
 _MAX_LINKS = 40  # the limit of Linux
 _MAX_NAMED = 4  # roots, or similar names, in an error
 _MAX_LISTED = 100_000  # visited names per list of images
@@ -159,6 +165,13 @@ class PathAccess:
             raise CallError(
                 "image_not_found",
                 "this is a URL, not a path. Give a file's path, or kind url if it is listed.",
+            )
+        if named[:5].lower() != "file:" and _FOREIGN_PATH.match(named):
+            raise CallError(
+                "image_not_found",
+                f"{shortened(named)!r} is no path on this server, which cannot see files of your "
+                "own sandbox. Call view_image without image: it lists the images. Or send the "
+                "image's bytes, if kind base64 is listed.",
             )
         if named[:5].lower() == "file:":
             named = self._path_in_url(named)

@@ -60,7 +60,7 @@ async def _answer(server: MCPServer[object]) -> None:
 class _Messages(TextIOWrapper):
     """Lines of JSON without lone surrogates."""
 
-    def readline(self, size: int | None = -1, /) -> str:
+    def readline(self, size: int | None = -1, /) -> str:  # type: ignore[override]
         """Read one message."""
         line = super().readline(-1 if size is None else size)
         return without_lone_surrogates(line)

@@ -31,7 +31,7 @@ def as_json(value: Any) -> str:
     """Write a value as JSON in ASCII.
 
     Bytes of a file name that are not UTF-8 are lone surrogates in Python, which no JSON text may
-    have: they are escaped, as ``\\udcff``.
+    have: they are escaped, with a backslash.
     """
     return json.dumps(_without_surrogates(value), allow_nan=False)
 

@@ -18,6 +18,7 @@ class NoticeCode(StrEnum):
     PIXELS_STRETCHED = "pixels_stretched"
     NOTHING_VISIBLE = "nothing_visible"
     BANDS_SELECTED = "bands_selected"
+    PAGES_UNUSED = "pages_unused"
     SIDECAR_UNUSED = "sidecar_unused"
     DETAIL_MISSING = "detail_missing"
     GEOREFERENCE_DIFFERS = "georeference_differs"

@@ -14,6 +14,7 @@ ways in. Arrays and Pillow images have the limit of pixels of a file that is dec
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 from pathlib import Path
@@ -37,7 +38,7 @@ from vehanchor.imagery.formats.heif import HEIC
 from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.limits import check_bytes, check_whole_size
 from vehanchor.imagery.metadata.camera import read_camera
-from vehanchor.imagery.raster import Raster, oriented
+from vehanchor.imagery.raster import Raster, RasterNote, oriented
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size, without_mask
 from vehanchor.imagery.sources.files import spelled_as_stored
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
@@ -48,7 +49,6 @@ from vehanchor.options import Reading
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
     from vehanchor.imagery.formats.image_header import ImageHeader
-    from vehanchor.imagery.raster import RasterNote
     from vehanchor.options import ImageLimits
 
 ImageSource: TypeAlias = (
@@ -189,7 +189,9 @@ def _open_bytes(
     header = checked.header
     if header.format in DECODERS_OF_EXTRAS:
         decode_by_extra = DECODERS_OF_EXTRAS[header.format]
-        return decode_by_extra(data, source, bands=reading.bands, limits=reading.limits)
+        raster = decode_by_extra(data, source, bands=reading.bands, limits=reading.limits)
+        raster.camera = read_camera(read_at, header)
+        return raster
     if checked.by_windows:
         return _open_by_windows(
             data,
@@ -256,9 +258,10 @@ def _read_sidecars(
     Returns:
         ``[h, w]`` whether a stored pixel holds data, None without a mask; and notices.
     """
+    notes = _unused_pages(header)
     if sidecars is None:
-        return None, ()
-    notes = sidecars.unused()
+        return None, notes
+    notes += sidecars.unused()
     data = sidecars.mask(limits.max_bytes)
     if data is None:
         return None, notes
@@ -271,6 +274,20 @@ def _read_sidecars(
     except VehAnchorError as error:
         return None, (*notes, unreadable_mask(error))
     return valid, notes
+
+
+def _unused_pages(header: ImageHeader) -> tuple[RasterNote, ...]:
+    """Warn of further pages of a TIFF, of which the first is read."""
+    if header.tiff is None or not header.tiff.other_pages:
+        return ()
+    pages = header.tiff.other_pages
+    width_px, height_px = max(pages, key=math.prod)
+    message = (
+        f"The file has {len(pages) + 1} pages, and only the first one, {header.width_px} x "
+        f"{header.height_px} px, is read; the largest other one has {width_px} x {height_px} px. "
+        "Save the page that you mean as a file of its own."
+    )
+    return (RasterNote("pages_unused", message),)
 
 
 def _open_regular_file(path: str) -> BinaryIO:

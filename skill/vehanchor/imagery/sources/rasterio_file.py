@@ -265,6 +265,10 @@ def _dtype(name: str) -> np.dtype[Any]:
         ) from None
 
 
+# Ground control points: least number for an affine map, and how far it may miss one of them, in
+# pixels; a choice.
+_MIN_CONTROL_POINTS = 3
+_MAX_CONTROL_MISS_PX = 2.0
 # Step of the sample that shows whether an image of 8 bits is faint, from the sample of others.
 _FAINT_STEP = 16
 
@@ -313,6 +317,8 @@ class DatasetRaster(Raster):
         )
         if self.georeference_gsd_m_per_px is not None:
             self.ground = Ground(dataset.transform, dataset.crs)
+        else:
+            self.ground = _ground_of_control_points(dataset)
         first_index = self._indexes[0]
         dtype = _dtype(dataset.dtypes[first_index - 1])
         check_dtype(dtype)
@@ -494,6 +500,28 @@ class DatasetRaster(Raster):
                 window = Window(x, y, width_px=window_width, height_px=window_height)
                 windows.append((window, None))
         return windows
+
+
+def _ground_of_control_points(dataset: Any) -> Ground | None:
+    """Fit map coordinates to ground control points; None without points that an affine map fits.
+
+    They give coordinates to results, and no scale: photographs with such points are not maps.
+    """
+    from rasterio.transform import from_gcps
+
+    points, crs = dataset.gcps
+    if len(points) < _MIN_CONTROL_POINTS or crs is None:
+        return None
+    try:
+        transform = from_gcps(points)
+    except Exception:
+        return None
+    pixels = [~transform * (point.x, point.y) for point in points]
+    misses_px = [
+        math.hypot(column - point.col, row - point.row)
+        for (column, row), point in zip(pixels, points, strict=True)
+    ]
+    return Ground(transform, crs) if max(misses_px) <= _MAX_CONTROL_MISS_PX else None
 
 
 def _reading_options(window: Window, shape: Shape | None, n_bands: int) -> dict[str, Any]:
