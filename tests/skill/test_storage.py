@@ -11,6 +11,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from threading import Thread
@@ -424,7 +425,7 @@ def test_a_long_name_is_always_shortened_alike(tmp_path: Path) -> None:
 @pytest.fixture
 def lockless(monkeypatch: pytest.MonkeyPatch) -> None:
     """A system on which SQLite can open no file with locks."""
-    connect = sqlite3.connect
+    connect: Callable[..., sqlite3.Connection] = sqlite3.connect
 
     def refuse_locks(address: str, *arguments: Any, **options: Any) -> sqlite3.Connection:
         if "nolock=1" in address:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from tests.analyses import made_card
@@ -36,7 +38,7 @@ def _ratio(detections: Detections) -> float | None:
     return second_scale(detections, length_m=4.5, errors=DetectorErrors())
 
 
-def _record(detections: Detections, **facts: object) -> GsdEstimate:
+def _record(detections: Detections, **facts: Any) -> GsdEstimate:
     view = View(
         ImageFacts(SIDE_PX, SIDE_PX)._replace(**facts),
         detections,
