@@ -55,9 +55,13 @@ _MIN_BORDER_PX = 8
 _MIN_SEAM = 0.60
 _MIN_ALTERNATING = 0.08
 _N_CANDIDATES = 4
+# Seams of an image at most: a contact sheet of seven columns has six strips with two edges each.
+_MAX_SEAMS = 12
 # A plain strip between pictures: the spread of its columns, and the share of its edges with steps.
 _STRIP_SD = 2.0
 _MIN_STRIP_EDGE = 0.7
+# Share of the pictures that may have the strip's colour.
+_MAX_SAME_COLOUR = 0.10
 # Corners of insets: share of both arms with steps. 1 of 1,102 photographs, 13 of 20 insets.
 _MIN_CORNER = 0.75
 _ARM_SHARE = 0.15
@@ -106,6 +110,8 @@ def _seam(grey: Grey) -> Seam | None:
     """Find a seam across an image, or else a corner of an inset."""
     transposed = np.ascontiguousarray(grey.T)
     of_columns = _steps(grey)
+    if _is_pixelated(of_columns):
+        return None
     column = _best_column(grey, of_columns)
     if column is not None:
         return Seam(column, None)
@@ -166,6 +172,12 @@ def _steps(grey: Grey) -> _Steps:
     return _Steps(brighter, darker)
 
 
+def _is_pixelated(steps: _Steps) -> bool:
+    """Test whether an image was enlarged without interpolation: its blocks have many seams."""
+    share = (steps.brighter + steps.darker).mean(axis=0)
+    return int((share >= _MIN_SEAM).sum()) > _MAX_SEAMS
+
+
 def _best_column(grey: Grey, steps: _Steps) -> int | None:
     """Find the column at which a second picture begins; None without one."""
     brighter = steps.brighter.mean(axis=0)
@@ -209,7 +221,12 @@ def _strip_between(grey: Grey, share: Line) -> int | None:
         # A compressed picture has pixels of both sides at its edge.
         near_first = share[max(0, first - 1) : first + 2].max()
         near_behind = share[behind - 1 : behind + 2].max()
-        if min(near_first, near_behind) >= _MIN_STRIP_EDGE:
+        if min(near_first, near_behind) < _MIN_STRIP_EDGE:
+            continue
+        # The ground of a drawing is plain, too, but its colour is everywhere.
+        colour = float(grey[:, first:behind].mean())
+        of_same_colour = np.abs(grey[:, ~is_plain] - colour) <= _MARGIN_SD
+        if of_same_colour.mean() <= _MAX_SAME_COLOUR:
             return int(first)
     return None
 

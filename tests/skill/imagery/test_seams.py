@@ -67,3 +67,15 @@ def test_the_edge_of_a_shadow_is_no_seam(dark: float) -> None:
     image = LEFT.copy()
     image[:, 170:] = (image[:, 170:] * dark).astype(np.uint8)
     assert _seam(image) is None
+
+
+def test_plain_ground_between_things_is_no_seam() -> None:
+    image = np.full((300, 400, 3), 110, np.uint8)
+    for left, top in ((20, 10), (20, 160), (200, 10), (330, 160)):
+        image[top : top + 140, left : left + 50] = LEFT[top : top + 140, left : left + 50]
+    assert _seam(image) is None
+
+
+def test_an_image_enlarged_without_interpolation_has_no_seam() -> None:
+    large = cv2.resize(LEFT[:80, :80], None, fx=7, fy=7, interpolation=cv2.INTER_NEAREST)
+    assert _seam(np.asarray(large, np.uint8)) is None

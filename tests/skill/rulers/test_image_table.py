@@ -13,7 +13,7 @@ COMMAS = "file,x1,y1,x2,y2,metres,what\nphoto.jpg,0,0,100,0,36.5,\n"
 SEMICOLONS = "file;x1;y1;x2;y2;metres\nphoto.jpg;0;0;100;0;36,5\n"
 
 
-def _metres(content: bytes, tmp_path: Path) -> float | None:
+def _metres(content: bytes, tmp_path: Path) -> float | str | None:
     table = tmp_path / "lines.csv"
     table.write_bytes(content)
     image = tmp_path / "photo.jpg"
