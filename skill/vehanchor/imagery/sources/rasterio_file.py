@@ -516,11 +516,12 @@ def _ground_of_control_points(dataset: Any) -> Ground | None:
         transform = from_gcps(points)
     except Exception:
         return None
-    pixels = [~transform * (point.x, point.y) for point in points]
-    misses_px = [
-        math.hypot(column - point.col, row - point.row)
-        for (column, row), point in zip(pixels, points, strict=True)
-    ]
+    a, b, c, d, e, f = tuple(~transform)[:6]
+    misses_px = []
+    for point in points:
+        column = a * point.x + b * point.y + c
+        row = d * point.x + e * point.y + f
+        misses_px.append(math.hypot(column - point.col, row - point.row))
     return Ground(transform, crs) if max(misses_px) <= _MAX_CONTROL_MISS_PX else None
 
 
