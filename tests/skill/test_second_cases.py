@@ -1,4 +1,4 @@
-"""Files that people reported, from ``../shared/cases/second``; rendered twins are in other tests."""
+"""Files that people reported, in ``../shared/cases/second``; rendered twins are in other tests."""
 
 from __future__ import annotations
 
