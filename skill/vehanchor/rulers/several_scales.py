@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     """``[s, n]`` for each candidate scale and vehicle."""
 
 _MIN_VEHICLES = 3
-# Least log likelihood ratio. Of 1,102 usable photographs of known scale 3 have more; of 100 collages
-# of two scales that differ by 1.3 to 2.5 times, some without cars in one part, 32. A choice between
-# both, made on these photographs.
+# Least log likelihood ratio. Of 1,102 usable photographs of known scale 3 have more; of 100
+# collages of two scales that differ by 1.3 to 2.5 times, some without cars in one part, 32. A
+# choice between both, made on these photographs.
 _MIN_LOG_RATIO = 8.0
 # Log ratios of the second scale to the first: from 1.2 times, which matters, to 5 times.
 _STEP = 0.05
