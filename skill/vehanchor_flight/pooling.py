@@ -16,6 +16,7 @@ of the reference: one of its pixels is as long on the ground as ``exp(offset)`` 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -29,7 +30,7 @@ from vehanchor.rulers.active import ruler_class
 from vehanchor.rulers.camera_tilt import with_scale
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
-from vehanchor.rulers.witnesses import expected_scale, measure_all
+from vehanchor.rulers.witnesses import NO_ONE_SCALE_CODES, expected_scale, measure_all
 from vehanchor.scale.density import quantile, shifted
 from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor_flight.common_ground import distinct_vehicles, n_distinct
@@ -201,6 +202,7 @@ def pooled_detections(detections: Sequence[Detections], offsets: ArrayLike) -> D
         appearance=_pooled_appearance(detections, has_appearance, order),
         n_tiles_total=n_tiles_total,
         n_skipped=sum(part.n_skipped for part in detections),
+        n_copies=sum(part.n_copies for part in detections),
         stopped_because=first_stop,
         stretch=_pooled_stretch(detections),
         stretch_log_odds=_pooled_log_odds(detections),
@@ -428,10 +430,16 @@ def _moved(witness: Witness, offset: float) -> Witness:
 
 
 def _facts_with_all_notices(members: Sequence[Photograph], reference: int) -> ImageFacts:
-    """Return the facts of the reference, with the notices of all photographs."""
+    """Return the facts of the reference, with the notices of all photographs.
+
+    A doubt that an image has one scale concerns all photographs only if at least half have it.
+    """
     facts = [member.view.image for member in members]
-    notices = _first_of_each_code(notice for own in facts for notice in own.notices)
-    return facts[reference]._replace(notices=notices)
+    all_notices = [notice for own in facts for notice in own.notices]
+    counts = Counter(notice.code for notice in all_notices)
+    rare = {code for code in NO_ONE_SCALE_CODES if 2 * counts[code] < len(members)}
+    kept = (notice for notice in all_notices if notice.code not in rare)
+    return facts[reference]._replace(notices=_first_of_each_code(kept))
 
 
 def _first_of_each_code(notices: Iterable[AnyRemark]) -> tuple[AnyRemark, ...]:

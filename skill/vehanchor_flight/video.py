@@ -18,9 +18,10 @@ from vehanchor.options import ImageLimits
 from vehanchor.options.option import Limits
 from vehanchor.options.pixel_grid import MAX_ASPECT, PixelGrid, usable_aspect
 from vehanchor_flight.inputs import InputPhotograph
+from vehanchor_flight.interlaced import RAW, returns_no_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,6 +37,10 @@ _CAMERA_PREFIX_BYTES = 4
 _HEAD_BYTES = 256
 # OpenCV reads FFmpeg's options from the environment only.
 _OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+_CONVERSION = (
+    "convert it, such as by ffmpeg -i FILM -vf yadif -pix_fmt yuv420p progressive.mp4, or give its "
+    "frames"
+)
 _environment_lock = threading.Lock()
 
 
@@ -94,14 +99,20 @@ def sample_video(
         if not 0 < rate < 1e4:
             raise _unreadable(path)
         grid = _checked_grid(film, limits or ImageLimits())
+        if _is_unreadable_interlaced(path):
+            raise ImageDecodeError(
+                f"the video {path!r} is interlaced, and its frames cannot be decoded: {_CONVERSION}"
+            )
         interval = max(1, round(step_s * rate))
         trials = {round(trial * interval / _N_TRIALS) for trial in range(_N_TRIALS)}
         sharpest: _SharpFrame | None = None
         number = 0
+        n_photographs = 0
         # All frames are grabbed one after the other; only the trials are converted to pixels.
         while film.grab():
             position = number % interval
             if position == 0 and sharpest is not None:
+                n_photographs += 1
                 yield _photograph(path, sharpest, rate)
                 sharpest = None
             if position in trials:
@@ -109,9 +120,15 @@ def sample_video(
                 sharpest = _sharper(sharpest, candidate)
             number += 1
         if sharpest is not None:
+            n_photographs += 1
             yield _photograph(path, sharpest, rate)
         if number == 0:
             raise ImageDecodeError(f"the video {path!r} has no readable frame")
+        if n_photographs == 0:
+            raise ImageDecodeError(
+                f"the frames of the video {path!r} are of one colour each, or damaged: "
+                f"{_CONVERSION}"
+            )
 
 
 def _sharper(
@@ -127,11 +144,17 @@ def _sharper(
 
 
 def _retrieve(film: cv2.VideoCapture, number: int, grid: PixelGrid) -> _SharpFrame | None:
-    """Convert the frame that was grabbed last to square pixels; None if it is damaged."""
+    """Convert the frame that was grabbed last to square pixels.
+
+    Returns:
+        The frame; None if it is damaged or of one colour.
+    """
     is_readable, frame = film.retrieve()
     if not is_readable:
         return None
     pixels = np.asarray(frame, dtype=np.uint8)
+    if pixels.min() == pixels.max():
+        return None
     if not grid.is_square:
         display_size = (grid.square_width_px, grid.square_height_px)
         resized = cv2.resize(pixels, display_size, interpolation=cv2.INTER_LINEAR)
@@ -151,9 +174,19 @@ def _photograph(path: str, frame: _SharpFrame, rate: float) -> InputPhotograph:
     return InputPhotograph(name, rgb, film=path)
 
 
+def _is_unreadable_interlaced(path: str) -> bool:
+    """Test whether OpenCV cannot convert the frames of an interlaced film."""
+    with opened_video(path) as film, opened_video(path, RAW) as raw_film:
+        return returns_no_frames(film, raw_film)
+
+
 @contextmanager
-def opened_video(path: str) -> Iterator[cv2.VideoCapture]:
+def opened_video(path: str, parameters: Sequence[int] = ()) -> Iterator[cv2.VideoCapture]:
     """Open a video with the demuxer of its signature and no protocol but ``file``.
+
+    Args:
+        path: path of the video.
+        parameters: of ``cv2.VideoCapture``.
 
     Raises:
         ImageDecodeError: the video cannot be read.
@@ -168,7 +201,7 @@ def opened_video(path: str) -> Iterator[cv2.VideoCapture]:
         try:
             # A relative path may name a protocol.
             absolute_path = str(Path(path).absolute())
-            film = cv2.VideoCapture(absolute_path, cv2.CAP_FFMPEG)
+            film = cv2.VideoCapture(absolute_path, cv2.CAP_FFMPEG, list(parameters))
         finally:
             del os.environ[_OPTIONS]
             if before is not None:

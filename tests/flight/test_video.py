@@ -16,6 +16,7 @@ from vehanchor.errors import (
     InvalidParameterError,
 )
 from vehanchor.options import ImageLimits
+from vehanchor_flight.interlaced import _allows_interlaced
 from vehanchor_flight.video import is_video, sample_video, sharpness
 
 
@@ -109,3 +110,26 @@ def test_frames_obey_the_limits_of_images(film: Path) -> None:
     with pytest.raises(ImageTooLargeError, match="320 x 240 px, the limit is 76799 pixels"):
         list(sample_video(str(film), 1.0, ImageLimits(max_pixels=frame_pixels - 1)))
     assert list(sample_video(str(film), 1.0, ImageLimits(max_pixels=frame_pixels)))
+
+
+# The codec's parameters of one film each, as FFmpeg's x264 wrote them.
+INTERLACED = bytes.fromhex("01640016ffe1001867640016acd940a07b42000003000200000300083e2853")
+PROGRESSIVE = bytes.fromhex("01640016ffe1001867640016acd940a03da1000003000100000300040f162d")
+
+
+def test_the_parameters_of_a_film_say_whether_it_may_be_interlaced() -> None:
+    assert _allows_interlaced(INTERLACED)
+    assert _allows_interlaced(b"\0\0\0\1" + INTERLACED[8:])
+    assert not _allows_interlaced(PROGRESSIVE)
+
+
+@pytest.mark.parametrize("damaged", [b"", b"\1", INTERLACED[:12], b"\0\0\1\x67" + bytes(40)])
+def test_damaged_parameters_of_a_film_prove_nothing(damaged: bytes) -> None:
+    assert not _allows_interlaced(damaged)
+
+
+def test_a_film_of_frames_of_one_colour_is_refused(tmp_path: Path) -> None:
+    black = np.zeros((240, 320, 3), np.uint8)
+    film = write_film(tmp_path / "black.avi", [black] * 6)
+    with pytest.raises(ImageDecodeError, match="of one colour"):
+        list(sample_video(str(film), 0.2))

@@ -6,10 +6,12 @@ import errno
 import json
 import os
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from threading import Thread
@@ -31,8 +33,9 @@ from vehanchor.rulers.ruler import as_assumed, point_witness, prior_witness
 from vehanchor.scale.density import lognormal
 from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
-from vehanchor.storage.atomic import whole_file, write_record
+from vehanchor.storage.atomic import beside, whole_file, write_record
 from vehanchor.storage.codec import Codec
+from vehanchor.storage.exclusive import has_locks
 from vehanchor.storage.journal import Journal, Source
 from vehanchor_flight.photograph import StoredPhotograph, photograph_codec
 
@@ -395,3 +398,69 @@ def test_no_file_is_half_written_at_any_byte(tmp_path: Path) -> None:
     assert report["wrong"] == []
     assert report["ends"]["refused"] > 100
     assert report["ends"]["killed"] > 40
+
+
+# --- Places to write
+
+
+@pytest.mark.parametrize("letter", ["a", "\N{CJK UNIFIED IDEOGRAPH-7A7A}"])
+def test_a_name_of_any_legal_length_is_written(letter: str, tmp_path: Path) -> None:
+    stem = letter * (250 // len(letter.encode()))
+    path = tmp_path / f"{stem}.csv"
+    with whole_file(path) as partial:
+        partial.write_text("new")
+    with closing(_journal(beside(path, ".journal"))) as journal:
+        journal.add(("a",), 1)
+    assert path.read_text() == "new"
+
+
+def test_a_long_name_is_always_shortened_alike(tmp_path: Path) -> None:
+    long = tmp_path / ("a" * 250)
+    other = tmp_path / ("a" * 249 + "b")
+    assert beside(long, ".journal") == beside(long, ".journal")
+    assert beside(long, ".journal") != beside(other, ".journal")
+    assert beside(tmp_path / "t.csv", ".journal").name == "t.csv.journal"
+
+
+@pytest.fixture
+def lockless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system on which SQLite can open no file with locks."""
+    connect: Callable[..., sqlite3.Connection] = sqlite3.connect
+
+    def refuse_locks(address: str, *arguments: Any, **options: Any) -> sqlite3.Connection:
+        if "nolock=1" in address:
+            return connect(address, *arguments, **options)
+        error = sqlite3.OperationalError("disk I/O error")
+        error.sqlite_errorcode = sqlite3.SQLITE_IOERR
+        raise error
+
+    monkeypatch.setattr("vehanchor.storage.journal.has_locks", lambda _: False)
+    monkeypatch.setattr("vehanchor.storage.journal.sqlite3.connect", refuse_locks)
+
+
+@pytest.mark.usefixtures("lockless")
+def test_a_journal_on_a_mount_without_locks_keeps_results(tmp_path: Path) -> None:
+    path = tmp_path / "j.journal"
+    with closing(_journal(path, sole=True)) as journal:
+        journal.add(("a",), 1)
+        with pytest.raises(OutputError, match=r"another run is using .* delete"):
+            _journal(path, sole=True)
+    with closing(_journal(path, sole=True)) as journal:
+        assert journal.get(("a",)) == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["j.journal"]
+
+
+@pytest.mark.usefixtures("lockless")
+def test_the_lock_of_a_process_that_has_ended_is_taken_over(tmp_path: Path) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    lock = tmp_path / "j.journal.lock"
+    lock.write_text(f"{socket.gethostname()} {ended.pid}")
+    with closing(_journal(tmp_path / "j.journal", sole=True)) as journal:
+        journal.add(("a",), 1)
+    assert not lock.exists()
+
+
+def test_a_usual_folder_has_locks(tmp_path: Path) -> None:
+    assert has_locks(tmp_path)
+    assert list(tmp_path.iterdir()) == []

@@ -35,6 +35,9 @@ _IN_WORDS: Mapping[Remedy, str] = {
     "facts": "check the facts that you gave, or leave out the wrong one",
     "elsewhere": "give the camera's height (height_m) or photographs with cars (more_images)",
     "vehicles": "also use the ruler vehicles (rulers)",
+    "visible": "send the original image",
+    "perspective": "send one photograph that was taken straight down",
+    "apart": "send each picture alone, as it was taken",
 }
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"

@@ -15,11 +15,13 @@ gets the file object and reads it whole.
 from __future__ import annotations
 
 import os
+import re
 import stat
 import sys
 from collections import deque
 from contextlib import contextmanager, suppress
 from difflib import get_close_matches
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -27,6 +29,7 @@ from unicodedata import normalize
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+from vehanchor.imagery.sources.sidecars import OpenPath
 from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.images.argument import MAX_PATH_CHARS
 
@@ -40,6 +43,11 @@ _NO_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _FILE_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | _NO_WAITING
 _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY", 0)
 
+# Names of other places: schemes such as local:// and data:, a home directory, a drive of Windows.
+_FOREIGN_PATH = re.compile(
+    r"[a-z][a-z0-9+.-]*://|data:|~|[a-z]:[\\/]" if os.name == "posix" else r"[a-z]{2,}://|data:|~",
+    re.IGNORECASE,
+)
 _MAX_LINKS = 40  # the limit of Linux
 _MAX_NAMED = 4  # roots, or similar names, in an error
 _MAX_LISTED = 100_000  # visited names per list of images
@@ -77,12 +85,29 @@ class PathAccess:
                 regular file.
         """
         self._check_enabled()
-        descriptor = self._descriptor(self._local_path(named))
+        path = self._local_path(named)
+        descriptor = self._descriptor(path)
         with os.fdopen(descriptor, "rb") as file:
             if sys.platform == "linux":
-                yield f"/proc/self/fd/{descriptor}"
+                name = f"/proc/self/fd/{descriptor}"
+                yield OpenPath.of(name, path.name, partial(self._read_beside, path))
             else:
                 yield file
+
+    def _read_beside(self, path: Path, name: str, max_bytes: int) -> bytes | None:
+        """Read a file beside an image, under the same checks; None if it cannot be read.
+
+        Args:
+            path: path of the image, as the caller named it.
+            name: name of the file.
+            max_bytes: one byte more shows that the file is larger.
+        """
+        try:
+            descriptor = self._descriptor(path.with_name(name), suggest=False)
+            with os.fdopen(descriptor, "rb") as file:
+                return file.read(max_bytes + 1)
+        except (CallError, OSError, ValueError):
+            return None
 
     def listed(
         self, first: int, count: int, check_stop: Callable[[], None] | None = None
@@ -141,6 +166,13 @@ class PathAccess:
                 "image_not_found",
                 "this is a URL, not a path. Give a file's path, or kind url if it is listed.",
             )
+        if named[:5].lower() != "file:" and _FOREIGN_PATH.match(named):
+            raise CallError(
+                "image_not_found",
+                f"{shortened(named)!r} is no path on this server, which cannot see files of your "
+                "own sandbox. Call view_image without image: it lists the images. Or send the "
+                "image's bytes, if kind base64 is listed.",
+            )
         if named[:5].lower() == "file:":
             named = self._path_in_url(named)
         if "\0" in named or len(named) > MAX_PATH_CHARS:
@@ -178,8 +210,13 @@ class PathAccess:
             "below it, absolute or relative to it; view_image without image lists the images.",
         )
 
-    def _descriptor(self, path: Path) -> int:
-        """Open an absolute path, or a relative one below the first root that has such a file."""
+    def _descriptor(self, path: Path, *, suggest: bool = True) -> int:
+        """Open an absolute path, or a relative one below the first root that has such a file.
+
+        Args:
+            path: the path.
+            suggest: whether the error for a missing file lists the nearest names.
+        """
         candidates = [path] if path.is_absolute() else [root / path for root in self.roots]
         missing: CallError | None = None
         for candidate in candidates:
@@ -187,7 +224,8 @@ class PathAccess:
             try:
                 return self._opened(root, below)
             except (FileNotFoundError, NotADirectoryError):
-                missing = _no_image(str(path), self._nearest(path.name))
+                nearest = self._nearest(path.name) if suggest else ()
+                missing = _no_image(str(path), nearest)
             except CallError as error:
                 if error.code != "image_not_found":
                     raise

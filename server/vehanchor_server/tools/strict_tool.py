@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from mcp.server.mcpserver import Context
@@ -26,6 +26,7 @@ from vehanchor_server.tools.portable_schema import listed, portable_schema, with
 __all__ = ["CallToolResult", "Context", "InputRequiredResult", "StrictTool"]
 
 MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
+_MAX_SHOWN_PATH = 200  # characters of a call's own path in an example
 _EXACT = 2.0**53  # above, a float cannot hold each whole number
 
 
@@ -155,19 +156,29 @@ class StrictTool(Tool):
         return result
 
     def _complaints(self, error: ValidationError, arguments: dict[str, Any]) -> str:
-        """Describe invalid arguments; the example call names an image of this server."""
+        """Describe invalid arguments; the example names the call's image, or one of the server."""
         text = complaints(
             error,
             arguments,
             schema=self.full_parameters,
             required=self.parameters.get("required") or ["image"],
         )
-        image = None
-        if self.first_image is not None:
+        # Models copy examples, so that the example names the image of the call.
+        image = _path_in(arguments)
+        if image is None and self.first_image is not None:
             image = self.first_image()
         if image is None:
             return text
         return text.replace(json.dumps(EXAMPLE_PATH), json.dumps(image))
+
+
+def _path_in(arguments: Mapping[str, Any]) -> str | None:
+    """Return the path of the image in a call's arguments; None without a usable one."""
+    image = arguments.get("image")
+    path = image.get("path") if isinstance(image, dict) else None
+    if not isinstance(path, str) or not path or len(path) > _MAX_SHOWN_PATH:
+        return None
+    return path
 
 
 def _answer_schema(record: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:

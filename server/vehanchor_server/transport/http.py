@@ -23,6 +23,7 @@ from vehanchor_server.request_log import configure_logging
 from vehanchor_server.services import Services, create_services
 from vehanchor_server.settings import MAX_BODY_BYTES, Settings
 from vehanchor_server.transport.auth import token_verifier
+from vehanchor_server.transport.json_reply import JsonReply
 from vehanchor_server.transport.request_guard import RequestGuard
 
 MCP_PATH = "/mcp"
@@ -64,6 +65,7 @@ def create_app(settings: Settings) -> Starlette:
         transport_security=_transport_security(settings),
     )
     max_large_bodies = services.capacity.max_concurrency + _SPARE_BODIES
+    app.add_middleware(JsonReply)
     app.add_middleware(RequestGuard, path=MCP_PATH, max_large_bodies=max_large_bodies)
     # Probes of load balancers have no token.
     app.router.routes += [Route("/healthz", healthz), Route("/readyz", readyz)]

@@ -15,7 +15,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
+from vehanchor.analysis.image_doubts import with_image_doubts
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
+from vehanchor.detection.copies import without_copies
 from vehanchor.detection.detections import NOT_SEARCHED, corrected
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
@@ -42,6 +44,7 @@ from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
+from vehanchor.rulers.several_scales import several_scales_notice
 from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import vehicle_witness
 from vehanchor.rulers.witnesses import disagreements, measure_all, with_doubts
@@ -169,7 +172,8 @@ def search_raster(
         detector: detector of the vehicles.
         options: options of the method.
         prior: known scene-scale prior; None computes that of the image, if a ruler uses it.
-        check_stretch: as in ``vehanchor.detection.search.ImageSearch.result``.
+        check_stretch: as in ``vehanchor.detection.search.ImageSearch.result``; also whether to
+            look for seams between pictures.
     """
     options.frame.check(raster.grid)
     options = options.in_pixels(raster.grid)
@@ -177,6 +181,9 @@ def search_raster(
     facts = image_facts(raster)
     # An image with the horizon is refused before the work.
     tilt = metadata_tilt(facts, options)
+    facts = with_image_doubts(
+        facts, raster, metadata=options.rulers.metadata, check_seams=check_stretch
+    )
     uses_prior = any(ruler.kind == SceneScale.kind for ruler in rulers)
     if prior is None and uses_prior:
         prior = load_scene_scale(detector.runtime).predict(raster)
@@ -206,7 +213,7 @@ def search_raster(
         for _ in search:
             pass
     detections = corrected(
-        search.result(check_stretch=check_stretch),
+        without_copies(raster, search.result(check_stretch=check_stretch)),
         options.by_hand,
         CoordinateFrame(options.frame, raster.grid),
         nms_iou=options.search.nms_iou,
@@ -229,13 +236,19 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
     witnesses = measure_all(view, earlier)
     vehicles = vehicle_witness(witnesses)
     notices: tuple[Notice, ...] = ()
-    # The vehicles may show a tilt only if none is known.
+    # The vehicles may show a tilt, or several scales, only if no tilt is known.
     if view.tilt is None and vehicles is not None and vehicles.found:
         notices = tilt_notice(
             view.image,
             view.options,
             view.detections,
             log_size_sd=view.card.errors.boxes.log_size_sd,
+        )
+        notices += several_scales_notice(
+            view.image,
+            view.detections,
+            length_m=vehicles.reference.length_m,
+            errors=view.card.errors,
         )
     return conclude(view, witnesses, notices)
 
@@ -250,7 +263,7 @@ def conclude(
         measured: witnesses of all rulers.
         notices: notices of the tilt.
     """
-    doubts: list[Remark] = [*view.image.notices, *notices]
+    doubts: tuple[Remark, ...] = (*view.image.notices, *notices)
     witnesses = with_doubts(_without_repetition(measured), doubts)
     is_paper = view.options.method.preset == "paper"
     decided = None if is_paper else answer(witnesses)

@@ -36,6 +36,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
 from vehanchor.records import SCHEMA_VERSION
 from vehanchor.rulers.known_length_table import lines_in
+from vehanchor.storage.atomic import beside
 from vehanchor.storage.journal import Journal
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ def _compute_rows(
 
 def journal_path(table: Path) -> Path:
     """Return the path of the journal of a table."""
-    return table.with_name(table.name + ".journal")
+    return beside(table, ".journal")
 
 
 def open_journal(table: Path, job: BatchJob, *, anew: bool = False) -> Journal[BatchRow]:

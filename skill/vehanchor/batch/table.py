@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import csv
-import json
 from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError
-from vehanchor.records.escaping import in_cell
+from vehanchor.records.escaping import as_json, in_cell
 from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:
@@ -65,8 +64,7 @@ def _write_jsonl(path: Path, rows: Rows, columns: Columns) -> None:
     with path.open("w", encoding="ascii", newline="\n") as file:
         for row in rows:
             values = {name: row[name] for name in columns}
-            line = json.dumps(values, allow_nan=False)
-            file.write(f"{line}\n")
+            file.write(f"{as_json(values)}\n")
 
 
 def _write_csv(path: Path, rows: Rows, columns: Columns) -> None:

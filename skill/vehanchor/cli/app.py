@@ -18,6 +18,7 @@ import gc
 import os
 import sys
 from importlib.metadata import entry_points
+from io import TextIOWrapper
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -120,6 +121,10 @@ def main() -> None:
     # again, for a tenth of the time, and three more times at exit, for 0.1 s.
     gc.set_threshold(200_000)
     atexit.register(gc.freeze)
+    # A pipe's encoding, such as cp1252, lacks characters of file names: they are escaped.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # OpenCV reads this when it is imported; our errors report its problems.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
-from vehanchor.records.escaping import on_one_line
+from vehanchor.records.escaping import as_json, on_one_line
 from vehanchor.records.text import by_hand_text
 
 if TYPE_CHECKING:
@@ -185,7 +184,7 @@ def failures_as_json(sources: Iterable[str], as_json: bool) -> Iterator[None]:
 def print_json(record: Mapping[str, Any]) -> None:
     """Print one JSON object in one line on stdout."""
     # JSON is ASCII here, so that the bytes are the same in every locale.
-    print(json.dumps(record, allow_nan=False), flush=True)
+    print(as_json(record), flush=True)
 
 
 def printable(text: str, *, lines: bool = False) -> str:

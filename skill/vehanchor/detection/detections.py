@@ -148,6 +148,7 @@ class Detections:
             one; None if it was not measured.
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
+        n_copies: number of vehicles that were left out because their pixels repeat another one's.
     """
 
     boxes: Boxes
@@ -163,6 +164,7 @@ class Detections:
     stretch_log_odds: float | None = None
     corrections: Corrections | None = None
     n_skipped: int = 0
+    n_copies: int = 0
 
     @property
     def were_searched(self) -> bool:

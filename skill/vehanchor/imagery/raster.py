@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
     RgbImage: TypeAlias = NDArray[np.uint8]
     """``[h, w, 3]`` RGB."""
+
+
+_Value = TypeVar("_Value", bound=np.generic)
 
 
 class _Turn(NamedTuple):
@@ -72,7 +75,7 @@ class Window:
 
 
 class RasterNote(NamedTuple):
-    """Notice about the image for its user: a code, such as ``pixels_stretched``, and its text."""
+    """Notice about the image for its user; its code is one of ``NoticeCode``."""
 
     code: str
     message: str
@@ -218,6 +221,15 @@ class Raster(ABC):
             return y, x
         return x, y
 
+    def is_nonzero(self) -> NDArray[np.bool_]:
+        """Test which pixels ``[h, w]`` of the stored frame are not 0 in all bands, for a mask."""
+        size = (self.width_px, self.height_px)
+        if _TURNS[self._orientation].swap:
+            size = (self.height_px, self.width_px)
+        whole = Window(0, 0, width_px=size[0], height_px=size[1])
+        stored = self._read_stored(whole)
+        return np.asarray(stored.rgb.any(axis=2))
+
     def _contains(self, window: Window) -> bool:
         """Test whether a window has pixels and lies inside the image."""
         right_px = window.x_px + window.width_px
@@ -277,10 +289,12 @@ class Raster(ABC):
     def _choose_stretch(self, sample: NDArray[Any]) -> None:
         """Choose no-data value and stretch from a sample of stored values, ``[n, 3]``.
 
-        A warning states each choice, except the scaling of 0..1 to 0..255.
+        A warning states each choice, except the scaling of 0..1 to 0..255, and that nothing can be
+        seen. Of uint8, only faint images are stretched.
         """
         clauses = []
-        no_data = find_no_data(sample)
+        is_8_bit = sample.dtype == np.uint8
+        no_data = None if is_8_bit else find_no_data(sample)
         if no_data is not None:
             self._no_data, share = no_data
             clauses.append(
@@ -300,10 +314,17 @@ class Raster(ABC):
         if clauses:
             note = RasterNote("pixels_stretched", "; ".join(clauses))
             self.warnings = (*self.warnings, note)
+        if sample.size == 0 or sample.min() == sample.max():
+            note = RasterNote(
+                "nothing_visible",
+                "All sampled pixels have one value, so that nothing can be seen: check that the "
+                "file is complete and was exported with its picture.",
+            )
+            self.warnings = (*self.warnings, note)
 
 
-def oriented(stored: RgbImage, orientation: int) -> RgbImage:
-    """Turn a stored image ``[h, w, 3]`` upright, as a view.
+def oriented(stored: NDArray[_Value], orientation: int) -> NDArray[_Value]:
+    """Turn a stored image ``[h, w, 3]`` or mask ``[h, w]`` upright, as a view.
 
     Args:
         stored: pixels in the file's orientation.

@@ -32,6 +32,17 @@ class Stretch(NamedTuple):
 UNIT_RANGE = Stretch(0.0, 1.0)
 """Stretch of floats within 0..1."""
 
+FAINT_LEVELS = 24
+"""Number of the 256 grey levels up to which an image is faint: little can be seen without a
+stretch. A choice."""
+
+_FAINT_PERCENTILES = {"u": (0.1, 99.9), "f": STRETCH_PERCENTILES}
+"""Percentiles between which the values of a faint image lie, by the kind of the values.
+
+An image of 8 bits was made to be looked at, so that only single pixels may be brighter. Floats are
+often reflectances, with glints of the sun.
+"""
+
 _MIN_EMPTY_SHARE = 1 - STRETCH_PERCENTILES[1] / 100
 """Share of the pixels above which an extreme value reaches the percentiles."""
 
@@ -66,6 +77,24 @@ def find_no_data(sample: NDArray[Any]) -> tuple[float, float] | None:
     return None
 
 
+def is_faint(sample: NDArray[Any], full_range: float) -> bool:
+    """Test whether an image uses so few grey levels that little can be seen.
+
+    Args:
+        sample: values of the image, of any shape.
+        full_range: difference of the values that become black and white.
+
+    Returns:
+        False for a constant image, in which a stretch shows nothing.
+    """
+    if sample.size == 0:
+        return False
+    shares = _FAINT_PERCENTILES[sample.dtype.kind]
+    percentiles = np.percentile(sample, shares, method="nearest")
+    value_range = float(percentiles[1]) - float(percentiles[0])
+    return 0.0 < value_range <= full_range * FAINT_LEVELS / 255
+
+
 def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
     """Choose the values of an image that become 0 and 255.
 
@@ -73,18 +102,19 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
         sample: finite values of the image, of any shape.
 
     Returns:
-        The stretch; None for uint8, which needs none.
+        The stretch; None for uint8, unless the image is faint.
 
     Raises:
         ImageFormatError: the range of the floats is too large to scale.
     """
-    if sample.dtype == np.uint8:
+    if sample.dtype == np.uint8 and not is_faint(sample, 255.0):
         return None
     if sample.size == 0:  # no data: every stretch gives black
         return UNIT_RANGE
     lowest = float(sample.min())
     highest = float(sample.max())
-    if sample.dtype.kind == "f" and lowest >= 0 and highest <= 1:
+    is_unit = sample.dtype.kind == "f" and lowest >= 0 and highest <= 1
+    if is_unit and not is_faint(sample, 1.0):
         return UNIT_RANGE
     # "nearest" does no arithmetic between values, so the largest floats do not overflow.
     percentiles = np.percentile(sample, STRETCH_PERCENTILES, method="nearest")
@@ -106,9 +136,10 @@ def choose_stretch(sample: NDArray[Any]) -> Stretch | None:
 
 def to_uint8(pixels: NDArray[Any], stretch: Stretch) -> NDArray[np.uint8]:
     """Convert stored values of any shape to 0..255."""
-    if pixels.dtype == np.uint16:
-        # A look-up table of all 65,536 values costs less than arithmetic on every pixel.
-        all_values = np.arange(1 << 16, dtype=np.float64)
+    if pixels.dtype in (np.uint8, np.uint16):
+        # A look-up table of all values costs less than arithmetic on every pixel.
+        n_values = 1 << (8 * pixels.dtype.itemsize)
+        all_values = np.arange(n_values, dtype=np.float64)
         table = _scale_in_place(all_values, stretch)
         scaled: NDArray[np.uint8] = table[pixels]
         return scaled

@@ -30,6 +30,9 @@ Remedy: TypeAlias = Literal[
     "facts",
     "elsewhere",
     "vehicles",
+    "visible",
+    "perspective",
+    "apart",
 ]
 
 IN_WORDS: Mapping[Remedy, str] = {
@@ -47,6 +50,10 @@ IN_WORDS: Mapping[Remedy, str] = {
     "facts": "check the facts that you gave, or draw a measured line",
     "elsewhere": "give the camera's height, or another photograph of the same flight with cars",
     "vehicles": "also use the ruler vehicles",
+    "visible": "send a file that shows the picture in other programs",
+    "perspective": "send a photograph taken straight down, or a perspective view made from this "
+    "image",
+    "apart": "send each picture alone",
 }
 """Remedies for people, as clauses in the imperative."""
 
@@ -92,6 +99,9 @@ def advice_for(estimate: GsdEstimate | None) -> Advice | None:
     """
     if estimate is None or estimate.reason is None:
         return None
+    for code, advice in _ADVICE_ON_IMAGES.items():
+        if _warns(estimate, code):
+            return advice
     find_cause = _CAUSES.get(estimate.reason)
     if find_cause is None:
         return _ADVICE[estimate.reason]
@@ -175,6 +185,16 @@ def _imprecise(estimate: GsdEstimate) -> Advice:
 def _warns(estimate: GsdEstimate, code: str) -> bool:
     return any(notice.code == code for notice in estimate.warnings)
 
+
+_SEVERAL_PICTURES = Advice("the image seems to consist of several pictures", ("apart",))
+_ADVICE_ON_IMAGES: Mapping[str, Advice] = {
+    "nothing_visible": Advice("nothing can be seen in the image", ("visible",)),
+    "not_perspective": Advice("the image is not one perspective view", ("perspective",)),
+    "several_pictures": _SEVERAL_PICTURES,
+    "several_scales": _SEVERAL_PICTURES,
+}
+"""Advice by notices about the whole image, before any other: no line there says anything about the
+rest of it."""
 
 _ADVICE: Mapping[Reason, Advice] = {
     "not_cars": Advice("the vehicles may not be cars", ("drop", "line")),

@@ -5,6 +5,7 @@ For HTML, use ``html.escape``.
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 # A spreadsheet runs a text as a formula if it starts with one of these.
@@ -24,6 +25,26 @@ def on_one_line(text: str) -> str:
 
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
+
+
+def as_json(value: Any) -> str:
+    """Write a value as JSON in ASCII.
+
+    Bytes of a file name that are not UTF-8 are lone surrogates in Python, which no JSON text may
+    have: they are escaped, with a backslash.
+    """
+    return json.dumps(_without_surrogates(value), allow_nan=False)
+
+
+def _without_surrogates(value: Any) -> Any:
+    """Escape the lone surrogates in the texts of a JSON value."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {key: _without_surrogates(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_surrogates(inner) for inner in value]
+    return value
 
 
 def in_cell(value: Any) -> Any:

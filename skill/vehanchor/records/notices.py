@@ -17,14 +17,21 @@ class NoticeCode(StrEnum):
     # About the image.
     PIXELS_STRETCHED = "pixels_stretched"
     PIXELS_NOT_SQUARE = "pixels_not_square"
+    NOTHING_VISIBLE = "nothing_visible"
     BANDS_SELECTED = "bands_selected"
+    PAGES_UNUSED = "pages_unused"
+    SIDECAR_UNUSED = "sidecar_unused"
     DETAIL_MISSING = "detail_missing"
     GEOREFERENCE_DIFFERS = "georeference_differs"
+    NOT_PERSPECTIVE = "not_perspective"
+    SEVERAL_PICTURES = "several_pictures"
     # About the search.
     DETECTIONS_CAPPED = "detections_capped"
+    VEHICLES_COPIED = "vehicles_copied"
     # Doubts that the vehicles are cars with true proportions.
     STRETCHED = "stretched"
     LOOK_ALIKES = "look_alikes"
+    SEVERAL_SCALES = "several_scales"
     ADDED_VEHICLE_UNLIKE = "added_vehicle_unlike"
     REFERENCE_LENGTH_UNLIKELY = "reference_length_unlikely"
     REGION_UNMEASURED = "region_unmeasured"

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from vehanchor.imagery.metadata.camera import CameraMetadata
-from vehanchor.imagery.metadata.lens import lens, taken_ratio
+from vehanchor.imagery.metadata.lens import lens, perspective_problem, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
@@ -72,6 +72,9 @@ class Camera(Ruler):
         # A focal length beside a given height belongs to that height.
         focal_35mm = options.focal_35mm if options.height_m is None else None
         height_m = camera.height_m
+        problem = perspective_problem(view.image, camera)
+        if problem and (height_m is not None or camera.projection):
+            return self._unusable(problem)
         if height_m is None:
             return self._without_height(view, camera, focal_35mm)
         if not 0 < height_m <= _MAX_HEIGHT_M:

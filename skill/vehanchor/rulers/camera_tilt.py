@@ -17,7 +17,12 @@ import numpy as np
 
 from vehanchor.detection.boxes import box_axes
 from vehanchor.errors import TooObliqueError
-from vehanchor.imagery.metadata.lens import equivalent_lens, lens, taken_ratio
+from vehanchor.imagery.metadata.lens import (
+    equivalent_lens,
+    lens,
+    perspective_problem,
+    taken_ratio,
+)
 from vehanchor.records import Notice, TiltEstimate
 from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.lengths import Z95
@@ -144,7 +149,7 @@ def metadata_tilt(image: ImageFacts, options: ScaleOptions) -> CameraTilt | None
         return None
     if camera.off_nadir_deg <= NADIR_TOLERANCE_DEG:
         return None
-    if taken_ratio(image, camera) is None:
+    if taken_ratio(image, camera) is None or perspective_problem(image, camera):
         return None
     focal_px, focal_is_known = focal_length(image, options)
     source = "metadata"

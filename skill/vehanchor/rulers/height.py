@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.lens import lens, taken_ratio
+from vehanchor.imagery.metadata.lens import lens, perspective_problem, taken_ratio
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import uses
@@ -45,6 +45,9 @@ class GivenHeight(Ruler):
         camera = image.camera if options.metadata else None
         if camera is not None and taken_ratio(image, camera) is None:
             return unusable(self.kind, cropped(image, camera, _NO_LENS_OF_A_CROP))
+        problem = perspective_problem(image, camera)
+        if problem:
+            return _unusable(problem)
         if _repeats_metadata(view, height_m):
             return unusable(self.kind, _repeated(height_m))
         optics = lens(image, camera, options.focal_35mm)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import io
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -18,6 +20,11 @@ if TYPE_CHECKING:
 
 _Row = TypeVar("_Row")
 _MAX_BYTES = 64 << 20
+_DELIMITERS = (",", ";", "\t")
+_BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
+# Encoding of the spreadsheets of Western Europe, if a table is not UTF-8.
+_OTHER_ENCODING = "cp1252"
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 
 
 def read_image_table(
@@ -54,8 +61,9 @@ def read_image_table(
             raise error(
                 f"{str(table)!r} is larger than {_MAX_BYTES >> 20} MiB: give a table of {content}"
             )
-        with table.open(newline="", encoding="utf-8-sig") as handle:
-            reader = csv.DictReader(handle)
+        with io.StringIO(_decoded(table.read_bytes()), newline="") as handle:
+            delimiter = _delimiter(handle, needed)
+            reader = csv.DictReader(handle, delimiter=delimiter)
             columns = reader.fieldnames or ()
             missing = [name for name in needed if name not in columns]
             if missing:
@@ -64,7 +72,12 @@ def read_image_table(
                     f"{str(table)!r} has no column {', '.join(missing)}: the first line must be "
                     f"{first_line}"
                 )
-            for cells in reader:
+            for row_cells in reader:
+                if not any(row_cells.values()):
+                    continue  # spreadsheets write rows of empty cells
+                cells: Cells = row_cells
+                if delimiter != ",":
+                    cells = _with_decimal_points(row_cells)
                 file = cells["file"] or ""
                 try:
                     if not file:
@@ -80,3 +93,33 @@ def read_image_table(
     if not rows:
         raise error(f"{str(table)!r} has no {content}: give at least one")
     return rows
+
+
+def _decoded(content: bytes) -> str:
+    """Decode a table of UTF-8, UTF-16 with a byte order mark, or Windows-1252."""
+    if content.startswith(_BYTE_ORDER_MARKS):
+        return content.decode("utf-16")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode(_OTHER_ENCODING)
+
+
+def _delimiter(handle: io.StringIO, needed: Sequence[str]) -> str:
+    """Find the delimiter at which the first line has most of the needed columns."""
+    first_line = handle.readline()
+    handle.seek(0)
+
+    def n_found(delimiter: str) -> int:
+        names = next(csv.reader([first_line], delimiter=delimiter), [])
+        return len(set(needed).intersection(names))
+
+    return max(_DELIMITERS, key=n_found)
+
+
+def _with_decimal_points(cells: Cells) -> Cells:
+    """Replace the decimal commas of numbers, in a table whose delimiter is not the comma."""
+    return {
+        name: text.replace(",", ".") if text and _DECIMAL_COMMA.fullmatch(text) else text
+        for name, text in cells.items()
+    }

@@ -8,6 +8,7 @@ import numpy as np
 
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.records.text import count
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -123,6 +124,17 @@ def capped_tiles(detections: Detections) -> Notices:
         "smaller tiles."
     )
     return (Notice(code=NoticeCode.DETECTIONS_CAPPED, message=message),)
+
+
+def copied_vehicles(detections: Detections) -> Notices:
+    """Warn of vehicles that were left out as copies of others."""
+    if not detections.n_copies:
+        return ()
+    message = (
+        f"{count(detections.n_copies, 'vehicle')} repeat the pixels of another one, as if pasted: "
+        "each vehicle counts once."
+    )
+    return (Notice(code=NoticeCode.VEHICLES_COPIED, message=message),)
 
 
 def detail_missing(length_px: float, guard_px: float, detail_share: float) -> Notices:

@@ -31,6 +31,7 @@ from vehanchor.rulers.vehicle_notices import (
     DOUBT_CODES,
     added_outliers,
     capped_tiles,
+    copied_vehicles,
     detail_missing,
     doubts,
 )
@@ -414,7 +415,7 @@ class Vehicles(Ruler):
             n=len(fleet.lengths),
             # Cars that the caller points at are as wrong as the caller's other guesses.
             shared=(POINTING,) if fleet.is_stated else (),
-            notices=capped_tiles(detections),
+            notices=(*capped_tiles(detections), *copied_vehicles(detections)),
             fleet=fleet,
             card=card,
             reference=reference,

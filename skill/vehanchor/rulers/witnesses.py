@@ -32,6 +32,17 @@ if TYPE_CHECKING:
 _UNIT_LOG_RATIO = math.log(100.0)
 _UNIT_LOG_TOLERANCE = math.log(2.0)
 
+NO_ONE_SCALE_CODES = frozenset(
+    {
+        NoticeCode.STRETCHED,
+        NoticeCode.TILT_SUSPECTED,
+        NoticeCode.NOT_PERSPECTIVE,
+        NoticeCode.SEVERAL_PICTURES,
+        NoticeCode.SEVERAL_SCALES,
+    }
+)
+"""Codes of the notices that an image has no single scale."""
+
 
 def measure_all(view: View, earlier: Sequence[Witness] | None = None) -> tuple[Witness, ...]:
     """Measure an image with all rulers that the caller allows.
@@ -113,7 +124,7 @@ def with_doubts(
     codes = {notice.code for notice in notices}
     for witness in witnesses:
         codes.update(notice.code for notice in witness.notices)
-    no_one_scale = NoticeCode.STRETCHED in codes or NoticeCode.TILT_SUSPECTED in codes
+    no_one_scale = not NO_ONE_SCALE_CODES.isdisjoint(codes)
     stretch_chance = _stretch_chance(witnesses)
     doubted = []
     for witness in witnesses:

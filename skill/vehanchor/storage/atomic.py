@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,6 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pydantic import BaseModel
+
+
+# Longest name, in bytes: file systems have 255, and SQLite appends "-journal".
+_MAX_NAME_BYTES = 240
+_NAME_DIGITS = 32
 
 
 def check_output_path(
@@ -52,6 +58,18 @@ def check_output_path(
     return target
 
 
+def beside(path: Path, suffix: str) -> Path:
+    """Name a file beside another one, such as ``NAME.journal``.
+
+    A name that would be too long for file systems is shortened, always in the same way.
+    """
+    name = path.name + suffix
+    if len(os.fsencode(name)) > _MAX_NAME_BYTES:
+        digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()
+        name = f"{digest[:_NAME_DIGITS]}{suffix}"
+    return path.with_name(name)
+
+
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Write a temporary file, which replaces the target once it is complete and on the disk.
@@ -62,7 +80,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    temporary = beside(path, f".{os.getpid()}.partial")
+    partial = temporary.with_name(f".{temporary.name}")
     try:
         yield partial
         with partial.open("rb+") as file:

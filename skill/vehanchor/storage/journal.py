@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeAlias, Typ
 from pydantic_core import to_jsonable_python
 
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.storage.exclusive import ExclusiveFile, has_locks
 
 if TYPE_CHECKING:
     import os
@@ -109,6 +110,7 @@ class Journal(Generic[Value]):
         self._load = load
         self._remedy = remedy
         self._lock = threading.Lock()
+        self._exclusive: ExclusiveFile | None = None
         with self._errors_converted():
             try:
                 self._database = self._open(sole=sole, anew=anew)
@@ -120,6 +122,8 @@ class Journal(Generic[Value]):
                 path.unlink()
                 self._database = self._open(sole=sole, anew=anew)
         weakref.finalize(self, self._database.close)
+        if self._exclusive is not None:
+            weakref.finalize(self, self._exclusive.release)
 
     def __enter__(self) -> Self:
         return self
@@ -130,8 +134,25 @@ class Journal(Generic[Value]):
     def close(self) -> None:
         """Close the file, so that other runs can use it."""
         self._database.close()
+        if self._exclusive is not None:
+            self._exclusive.release()
+            self._exclusive = None
 
     def _open(self, *, sole: bool, anew: bool) -> sqlite3.Connection:
+        """Open the file; on a mount without locks, with a file that stands for them."""
+        try:
+            return self._connect(sole=sole, anew=anew)
+        except sqlite3.OperationalError:
+            if self.path is None or has_locks(self.path.parent):
+                raise
+        self._exclusive = ExclusiveFile(self.path)
+        try:
+            return self._connect(sole=sole, anew=anew)
+        except BaseException:
+            self._exclusive.release()
+            raise
+
+    def _connect(self, *, sole: bool, anew: bool) -> sqlite3.Connection:
         if self.path is not None:
             if self.path.is_symlink():
                 raise OutputError(
@@ -140,8 +161,13 @@ class Journal(Generic[Value]):
             self.path.parent.mkdir(parents=True, exist_ok=True)
         timeout_s = 0.0 if sole else _WAIT_S
         # Without an isolation level, a statement outside a transaction commits at once.
+        address = "file::memory:"
+        if self.path is not None:
+            address = self.path.absolute().as_uri()
+            if self._exclusive is not None:
+                address += "?nolock=1"
         database = sqlite3.connect(
-            self.path or ":memory:", timeout_s, isolation_level=None, check_same_thread=False
+            address, timeout_s, isolation_level=None, check_same_thread=False, uri=True
         )
         try:
             database.execute("PRAGMA synchronous = NORMAL")

@@ -24,7 +24,7 @@ from vehanchor.cli.terminal import (
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records.text import NO_SCALE, count, significant, with_interval
 from vehanchor.scale.defaults import INTERVAL_PREMISE
-from vehanchor.storage.atomic import check_output_path, write_record
+from vehanchor.storage.atomic import beside, check_output_path, write_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -126,7 +126,7 @@ def _journal_beside(result_file: Path | None) -> Path | None:
     """Name the journal that lets the same command resume; None without a file of results."""
     if result_file is None:
         return None
-    return result_file.with_name(result_file.name + ".journal")
+    return beside(result_file, ".journal")
 
 
 def _images(

@@ -22,7 +22,7 @@ from vehanchor.cli.terminal import (
     work_progress,
 )
 from vehanchor.errors import InvalidParameterError
-from vehanchor.storage.atomic import check_output_path, write_record
+from vehanchor.storage.atomic import beside, check_output_path, write_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,7 +93,7 @@ def rescale(
     journal = None
     if out is not None:
         out = check_output_path(out, (".json",), kind="a record")
-        journal = out.with_name(out.name + ".journal")
+        journal = beside(out, ".journal")
     model = _model(source, project, geo)
     with work_progress("images") as progress, resumable(journal):
         record = estimate_factor(

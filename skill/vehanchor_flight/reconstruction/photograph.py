@@ -294,7 +294,7 @@ def _read_as_in_model(raster: Raster, shot: Shot, options: ScaleOptions) -> Scal
     """
     if raster.orientation == 1 or not shot.lens.fits(*raster.stored_size_px()):
         return options
-    options = options.in_pixels(raster.width_px, raster.height_px)
+    options = options.in_pixels(raster.grid)
     lines = []
     for line in options.rulers.known_lengths:
         x1, y1 = raster.stored_point(line.x1, line.y1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -11,6 +12,7 @@ from unicodedata import normalize
 
 import pytest
 
+from vehanchor.imagery.sources.sidecars import Sidecars
 from vehanchor_server.errors import CallError
 from vehanchor_server.images import path_access as path_access_module
 from vehanchor_server.images.path_access import PathAccess
@@ -38,6 +40,11 @@ def root(tmp_path: Path, outside: Path) -> Path:
 
 def content(opened: str | BinaryIO) -> bytes:
     return Path(opened).read_bytes() if isinstance(opened, str) else opened.read()
+
+
+def str_of(opened: str | BinaryIO) -> str:
+    assert isinstance(opened, str)
+    return opened
 
 
 def read(root: Path, named: str) -> bytes:
@@ -273,3 +280,23 @@ def test_a_file_that_is_removed_while_it_is_opened_leaves_no_descriptor(
     monkeypatch.undo()
     assert refused.code == "image_not_found"
     assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+@pytest.mark.parametrize(
+    "named", ["local://a.png", "data:image/png;base64,AAAA", "~/a.png", "C:\\a.png", "s3://b/a.png"]
+)
+def test_names_of_other_places_point_to_the_list_of_images(root: Path, named: str) -> None:
+    error = refusal(root, named)
+    assert error.code == "image_not_found"
+    assert "view_image without image" in str(error)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the image is a file object")
+def test_a_file_beside_an_image_is_read_under_the_same_checks(root: Path, outside: Path) -> None:
+    (root / "a.png.msk").write_bytes(b"mask")
+    (root / "deep" / "b.png").write_bytes(b"image")
+    (root / "deep" / "b.png.msk").symlink_to(outside / "secret.png")
+    with PathAccess([root]).open("a.png") as opened:
+        assert Sidecars(str_of(opened)).mask(100) == b"mask"
+    with PathAccess([root]).open("deep/b.png") as opened:
+        assert Sidecars(str_of(opened)).mask(100) is None

@@ -21,7 +21,9 @@ LINE = ("--known-length", "100 100 500 100 40 measured")  # 0.1 m/px
 
 @pytest.fixture
 def image(tmp_path: Path) -> Path:
-    assert cv2.imwrite(str(tmp_path / "image.png"), blank_image(1000, 600))
+    pixels = blank_image(1000, 600)
+    pixels[0, 0] += 1  # something can be seen
+    assert cv2.imwrite(str(tmp_path / "image.png"), pixels)
     write_detector(tmp_path / "painted.onnx")
     return tmp_path / "image.png"
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.boxes import boxes, still_format
+from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES
 from vehanchor.imagery.formats.image_format import DecoderExtra, ImageFormat
 from vehanchor.imagery.formats.image_header import ImageHeader
 
@@ -44,6 +45,9 @@ class ItemLimits(NamedTuple):
 
 _HEIC_LIMITS = ItemLimits(items=1000, pieces=32, list_bytes=1 << 16)
 """Limits of libheif itself, and the bytes of a list of 1,000 items that have one piece each."""
+
+_EXIF_HEAD_BYTES = 64
+"""Bytes of an item in which EXIF begins."""
 
 _IN_FILE = 0
 _IN_IDAT = 1
@@ -86,17 +90,35 @@ def read_heic(read_at: ReadAt) -> ImageHeader:
         read_at, parts[b"iloc"], parts.get(b"idat"), name="HEIC", limits=_HEIC_LIMITS
     )
     complete = True
+    metadata = []
     for piece in pieces:
         if piece.in_file and piece.length > 0:
             last_byte = read_at(piece.start + piece.length - 1, 1)
             complete = complete and len(last_byte) == 1
+            metadata += _metadata_in(read_at, piece)
     return ImageHeader(
         "HEIC",
         width,
         height,
         complete=complete,
         decoding_bytes=HEIC_PIXEL_BYTES * width * height,
+        metadata=tuple(metadata),
     )
+
+
+def _metadata_in(read_at: ReadAt, piece: Piece) -> list[tuple[int, int]]:
+    """Find EXIF or XMP in a piece of an item; empty for pixels.
+
+    EXIF begins after an offset of four bytes, which counts from its own end (ISO/IEC 23008-12,
+    A.2.1).
+    """
+    head = read_at(piece.start, _EXIF_HEAD_BYTES)
+    if head.startswith((b"<?xpacket", b"<x:xmpmeta")):
+        return [(piece.start, piece.length)]
+    first = 4 + int.from_bytes(head[:4])
+    if head[first : first + 4] in TIFF_SIGNATURES and piece.length > first:
+        return [(piece.start + first, piece.length - first)]
+    return []
 
 
 def read_meta(read_at: ReadAt, name: str) -> dict[bytes, Box]:

@@ -158,6 +158,7 @@ def _layout(read_at: ReadAt, tags: _Tags, *, width: int, height: int) -> TiffLay
         alpha=not _ALPHA_SAMPLES.isdisjoint(extra_samples),
         block_px=_block_px(tags, width, height),
         mask_block_px=_mask_block_px(read_at),
+        other_pages=_other_pages(read_at),
     )
 
 
@@ -203,6 +204,22 @@ def _picture_size(read_at: ReadAt, offset: int) -> tuple[int, int]:
     width = _first_value(tags, _TAG_WIDTH, default=0)
     height = _first_value(tags, _TAG_HEIGHT, default=0)
     return width, height
+
+
+def _other_pages(read_at: ReadAt) -> tuple[tuple[int, int], ...]:
+    """List width and height of the pages after the first; overviews and masks are no pages."""
+    pages = []
+    for offset in later_directories(read_at):
+        try:
+            tags = read_ifd(read_at, frozenset({_TAG_SUBFILE}), offset=offset)
+        except (struct.error, ImageDecodeError):
+            continue
+        if _first_value(tags, _TAG_SUBFILE, default=0) & (_SUBFILE_REDUCED | _SUBFILE_MASK):
+            continue
+        width, height = _picture_size(read_at, offset)
+        if width and height:
+            pages.append((width, height))
+    return tuple(pages)
 
 
 def _mask_block_px(read_at: ReadAt) -> int:

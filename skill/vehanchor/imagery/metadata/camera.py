@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, metadata_blocks
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.makers import MAKERS, makers_of
+from vehanchor.imagery.metadata.projection import stated_projection
 from vehanchor.imagery.metadata.sensors import sensor_of
 from vehanchor.imagery.metadata.statements import DEGREES, IN_XMP, METRES, PIXELS, Statements
 from vehanchor.imagery.metadata.xmp import DAMAGED, read_xmp
@@ -82,6 +83,8 @@ class CameraMetadata:
         longitude_deg: longitude, positive to the east.
         taken_at: local time of the photograph, as EXIF writes it (2025:10:05 16:40:31); empty if
             unknown.
+        projection: what the file states of a picture that is not one perspective view, such as
+            "ProjectionType equirectangular"; empty for a perspective view.
         refused: why metadata were not used, as clauses with semicolons; empty if all was read.
     """
 
@@ -102,6 +105,7 @@ class CameraMetadata:
     longitude_deg: float | None = None
     roll_deg: float | None = None
     taken_at: str = ""
+    projection: str = ""
     refused: str = ""
 
 
@@ -186,6 +190,7 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
         latitude_deg=latitude,
         longitude_deg=longitude,
         taken_at=statements.text("DateTimeOriginal"),
+        projection=stated_projection(statements),
         refused="; ".join(dict.fromkeys(statements.refused)),
     )
 

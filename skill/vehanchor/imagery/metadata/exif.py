@@ -38,8 +38,10 @@ _NAMES = {
     0xA003: "PixelYDimension",
     0xA20E: "FocalPlaneXResolution",
     0xA210: "FocalPlaneResolutionUnit",
+    0xA401: "CustomRendered",
     0xA404: "DigitalZoomRatio",
     0xA405: "FocalLengthIn35mmFilm",
+    0xA434: "LensModel",
 }
 _POSITION_NAMES = {
     1: "GPSLatitudeRef",

@@ -55,6 +55,10 @@ _MAX_CONTRADICTION = 0.15
 _CENTRE_TOLERANCE = 0.05
 """Distance of an optical centre from the middle, relative to half the width."""
 
+_MAX_PICTURE_RATIO = 2.4
+"""Largest ratio of a picture's long side to its short one that a camera takes at once: 21:9 of some
+phones. A choice."""
+
 
 class Lens(NamedTuple):
     """Field of view of an image.
@@ -70,6 +74,30 @@ class Lens(NamedTuple):
     log_sd: float
     source: str
     chance_wrong: float = _CHANCE_WRONG
+
+
+def perspective_problem(image: ImageFacts, camera: CameraMetadata | None) -> str:
+    """Explain why the metadata do not describe the image as one perspective view.
+
+    Args:
+        image: size of the image.
+        camera: metadata of the image; None if they are not used.
+
+    Returns:
+        A clause; empty if the metadata can describe it.
+    """
+    if camera is None:
+        return ""
+    if camera.projection:
+        return f"the file states {camera.projection}: this is not one perspective view"
+    width_px = camera.taken_width_px or image.width_px
+    height_px = camera.taken_height_px or image.height_px
+    if max(width_px, height_px) > _MAX_PICTURE_RATIO * min(width_px, height_px):
+        return (
+            f"{width_px} x {height_px} px is a panorama or a crop, because no camera takes such a "
+            "picture at once"
+        )
+    return ""
 
 
 def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:

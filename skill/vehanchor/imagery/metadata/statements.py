@@ -6,6 +6,8 @@ import math
 import re
 from typing import TYPE_CHECKING, TypeVar
 
+from vehanchor.imagery.metadata.makers import PIX4D
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -36,6 +38,7 @@ _MAX_WHOLE = 1e9
 
 _TIFF_NAMESPACE = "http://ns.adobe.com/tiff/1.0"
 _EXIF_NAMESPACE = "http://ns.adobe.com/exif/1.0"
+_GPANO_NAMESPACE = "http://ns.google.com/photos/1.0/panorama"
 IN_XMP = {
     "Make": _TIFF_NAMESPACE,
     "Model": _TIFF_NAMESPACE,
@@ -46,8 +49,15 @@ IN_XMP = {
     "DigitalZoomRatio": _EXIF_NAMESPACE,
     "PixelXDimension": _EXIF_NAMESPACE,
     "PixelYDimension": _EXIF_NAMESPACE,
+    "CustomRendered": _EXIF_NAMESPACE,
+    "LensModel": "http://cipa.jp/exif/1.0",
+    "Lens": "http://ns.adobe.com/exif/1.0/aux",
+    "ProjectionType": _GPANO_NAMESPACE,
+    "FullPanoWidthPixels": _GPANO_NAMESPACE,
+    "ModelType": PIX4D,
 }
-"""Namespaces of the tags that programs copy from EXIF into XMP, under the same names."""
+"""Namespaces of the properties that makers share: tags that programs copy from EXIF into XMP under
+the same names, and the projection of the picture."""
 
 # Units that a quantity may have, each with its factor; without a unit, the factor is 1.
 _FOOT_M = 0.3048

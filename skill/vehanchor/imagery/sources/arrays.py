@@ -15,10 +15,18 @@ from vehanchor.imagery.raster import Raster, StoredPixels, Window
 from vehanchor.imagery.stretch import SAMPLE_PX
 
 if TYPE_CHECKING:
+    from typing import TypeAlias
+
     from numpy.typing import NDArray
 
     from vehanchor.imagery.bands import BandChoice
     from vehanchor.options import ImageLimits
+
+    IsValid: TypeAlias = NDArray[np.bool_]
+    """``[h, w]`` whether a pixel holds data."""
+
+# Step of the sample that shows whether an image of 8 bits is faint, from the sample of others.
+_FAINT_STEP = 4
 
 
 class ArrayRaster(Raster):
@@ -32,6 +40,7 @@ class ArrayRaster(Raster):
         orientation: EXIF orientation to apply.
         alpha: whether the last of two or four bands is alpha. If this is unknown, its values
             decide.
+        valid: ``[h, w]``, whether a pixel holds data; None if all do.
 
     Raises:
         InvalidParameterError: ``bands`` names a missing band.
@@ -49,6 +58,7 @@ class ArrayRaster(Raster):
         bgr: bool = False,
         orientation: int = 1,
         alpha: bool = False,
+        valid: IsValid | None = None,
     ) -> None:
         pixels = _check_array(pixels)
         height, width, n_bands = pixels.shape
@@ -59,19 +69,26 @@ class ArrayRaster(Raster):
             stored_order = (2, 1, 0, *range(3, n_bands))
             self._channels = tuple(stored_order[channel] for channel in channels)
         self._pixels = pixels
+        self._valid = valid
 
         # Alpha and stretch depend on a sample of evenly spaced pixels, which bounds their cost.
         step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
         sample = pixels[::step, ::step]
         self._alpha = self._find_alpha(sample, is_declared=alpha)
         if pixels.dtype == np.uint8:
-            return
+            # A coarser sample shows as well whether an image is faint.
+            sample = sample[::_FAINT_STEP, ::_FAINT_STEP]
         for channel in sorted(set(self._channels)):
             check_finite(pixels[:, :, channel])
-        if self._alpha is None:
-            visible = sample.reshape(-1, n_bands)
-        else:
-            visible = sample[sample[..., -1] != 0]
+        is_visible = np.ones(sample.shape[:2], np.bool_)
+        if self._alpha is not None:
+            is_visible = sample[..., -1] != 0
+        if valid is not None:
+            columns = valid[::step, ::step]
+            if pixels.dtype == np.uint8:
+                columns = columns[::_FAINT_STEP, ::_FAINT_STEP]
+            is_visible &= columns
+        visible = sample[is_visible]
         self._choose_stretch(visible[:, list(self._channels)])
 
     def _find_alpha(self, sample: NDArray[Any], *, is_declared: bool) -> int | None:
@@ -102,16 +119,36 @@ class ArrayRaster(Raster):
         # A view of the caller's array leaves this class; it must not be written.
         part.flags.writeable = False
         n_bands = part.shape[2]
-        if n_bands == 3 and self._channels == (0, 1, 2):
+        if self._valid is None and n_bands == 3 and self._channels == (0, 1, 2):
             return StoredPixels(part, None)
         # Most files: OpenCV swaps red and blue in one pass, but not of float64.
         if n_bands == 3 and self._channels == (2, 1, 0) and part.dtype != np.float64:
-            return StoredPixels(cv2.cvtColor(part, cv2.COLOR_BGR2RGB), None)
-        valid = None
+            rgb = cv2.cvtColor(part, cv2.COLOR_BGR2RGB)
+            return StoredPixels(rgb, self._valid_part(rows, columns))
+        valid = self._valid_part(rows, columns)
         if self._alpha is not None:
-            valid = part[..., self._alpha] != 0
+            is_opaque = part[..., self._alpha] != 0
+            valid = is_opaque if valid is None else valid & is_opaque
         rgb = merge_bands([part[:, :, channel] for channel in self._channels])
         return StoredPixels(rgb, valid)
+
+    def _valid_part(self, rows: slice, columns: slice) -> IsValid | None:
+        """Cut a window out of the mask of valid pixels."""
+        return None if self._valid is None else self._valid[rows, columns]
+
+
+def without_mask(image: np.ma.MaskedArray[Any, Any]) -> tuple[NDArray[Any], IsValid]:
+    """Separate a masked array into its pixels and the mask of valid ones.
+
+    A pixel has no data only if all its bands are masked, as in files.
+
+    Returns:
+        The pixels, 0 where they are masked, and ``[h, w]`` whether they are valid.
+    """
+    is_masked: IsValid = np.ma.getmaskarray(image)
+    if is_masked.ndim == 3:
+        is_masked = np.asarray(is_masked.all(axis=2))
+    return image.filled(0), ~is_masked
 
 
 def check_array_size(pixels: NDArray[Any], limits: ImageLimits) -> None:

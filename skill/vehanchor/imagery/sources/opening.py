@@ -14,6 +14,7 @@ ways in. Arrays and Pillow images have the limit of pixels of a file that is dec
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 from pathlib import Path
@@ -24,8 +25,10 @@ from numpy.typing import NDArray
 
 from vehanchor.errors import (
     ImageDecodeError,
+    ImageFormatError,
     ImageNotFoundError,
     InvalidParameterError,
+    VehAnchorError,
 )
 from vehanchor.imagery.file_check import check_file
 from vehanchor.imagery.formats.decoding import decode
@@ -33,14 +36,15 @@ from vehanchor.imagery.formats.header import FORMAT_BYTES, IMAGE_FORMATS, recogn
 from vehanchor.imagery.formats.heic import open_heic
 from vehanchor.imagery.formats.heif import HEIC
 from vehanchor.imagery.formats.ifd import in_memory
-from vehanchor.imagery.limits import check_bytes
+from vehanchor.imagery.limits import check_bytes, check_whole_size
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.metadata.density import density_aspect
-from vehanchor.imagery.raster import Raster
-from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size
+from vehanchor.imagery.raster import Raster, RasterNote, oriented
+from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size, without_mask
 from vehanchor.imagery.sources.files import spelled_as_stored
 from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
+from vehanchor.imagery.sources.sidecars import Sidecars, unreadable_mask
 from vehanchor.imagery.square_raster import in_square_pixels
 from vehanchor.options import Reading
 
@@ -86,7 +90,8 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
     If the file states that its pixels are not square on the ground, the image is read in square
     pixels; see ``vehanchor.options.pixel_grid.PixelGrid``.
 
-    Transparent pixels (alpha 0) are ignored. Arrays and files that are decoded whole must be
+    Transparent pixels (alpha 0), those of a mask beside the file (``.msk``) and masked ones of a
+    masked array are ignored. Arrays and files that are decoded whole must be
     finite. In files that are read by windows, NaN means "no data".
 
     Args:
@@ -96,7 +101,7 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
             * an encoded image: bytes, or a binary file object, which is read from its current
               position,
             * an array [h, w] or [h, w, bands] of uint8, uint16 or floats, RGB; it is neither copied
-              nor changed,
+              nor changed; a masked array is copied,
             * an open rasterio dataset, which stays open,
             * a Pillow image, whose EXIF orientation is applied.
         reading: bands, limits, and the order of an array's bands.
@@ -118,7 +123,10 @@ def _open_in_file_pixels(image: ImageSource, reading: Reading) -> Raster:
     """Open an image of any kind, with the pixels of its file; see ``open_raster``."""
     if isinstance(image, np.ndarray):
         check_array_size(image, reading.limits)
-        return ArrayRaster(image, "array", reading.bands, bgr=reading.bgr)
+        valid = None
+        if isinstance(image, np.ma.MaskedArray):
+            image, valid = without_mask(image)
+        return ArrayRaster(image, "array", reading.bands, bgr=reading.bgr, valid=valid)
     if isinstance(image, str | os.PathLike):
         path = spelled_as_stored(os.fspath(image))
         return _open_path(path, reading)
@@ -162,6 +170,7 @@ def _open_path(path: str, reading: Reading) -> Raster:
             return file.read(count)
 
         limits = reading.limits
+        sidecars = Sidecars(path)
         image_format = recognise_format(read_at(0, FORMAT_BYTES))
         if image_format is not None and image_format.gdal_driver is not None:
             checked = check_file(read_at, n_bytes, path, limits=limits, on_disk=True)
@@ -169,24 +178,40 @@ def _open_path(path: str, reading: Reading) -> Raster:
                 # An absolute path has no prefix that GDAL interprets, such as GTIFF_DIR:.
                 absolute = str(Path(path).absolute())
                 return _open_by_windows(
-                    absolute, path, header=checked.header, reading=reading, read_at=read_at
+                    absolute,
+                    path,
+                    header=checked.header,
+                    reading=reading,
+                    read_at=read_at,
+                    sidecars=sidecars,
                 )
         check_bytes(n_bytes, limits.max_bytes)
         data = read_at(0, n_bytes)
     # A file can change while it is read, so the check uses the bytes that will be decoded.
-    return _open_bytes(data, path, reading)
+    return _open_bytes(data, path, reading, sidecars)
 
 
-def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
-    """Open an encoded image in memory."""
+def _open_bytes(
+    data: bytes, source: str, reading: Reading, sidecars: Sidecars | None = None
+) -> Raster:
+    """Open an encoded image in memory, with the files beside it if it has a folder."""
     read_at = in_memory(data)
     checked = check_file(read_at, len(data), source, limits=reading.limits, on_disk=False)
     header = checked.header
     if header.format in DECODERS_OF_EXTRAS:
         decode_by_extra = DECODERS_OF_EXTRAS[header.format]
-        return decode_by_extra(data, source, bands=reading.bands, limits=reading.limits)
+        raster = decode_by_extra(data, source, bands=reading.bands, limits=reading.limits)
+        raster.camera = read_camera(read_at, header)
+        return raster
     if checked.by_windows:
-        return _open_by_windows(data, source, header=header, reading=reading, read_at=read_at)
+        return _open_by_windows(
+            data,
+            source,
+            header=header,
+            reading=reading,
+            read_at=read_at,
+            sidecars=sidecars,
+        )
     pixels = decode(data, source, header)
     if header.tiff is None:
         orientation = header.orientation
@@ -194,23 +219,88 @@ def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
     else:
         orientation = 1  # OpenCV has already applied a TIFF's orientation.
         has_alpha = header.tiff.alpha
+    valid, notes = _read_sidecars(sidecars, header, reading.limits)
+    if valid is not None and header.tiff is not None:
+        valid = oriented(valid, header.orientation)
     raster = ArrayRaster(
-        pixels, source, reading.bands, bgr=True, orientation=orientation, alpha=has_alpha
+        pixels,
+        source,
+        reading.bands,
+        bgr=True,
+        orientation=orientation,
+        alpha=has_alpha,
+        valid=valid,
     )
     raster.orientation = header.orientation
+    raster.warnings = (*raster.warnings, *notes)
     raster.camera = read_camera(read_at, header)
     raster.density_aspect = density_aspect(read_at)
     return raster
 
 
 def _open_by_windows(
-    file: str | bytes, source: str, *, header: ImageHeader, reading: Reading, read_at: ReadAt
+    file: str | bytes,
+    source: str,
+    *,
+    header: ImageHeader,
+    reading: Reading,
+    read_at: ReadAt,
+    sidecars: Sidecars | None,
 ) -> Raster:
     """Open an image that is too large to decode whole, or that OpenCV does not decode."""
-    raster = open_file(file, source, header=header, bands=reading.bands, limits=reading.limits)
+    valid, notes = _read_sidecars(sidecars, header, reading.limits)
+    raster = open_file(
+        file,
+        source,
+        header=header,
+        bands=reading.bands,
+        limits=reading.limits,
+        valid=valid,
+    )
+    raster.warnings = (*raster.warnings, *notes)
     raster.encoded = file
     raster.camera = read_camera(read_at, header)
     return raster
+
+
+def _read_sidecars(
+    sidecars: Sidecars | None, header: ImageHeader, limits: ImageLimits
+) -> tuple[NDArray[np.bool_] | None, tuple[RasterNote, ...]]:
+    """Read the mask beside an image, and name other files that are not used.
+
+    Returns:
+        ``[h, w]`` whether a stored pixel holds data, None without a mask; and notices.
+    """
+    notes = _unused_pages(header)
+    if sidecars is None:
+        return None, notes
+    notes += sidecars.unused()
+    data = sidecars.mask(limits.max_bytes)
+    if data is None:
+        return None, notes
+    try:
+        with _open_bytes(data, "mask", Reading(limits=limits)) as mask:
+            check_whole_size("mask", mask.width_px, height_px=mask.height_px, limits=limits)
+            valid = mask.is_nonzero()
+        if valid.shape != (header.height_px, header.width_px):
+            raise ImageFormatError("its size is not that of the image")
+    except VehAnchorError as error:
+        return None, (*notes, unreadable_mask(error))
+    return valid, notes
+
+
+def _unused_pages(header: ImageHeader) -> tuple[RasterNote, ...]:
+    """Warn of further pages of a TIFF, of which the first is read."""
+    if header.tiff is None or not header.tiff.other_pages:
+        return ()
+    pages = header.tiff.other_pages
+    width_px, height_px = max(pages, key=math.prod)
+    message = (
+        f"The file has {len(pages) + 1} pages, and only the first one, {header.width_px} x "
+        f"{header.height_px} px, is read; the largest other one has {width_px} x {height_px} px. "
+        "Save the page that you mean as a file of its own."
+    )
+    return (RasterNote("pages_unused", message),)
 
 
 def _open_regular_file(path: str) -> BinaryIO:

@@ -109,6 +109,7 @@ def open_file(
     header: ImageHeader,
     bands: BandChoice,
     limits: ImageLimits,
+    valid: IsValid | None = None,
 ) -> DatasetRaster:
     """Open a TIFF or JPEG 2000; sidecar files are ignored.
 
@@ -118,6 +119,7 @@ def open_file(
         header: its header, which has been checked (``file_check``).
         bands: bands to use as red, green and blue.
         limits: limits to apply to the blocks as GDAL reads them.
+        valid: as in ``DatasetRaster``.
 
     Raises:
         MissingExtraError: rasterio is not installed.
@@ -152,7 +154,7 @@ def open_file(
         is_georeferenced = layout is not None and layout.georeferenced
         orientation = 1 if is_georeferenced else header.orientation
         with gdal_environment(source):
-            raster = DatasetRaster(dataset, source, bands, orientation=orientation)
+            raster = DatasetRaster(dataset, source, bands, orientation=orientation, valid=valid)
         raster.closing = stack.pop_all()
     return raster
 
@@ -264,6 +266,14 @@ def _dtype(name: str) -> np.dtype[Any]:
         ) from None
 
 
+# Ground control points: least number for an affine map, and how far it may miss one of them, in
+# pixels; a choice.
+_MIN_CONTROL_POINTS = 3
+_MAX_CONTROL_MISS_PX = 2.0
+# Step of the sample that shows whether an image of 8 bits is faint, from the sample of others.
+_FAINT_STEP = 16
+
+
 class DatasetRaster(Raster):
     """Image read through rasterio.
 
@@ -272,6 +282,7 @@ class DatasetRaster(Raster):
         source: name of the image.
         bands: bands to use as red, green and blue.
         orientation: EXIF orientation to apply.
+        valid: ``[h, w]``, whether a pixel holds data by a file beside the image; None without one.
 
     Raises:
         InvalidParameterError: ``bands`` names a missing band.
@@ -280,7 +291,13 @@ class DatasetRaster(Raster):
     """
 
     def __init__(
-        self, dataset: Any, source: str, bands: BandChoice, *, orientation: int = 1
+        self,
+        dataset: Any,
+        source: str,
+        bands: BandChoice,
+        *,
+        orientation: int = 1,
+        valid: IsValid | None = None,
     ) -> None:
         self._palette = _read_palette(dataset)
         if self._palette is None:
@@ -302,16 +319,21 @@ class DatasetRaster(Raster):
         if pixel is not None:
             self._georeference(pixel)
             self.ground = Ground(dataset.transform, dataset.crs)
+        else:
+            self.ground = _ground_of_control_points(dataset)
         first_index = self._indexes[0]
         dtype = _dtype(dataset.dtypes[first_index - 1])
         check_dtype(dtype)
         self._dataset = dataset
         self._unique_indexes = sorted(set(self._indexes))
         self._has_mask = self._find_mask()
+        self._valid = valid
         self.closing = ExitStack()
         self._alpha = self._find_alpha()
-        if dtype != np.uint8 and self._palette is None:
-            self._choose_stretch(self._sample())
+        if self._palette is None:
+            sample = self._sample()
+            # A coarser sample shows as well whether an image of 8 bits is faint.
+            self._choose_stretch(sample[::_FAINT_STEP] if dtype == np.uint8 else sample)
 
     def _georeference(self, pixel: GroundPixel) -> None:
         """Take the size and shape of a pixel on the ground."""
@@ -396,10 +418,24 @@ class DatasetRaster(Raster):
             # With "nodata = 0" a dark band counts as empty; a pixel has no data only if all bands
             # are empty.
             valid = masks.any(axis=0)
+        if self._valid is not None:
+            valid = _both(valid, self._valid_part(window, shape))
         if self._alpha is not None:
             (alpha,) = self._read_bands([self._alpha], window, shape)
             valid = _both(valid, alpha != 0)
         return valid
+
+    def _valid_part(self, window: Window, shape: Shape | None) -> IsValid:
+        """Cut a window out of the mask beside the file, reduced to ``shape`` if it is given."""
+        assert self._valid is not None
+        rows = slice(window.y_px, window.y_px + window.height_px)
+        columns = slice(window.x_px, window.x_px + window.width_px)
+        part = self._valid[rows, columns]
+        if shape is None:
+            return part
+        size = (shape[1], shape[0])
+        reduced = cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        return np.asarray(reduced, np.bool_)
 
     def _read_bands(self, indexes: list[int], window: Window, shape: Shape | None) -> Bands:
         """Read bands of a window, ``[bands, h, w]``."""
@@ -480,6 +516,29 @@ class DatasetRaster(Raster):
                 window = Window(x, y, width_px=window_width, height_px=window_height)
                 windows.append((window, None))
         return windows
+
+
+def _ground_of_control_points(dataset: Any) -> Ground | None:
+    """Fit map coordinates to ground control points; None without points that an affine map fits.
+
+    They give coordinates to results, and no scale: photographs with such points are not maps.
+    """
+    from rasterio.transform import from_gcps
+
+    points, crs = dataset.gcps
+    if len(points) < _MIN_CONTROL_POINTS or crs is None:
+        return None
+    try:
+        transform = from_gcps(points)
+    except Exception:
+        return None
+    a, b, c, d, e, f = tuple(~transform)[:6]
+    misses_px = []
+    for point in points:
+        column = a * point.x + b * point.y + c
+        row = d * point.x + e * point.y + f
+        misses_px.append(math.hypot(column - point.col, row - point.row))
+    return Ground(transform, crs) if max(misses_px) <= _MAX_CONTROL_MISS_PX else None
 
 
 def _reading_options(window: Window, shape: Shape | None, n_bands: int) -> dict[str, Any]:

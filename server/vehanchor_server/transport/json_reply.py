@@ -1,0 +1,91 @@
+"""Replies as JSON to clients that do not accept event streams.
+
+The SDK answers by a stream of events, and refuses a client that accepts JSON alone. For such a
+client, this middleware asks for the stream and sends its last event, which is the reply, as JSON.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+_ACCEPT = b"accept"
+_JSON = b"application/json"
+_EVENTS = b"text/event-stream"
+_DATA = b"data:"
+
+
+class JsonReply:
+    """Middleware: replies in JSON for clients that accept nothing else.
+
+    Args:
+        app: the application.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, and convert the reply if it is needed."""
+        if scope["type"] != "http" or scope["method"] != "POST" or not _accepts_json_alone(scope):
+            await self._app(scope, receive, send)
+            return
+        others = [(name, value) for name, value in scope["headers"] if name.lower() != _ACCEPT]
+        accept = (_ACCEPT, _JSON + b", " + _EVENTS)
+        reply = _Reply(send)
+        await self._app({**scope, "headers": [*others, accept]}, receive, reply.send)
+
+
+class _Reply:
+    """Reply that becomes JSON if it is a stream of events.
+
+    Args:
+        send: sends to the client.
+    """
+
+    def __init__(self, send: Send) -> None:
+        self._send = send
+        self._start: Message | None = None
+        self._events = b""
+
+    async def send(self, message: Message) -> None:
+        """Send a message, or keep it until the stream ends."""
+        if message["type"] == "http.response.start" and _is_stream(message):
+            self._start = message
+            return
+        if self._start is None or message["type"] != "http.response.body":
+            await self._send(message)
+            return
+        self._events += message.get("body", b"")
+        if message.get("more_body", False):
+            return
+        body = _last_event(self._events)
+        headers = [
+            (name, value)
+            for name, value in self._start["headers"]
+            if name.lower() not in (b"content-type", b"content-length")
+        ]
+        headers += [(b"content-type", _JSON), (b"content-length", str(len(body)).encode())]
+        await self._send({**self._start, "headers": headers})
+        await self._send({"type": "http.response.body", "body": body})
+
+
+def _accepts_json_alone(scope: Scope) -> bool:
+    """Test whether a client accepts JSON and no stream of events."""
+    accepted = b",".join(value for name, value in scope["headers"] if name.lower() == _ACCEPT)
+    types = [part.split(b";")[0].strip().lower() for part in accepted.split(b",")]
+    return _JSON in types and _EVENTS not in types
+
+
+def _is_stream(start: Message) -> bool:
+    """Test whether a reply is a stream of events."""
+    headers = {name.lower(): value for name, value in start["headers"]}
+    return bool(headers.get(b"content-type", b"").startswith(_EVENTS))
+
+
+def _last_event(events: bytes) -> bytes:
+    """Return the data of the last event; empty without one."""
+    lines = [line for line in events.splitlines() if line.startswith(_DATA)]
+    return lines[-1].removeprefix(_DATA).strip() if lines else b""

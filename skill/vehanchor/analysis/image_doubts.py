@@ -1,0 +1,59 @@
+"""Doubts about the whole image, before a ruler measures: whether it is one perspective view."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehanchor.imagery.raster import RasterNote
+from vehanchor.imagery.seams import find_seam
+from vehanchor.records.notices import NoticeCode
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.facts import ImageFacts
+    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.seams import Seam
+
+
+def with_image_doubts(
+    facts: ImageFacts, raster: Raster, *, metadata: bool, check_seams: bool
+) -> ImageFacts:
+    """Add to the facts of an image the doubts that it is one perspective view.
+
+    ``vehanchor.rulers.witnesses.with_doubts`` counts them.
+
+    Args:
+        facts: facts of the image.
+        raster: the same image, open.
+        metadata: whether the metadata may be used.
+        check_seams: whether to look for seams between pictures.
+    """
+    notes = []
+    camera = facts.camera if metadata else None
+    if camera is not None and camera.projection:
+        message = (
+            f"The file states {camera.projection}: the image is not one perspective view, and no "
+            "scale holds for all of it. Give a photograph that was taken straight down, or a "
+            "perspective view made from this image."
+        )
+        notes.append(RasterNote(NoticeCode.NOT_PERSPECTIVE, message))
+    # A map is often assembled from pictures of one scale.
+    is_map = facts.georeference_gsd_m_per_px is not None
+    if check_seams and not is_map:
+        seam = find_seam(raster)
+        if seam is not None:
+            notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES, _several_pictures(seam)))
+    return facts._replace(notices=(*facts.notices, *notes))
+
+
+def _several_pictures(seam: Seam) -> str:
+    """Warn of a seam, and say where it is."""
+    if seam.y_px is None:
+        place = f"a straight seam at x = {seam.x_px} px crosses it"
+    elif seam.x_px is None:
+        place = f"a straight seam at y = {seam.y_px} px crosses it"
+    else:
+        place = f"an inset has a corner at ({seam.x_px}, {seam.y_px}) px"
+    return (
+        f"The image seems to consist of several pictures: {place}. Their scales may differ. Give "
+        "each picture alone."
+    )

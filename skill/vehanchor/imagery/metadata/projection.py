@@ -1,0 +1,51 @@
+"""Projection that a file states for its picture, if it is not one perspective view.
+
+Spheres, panoramas and fisheye pictures have no single scale, and their metadata describe the camera
+of one of their parts. Names and values:
+
+* ``GPano``: Google's Photo Sphere XMP metadata, which drones, phones and stitching programs write.
+* ``ModelType``: Pix4D's camera properties, which Parrot writes, too.
+* ``CustomRendered``: Apple writes 6 for a panorama; the EXIF standard knows 0 and 1.
+* ``LensModel``: the name of a fisheye lens.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vehanchor.imagery.metadata.statements import Statements
+
+_PERSPECTIVE = ("perspective", "rectilinear", "planar", "frame")
+"""Values of ``ProjectionType`` and ``ModelType`` for one perspective view."""
+
+_APPLE_PANORAMA = 6
+_FISHEYE = re.compile(r"fish.?eye", re.IGNORECASE)
+_SHOWN_CHARS = 32
+
+
+def stated_projection(statements: Statements) -> str:
+    """Name the projection of a picture that is not one perspective view.
+
+    Args:
+        statements: statements of the file.
+
+    Returns:
+        The property and its value, such as "ProjectionType equirectangular"; empty for a
+        perspective view, and if the file states nothing.
+    """
+    for name in ("ProjectionType", "ModelType"):
+        value = statements.text(name)[:_SHOWN_CHARS]
+        if value and value.casefold() not in _PERSPECTIVE:
+            return f"{name} {value}"
+    is_stated_perspective = bool(statements.text("ProjectionType"))
+    if statements.text("FullPanoWidthPixels") and not is_stated_perspective:
+        return "FullPanoWidthPixels of a panorama"
+    if statements.whole("CustomRendered") == _APPLE_PANORAMA:
+        return "CustomRendered 6, a panorama"
+    for name in ("LensModel", "Lens"):
+        value = statements.text(name)[:_SHOWN_CHARS]
+        if _FISHEYE.search(value):
+            return f"{name} {value}"
+    return ""

@@ -1,0 +1,321 @@
+"""Seams of a composed image: pictures side by side, collages and insets.
+
+Where two pictures meet, the grey values change abruptly along a straight line, brighter here and
+darker there, and the pixels on both sides are unrelated. The edge of a road or roof is straight,
+too, but there one side is brighter along the whole line, or both sides share shadows and texture.
+
+The search takes columns and rows, because programs compose pictures along them. Seams of pictures
+that differ in brightness everywhere are not found, nor are insets without straight borders.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.tiles import read_reduced_window
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    from numpy.typing import NDArray
+
+    from vehanchor.imagery.raster import Raster
+
+    Grey: TypeAlias = NDArray[np.uint8]
+    """``[h, w]`` grey values."""
+
+    Shares: TypeAlias = NDArray[np.float32]
+    """``[h, w]`` 1 for a step, else 0; or the share of steps in a part of a column."""
+
+    Line: TypeAlias = NDArray[np.float32]
+    """``[n]`` a number for each pixel of a line, or for each line."""
+
+# Longest side of the reduced image that is searched, and most pixels of an image to read for it.
+# Choices: larger images are mosaics, and reading them whole takes seconds.
+_SIDE_PX = 1024
+_MAX_PIXELS = 64_000_000
+# A side must have this many pixels after constant margins are cut off.
+_MIN_SIDE_PX = 40
+# Spread of grey values up to which a row or column at the border is a margin.
+_MARGIN_SD = 4.0
+# A step of this size is a part of a seam if it exceeds the three on either side.
+_MIN_STEP = 3
+_NEIGHBOURS = np.array([[1, 1, 1, 0, 1, 1, 1]], np.uint8)
+# Share of the side near the border in which a line separates no picture.
+_BORDER_SHARE = 0.10
+_MIN_BORDER_PX = 8
+# Seams across the image. Share of the line with steps, less what both sides have in common; and the
+# share in which the darker side changes. Measured with all limits of this module: 3 of 1,102
+# usable photographs of known scale have a seam or corner, and 76 of 80 collages of their parts that
+# fill whole rows or columns. The limits were chosen on these photographs.
+_MIN_SEAM = 0.60
+_MIN_ALTERNATING = 0.08
+_N_CANDIDATES = 4
+# Seams of an image at most: a contact sheet of seven columns has six strips with two edges each.
+_MAX_SEAMS = 12
+# A plain strip between pictures: the spread of its columns, and the share of its edges with steps.
+_STRIP_SD = 2.0
+_MIN_STRIP_EDGE = 0.7
+# Share of the pictures that may have the strip's colour.
+_MAX_SAME_COLOUR = 0.10
+# Corners of insets: share of both arms with steps. 1 of the 3 photographs, 7 of 20 insets.
+_MIN_CORNER = 0.75
+_ARM_SHARE = 0.15
+_MIN_ARM_PX = 40
+# JPEG divides the picture into blocks of 8 px, whose borders are steps in strongly compressed ones.
+_BLOCK_PX = 8
+_MIN_OVER_BLOCKS = 2.5
+_BLOCKY = 2.5
+# Columns over which texture is compared across a seam.
+_TEXTURE_PX = 9
+
+
+class Seam(NamedTuple):
+    """Seam between two pictures.
+
+    Attributes:
+        x_px: column of a vertical seam, or of an inset's corner; None for a horizontal seam.
+        y_px: row of a horizontal seam, or of an inset's corner; None for a vertical seam.
+    """
+
+    x_px: int | None
+    y_px: int | None
+
+
+def find_seam(raster: Raster) -> Seam | None:
+    """Find a seam in an image; None without one, and for an image too large to read for it."""
+    if raster.width_px * raster.height_px > _MAX_PIXELS:
+        return None
+    factor = math.ceil(max(raster.width_px, raster.height_px) / _SIDE_PX)
+    window = Window(0, 0, width_px=raster.width_px // factor, height_px=raster.height_px // factor)
+    pixels = read_reduced_window(raster, window, factor)
+    grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), np.uint8)
+    content, left, top = _without_margins(grey)
+    if min(content.shape) < _MIN_SIDE_PX:
+        return None
+    # A picture that was composed and then resized has blurred seams, sharp at half the size.
+    half = cv2.resize(content, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    for copy, reduction in ((content, 1), (np.asarray(half, np.uint8), 2)):
+        seam = _seam(copy)
+        if seam is not None:
+            return _in_image(seam, factor * reduction, factor * left, factor * top)
+    return None
+
+
+def _seam(grey: Grey) -> Seam | None:
+    """Find a seam across an image, or else a corner of an inset."""
+    transposed = np.ascontiguousarray(grey.T)
+    of_columns = _steps(grey)
+    if _is_pixelated(of_columns):
+        return None
+    column = _best_column(grey, of_columns)
+    if column is not None:
+        return Seam(column, None)
+    of_rows = _steps(transposed)
+    row = _best_column(transposed, of_rows)
+    if row is not None:
+        return Seam(None, row)
+    return _corner_of_inset(of_columns, of_rows)
+
+
+def _in_image(seam: Seam, factor: int, left: int, top: int) -> Seam:
+    """Convert a seam of a reduced part to pixels of the image."""
+    x_px = None if seam.x_px is None else seam.x_px * factor + left
+    y_px = None if seam.y_px is None else seam.y_px * factor + top
+    return Seam(x_px, y_px)
+
+
+def _without_margins(grey: Grey) -> tuple[Grey, int, int]:
+    """Cut constant rows and columns off the border.
+
+    Returns:
+        The rest, its first column and its first row; an empty array for a constant image.
+    """
+    rows = np.flatnonzero(grey.std(axis=1) > _MARGIN_SD)
+    columns = np.flatnonzero(grey.std(axis=0) > _MARGIN_SD)
+    if len(rows) == 0 or len(columns) == 0:
+        return grey[:0, :0], 0, 0
+    top = int(rows[0])
+    left = int(columns[0])
+    content = grey[top : rows[-1] + 1, left : columns[-1] + 1]
+    return np.ascontiguousarray(content), left, top
+
+
+class _Steps(NamedTuple):
+    """Steps between a column and the one to its left that exceed their neighbours.
+
+    Attributes:
+        brighter: ``[h, w]`` 1 where the column is brighter, else 0.
+        darker: ``[h, w]`` 1 where it is darker, else 0.
+    """
+
+    brighter: Shares
+    darker: Shares
+
+
+def _steps(grey: Grey) -> _Steps:
+    """Find the steps between columns that exceed their neighbours."""
+    left = grey[:, :-1]
+    right = grey[:, 1:]
+    size = cv2.absdiff(left, right)
+    neighbours = cv2.dilate(size, _NEIGHBOURS)
+    is_step = (size > neighbours) & (size >= _MIN_STEP)
+    is_brighter = right > left
+    brighter = np.zeros(grey.shape, np.float32)
+    darker = np.zeros(grey.shape, np.float32)
+    brighter[:, 1:] = is_step & is_brighter
+    darker[:, 1:] = is_step & ~is_brighter
+    return _Steps(brighter, darker)
+
+
+def _is_pixelated(steps: _Steps) -> bool:
+    """Test whether an image was enlarged without interpolation: its blocks have many seams."""
+    share = (steps.brighter + steps.darker).mean(axis=0)
+    return int((share >= _MIN_SEAM).sum()) > _MAX_SEAMS
+
+
+def _best_column(grey: Grey, steps: _Steps) -> int | None:
+    """Find the column at which a second picture begins; None without one."""
+    brighter = steps.brighter.mean(axis=0)
+    darker = steps.darker.mean(axis=0)
+    share = brighter + darker
+    strip = _strip_between(grey, share)
+    if strip is not None:
+        return strip
+    share = _above_blocks(share)
+    share[np.minimum(brighter, darker) < _MIN_ALTERNATING] = 0.0
+    border = _border_px(len(share))
+    share[:border] = 0.0
+    share[len(share) - border :] = 0.0
+    for column in np.argsort(-share)[:_N_CANDIDATES].tolist():
+        if share[column] < _MIN_SEAM:
+            return None
+        unrelated = 1.0 - max(0.0, _common_texture(grey, column))
+        if share[column] * unrelated >= _MIN_SEAM:
+            return int(column)
+    return None
+
+
+def _strip_between(grey: Grey, share: Line) -> int | None:
+    """Find a strip of one colour that separates two pictures.
+
+    Args:
+        grey: ``[h, w]``.
+        share: ``[w]`` share of each column with steps.
+
+    Returns:
+        Its first column; None without one.
+    """
+    is_plain = grey.std(axis=0) <= _STRIP_SD
+    edges = np.diff(is_plain.astype(np.int8))
+    first_columns = np.flatnonzero(edges > 0) + 1
+    columns_behind = np.flatnonzero(edges < 0) + 1
+    if is_plain[0]:
+        columns_behind = columns_behind[1:]
+    # The last strip has no column behind it if it reaches the border.
+    for first, behind in zip(first_columns.tolist(), columns_behind.tolist(), strict=False):
+        # A compressed picture has pixels of both sides at its edge.
+        near_first = share[max(0, first - 1) : first + 2].max()
+        near_behind = share[behind - 1 : behind + 2].max()
+        if min(near_first, near_behind) < _MIN_STRIP_EDGE:
+            continue
+        # The ground of a drawing is plain, too, but its colour is everywhere.
+        colour = float(grey[:, first:behind].mean())
+        of_same_colour = np.abs(grey[:, ~is_plain] - colour) <= _MARGIN_SD
+        if of_same_colour.mean() <= _MAX_SAME_COLOUR:
+            return int(first)
+    return None
+
+
+def _above_blocks(share: Line) -> Line:
+    """Set lines to zero that stand out no more than other borders of compressed blocks.
+
+    Args:
+        share: ``[w]`` share of each line with steps.
+    """
+    cleared = share.copy()
+    for phase in range(_BLOCK_PX):
+        of_phase = cleared[phase::_BLOCK_PX]
+        usual = np.median(of_phase)
+        of_phase[of_phase < _MIN_OVER_BLOCKS * usual] = 0.0
+    return cleared
+
+
+def _border_px(side_px: int) -> int:
+    return max(_MIN_BORDER_PX, round(_BORDER_SHARE * side_px))
+
+
+def _common_texture(grey: Grey, column: int) -> float:
+    """Correlate the texture of both sides of a column, -1 to 1."""
+    left = _texture(grey[:, column - 2 : column])
+    right = _texture(grey[:, column + 1 : column + 3])
+    power = math.sqrt(float((left**2).sum()) * float((right**2).sum()))
+    if power == 0.0:
+        return 1.0
+    return float((left * right).sum()) / power
+
+
+def _texture(columns: Grey) -> Line:
+    """Average columns, and subtract from each pixel its local mean."""
+    line = columns.mean(axis=1, dtype=np.float32)
+    local_mean = cv2.blur(line.reshape(-1, 1), (1, _TEXTURE_PX))
+    return np.asarray(line - local_mean.ravel())
+
+
+def _corner_of_inset(of_columns: _Steps, of_rows: _Steps) -> Seam | None:
+    """Find a corner from which two seams go out at right angles.
+
+    Args:
+        of_columns: steps between columns.
+        of_rows: steps between rows, transposed.
+    """
+    height, width = of_columns.brighter.shape
+    arm = max(_MIN_ARM_PX, round(_ARM_SHARE * min(height, width)))
+    border = _border_px(min(height, width))
+    if min(height, width) < 2 * (arm + border):
+        return None
+    down = _arms(of_columns, arm)
+    across = np.ascontiguousarray(_arms(of_rows, arm).T)
+    # Arms go down or up from the corner, and to its right or left.
+    for rows_back in (0, arm):
+        for columns_back in (0, arm):
+            top = max(border, rows_back)
+            left = max(border, columns_back)
+            bottom = height - border - (arm - rows_back)
+            right = width - border - (arm - columns_back)
+            vertical = down[top - rows_back : bottom - rows_back, left:right]
+            horizontal = across[top:bottom, left - columns_back : right - columns_back]
+            both = np.minimum(vertical, horizontal)
+            if both.max() < _MIN_CORNER:
+                continue
+            row, column = np.unravel_index(both.argmax(), both.shape)
+            return Seam(left + int(column), top + int(row))
+    return None
+
+
+def _arms(steps: _Steps, arm: int) -> Shares:
+    """Compute the share of steps in the piece of a column that begins at each pixel.
+
+    Args:
+        steps: steps between columns.
+        arm: rows of a piece; the last rows of the result have no meaning.
+
+    Returns:
+        ``[h, w]``; 0 where the same side is darker all along, and at borders of visible blocks.
+    """
+    below = (0, 0)
+    brighter = cv2.blur(steps.brighter, (1, arm), anchor=below)
+    darker = cv2.blur(steps.darker, (1, arm), anchor=below)
+    share = brighter + darker
+    share[np.minimum(brighter, darker) < _MIN_ALTERNATING] = 0.0
+    mean_share = (steps.brighter + steps.darker).mean(axis=0)
+    usual = [float(np.median(mean_share[phase::_BLOCK_PX])) for phase in range(_BLOCK_PX)]
+    for phase in range(_BLOCK_PX):
+        if usual[phase] > _BLOCKY * float(np.median(usual)):
+            share[:, phase::_BLOCK_PX] = 0.0
+    return np.asarray(share)

@@ -1,0 +1,61 @@
+"""Vehicles whose pixels repeat those of another one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vehanchor.detection.copies import without_copies
+from vehanchor.detection.detections import Appearance, Detections
+from vehanchor.imagery.sources.arrays import ArrayRaster
+
+LENGTH_PX = 40
+
+
+def _car(seed: int) -> NDArray[np.uint8]:
+    """Blotches of a car's size, 60 x 60 px."""
+    rng = np.random.default_rng(seed)
+    blotches = cv2.GaussianBlur(rng.normal(0, 160, (60, 60, 3)), (0, 0), 2.0)
+    return np.clip(130 + 4 * blotches, 0, 255).astype(np.uint8)
+
+
+def _n_distinct(cars: list[NDArray[np.uint8]], quality: int = 85) -> int:
+    """Paste cars into a row, compress it, and count the distinct ones."""
+    image = np.full((120, 90 * len(cars) + 40, 3), 128, np.uint8)
+    boxes = []
+    for k, car in enumerate(cars):
+        left = 30 + 90 * k
+        image[30:90, left : left + 60] = car
+        boxes.append([left + 29.5, 59.5, LENGTH_PX, 18.0, 0.0])
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    pixels = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+    n = len(cars)
+    appearance = Appearance(np.full(n, 1.5), np.full(n, 0.1), np.full(n, 5.0))
+    detections = Detections(np.array(boxes), np.full(n, 0.9), appearance=appearance)
+    found = without_copies(ArrayRaster(pixels, "array", None), detections)
+    assert found.appearance is not None
+    assert len(found.boxes) + found.n_copies == n
+    assert len(found.appearance) == len(found.boxes)
+    return len(found.boxes)
+
+
+def test_one_car_pasted_nine_times_is_one_car() -> None:
+    assert _n_distinct([_car(1)] * 9) == 1
+
+
+def test_a_mirrored_or_turned_copy_is_a_copy() -> None:
+    car = _car(1)
+    turned = np.ascontiguousarray(car[::-1, ::-1])
+    mirrored = np.ascontiguousarray(car[:, ::-1])
+    assert _n_distinct([car, turned, mirrored]) == 1
+
+
+def test_other_cars_are_other_cars() -> None:
+    assert _n_distinct([_car(1), _car(2), _car(3)]) == 3
+
+
+def test_one_car_in_two_photographs_is_no_copy() -> None:
+    rng = np.random.default_rng(5)
+    again = np.clip(_car(1) + rng.normal(0, 30, (60, 60, 3)), 0, 255).astype(np.uint8)
+    assert _n_distinct([_car(1), again]) == 2

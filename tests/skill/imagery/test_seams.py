@@ -1,0 +1,81 @@
+"""Seams between pictures that were put together."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.flight.ground import ground
+from vehanchor.imagery.seams import Seam, find_seam
+from vehanchor.imagery.sources.arrays import ArrayRaster
+
+LEFT = ground(400, seed=1)
+RIGHT = ground(400, seed=2)
+
+
+def _seam(image: NDArray[np.uint8]) -> Seam | None:
+    return find_seam(ArrayRaster(np.ascontiguousarray(image), "array", None))
+
+
+def _compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+
+
+def _near(seam: Seam | None, x_px: int | None, y_px: int | None) -> bool:
+    if seam is None or (seam.x_px is None) != (x_px is None):
+        return False
+    return abs((seam.x_px or 0) - (x_px or 0)) <= 4 and abs((seam.y_px or 0) - (y_px or 0)) <= 4
+
+
+def test_one_picture_has_no_seam() -> None:
+    assert _seam(LEFT) is None
+
+
+def test_one_strongly_compressed_picture_has_no_seam() -> None:
+    assert _seam(_compressed(LEFT, 15)) is None
+
+
+def test_two_pictures_side_by_side_have_a_seam() -> None:
+    assert _near(_seam(_compressed(np.hstack([LEFT, RIGHT]), 90)), 400, None)
+
+
+def test_two_pictures_one_above_the_other_have_a_seam() -> None:
+    assert _near(_seam(np.vstack([LEFT, RIGHT])), None, 400)
+
+
+def test_a_white_strip_between_pictures_is_a_seam() -> None:
+    strip = np.full((400, 12, 3), 255, np.uint8)
+    assert _near(_seam(np.hstack([LEFT, strip, RIGHT])), 400, None)
+
+
+def test_a_white_frame_is_no_seam() -> None:
+    framed = cv2.copyMakeBorder(LEFT, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+    assert _seam(np.asarray(framed, np.uint8)) is None
+
+
+def test_an_inset_has_a_corner() -> None:
+    image = LEFT.copy()
+    image[250:, 230:] = RIGHT[250:, 230:]
+    assert _near(_seam(image), 230, 250)
+
+
+@pytest.mark.parametrize("dark", [0.3, 0.6])
+def test_the_edge_of_a_shadow_is_no_seam(dark: float) -> None:
+    image = LEFT.copy()
+    image[:, 170:] = (image[:, 170:] * dark).astype(np.uint8)
+    assert _seam(image) is None
+
+
+def test_plain_ground_between_things_is_no_seam() -> None:
+    image = np.full((300, 400, 3), 110, np.uint8)
+    for left, top in ((20, 10), (20, 160), (200, 10), (330, 160)):
+        image[top : top + 140, left : left + 50] = LEFT[top : top + 140, left : left + 50]
+    assert _seam(image) is None
+
+
+def test_an_image_enlarged_without_interpolation_has_no_seam() -> None:
+    large = cv2.resize(LEFT[:80, :80], None, fx=7, fy=7, interpolation=cv2.INTER_NEAREST)
+    assert _seam(np.asarray(large, np.uint8)) is None

@@ -1,0 +1,43 @@
+"""Tables of known lengths as spreadsheets write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vehanchor.errors import KnownLengthError
+from vehanchor.rulers.known_length_table import lines_in
+
+COMMAS = "file,x1,y1,x2,y2,metres,what\nphoto.jpg,0,0,100,0,36.5,\n"
+SEMICOLONS = "file;x1;y1;x2;y2;metres\nphoto.jpg;0;0;100;0;36,5\n"
+
+
+def _metres(content: bytes, tmp_path: Path) -> float | str | None:
+    table = tmp_path / "lines.csv"
+    table.write_bytes(content)
+    image = tmp_path / "photo.jpg"
+    ((line,),) = lines_in(table, [image]).values()
+    return line.metres
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        COMMAS.encode(),
+        SEMICOLONS.encode(),
+        COMMAS.replace(",", "\t").encode(),
+        SEMICOLONS.encode("utf-16"),
+        SEMICOLONS.encode("utf-8-sig"),
+        COMMAS.replace("what", "\N{LATIN SMALL LETTER E WITH ACUTE}").encode("cp1252"),
+        f"{COMMAS},,,,,,\n\n".encode(),
+        f"{SEMICOLONS};;;;;\n".encode(),
+    ],
+)
+def test_the_tables_of_spreadsheets_are_read(content: bytes, tmp_path: Path) -> None:
+    assert _metres(content, tmp_path) == 36.5
+
+
+def test_a_missing_column_is_named(tmp_path: Path) -> None:
+    with pytest.raises(KnownLengthError, match="no column metres"):
+        _metres(SEMICOLONS.replace("metres", "length").encode(), tmp_path)
