@@ -425,19 +425,34 @@ class Model(NamedTuple):
         length_m: length.
         width_m: width.
         paint: paint of all of them, if they have the same.
+        marks: stripes across all of them, such as straps, lids, windows or inscriptions.
     """
 
     thing: Thing
     length_m: float
     width_m: float
     paint: Rgb
+    marks: tuple[Part, ...]
 
 
 def draw_model(thing: Thing, rng: np.random.Generator) -> Model:
     """Draw the size and the paint of one model."""
     length_m = float(rng.uniform(*thing.lengths_m))
     width_m = length_m * float(rng.uniform(*thing.width_per_length))
-    return Model(thing, length_m, width_m=width_m, paint=pick(rng, thing.paints))
+    paint = pick(rng, thing.paints)
+    return Model(thing, length_m, width_m=width_m, paint=paint, marks=_draw_marks(rng))
+
+
+def _draw_marks(rng: np.random.Generator) -> tuple[Part, ...]:
+    """Draw no, one or two stripes across, mostly dark."""
+    marks = []
+    for _ in range(rng.integers(0, 3)):
+        middle = rng.uniform(-0.35, 0.35)
+        half = rng.uniform(0.02, 0.1)
+        across = rng.uniform(0.25, 0.45)
+        stripe = _rect(middle - half, -across, middle + half, across)
+        marks.append(Part(stripe, rng.uniform(0.3, 1.15)))
+    return tuple(marks)
 
 
 def place(site: Site, model: Model, x: float, y: float, *, angle: float) -> None:
@@ -446,7 +461,7 @@ def place(site: Site, model: Model, x: float, y: float, *, angle: float) -> None
     paint = model.paint if model.thing.one_paint else pick(rng, model.thing.paints)
     paint = jitter(rng, paint, 5, 0.04)
     frame = site.frame.at(x, y, angle)
-    for index, part in enumerate(model.thing.parts):
+    for index, part in enumerate((*model.thing.parts, *model.marks)):
         height_m = model.thing.height_m if index == 0 else 0.0
         outline = _outline(part.shape, model)
         colour = part.rgb or _lit(paint, part.gain)
