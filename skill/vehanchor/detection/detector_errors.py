@@ -87,18 +87,50 @@ class AppearanceErrors(_Errors):
     doubt_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.125
 
 
-class LookAlikeLimits(_Errors):
-    """Limits from which vehicles may be equal things that are not cars.
+class SpreadErrors(_Errors):
+    """Usual spreads of one measurement of the vehicles of an image.
 
     Attributes:
-        min_vehicles: number of vehicles from which they are judged.
-        log_sd: spread of log lengths below which vehicles are alike.
-        min_mean_logit: mean logit of the chip network below which vehicles look unlike cars.
+        cars: median standard deviation among cars.
+        cars_log_sd: standard deviation of its log between images.
+        things: median standard deviation among equal things.
+        things_log_sd: standard deviation of its log between images.
     """
 
-    min_vehicles: Annotated[int, Field(ge=2, le=100_000)] = 20
-    log_sd: _Spread = 0.045
-    min_mean_logit: _LogOdds = 2.0
+    cars: Annotated[float, Field(ge=_MIN_SD, le=255.0)]
+    cars_log_sd: _Spread
+    things: Annotated[float, Field(ge=_MIN_SD, le=255.0)]
+    things_log_sd: _Spread
+
+
+class LookAlikeErrors(_Errors):
+    """How equal things that are not cars differ from cars; see ``vehanchor.rulers.look_alikes``.
+
+    Attributes:
+        log_odds: log odds of look-alikes before anything is measured, at the mean logit of cars.
+        spread_power: power of the evidence from the three spreads, which are not independent.
+        lengths: spread of the log lengths.
+        appearance: spread of the log lengths by appearance.
+        tones: spread of the colours of bodies, the root of the summed variances in CIELAB.
+        mean_logit: mean logit of the chip network over cars.
+        logit_image_sd: standard deviation of that mean between images.
+        logit_vehicle_sd: standard deviation of the logits within an image.
+        log_odds_per_logit: log odds of look-alikes per logit below the mean.
+    """
+
+    log_odds: _LogOdds = -6.0
+    spread_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.5
+    lengths: SpreadErrors = SpreadErrors(
+        cars=0.106, cars_log_sd=0.3, things=0.04, things_log_sd=0.5
+    )
+    appearance: SpreadErrors = SpreadErrors(
+        cars=0.07, cars_log_sd=0.33, things=0.035, things_log_sd=0.5
+    )
+    tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.3, things=8.0, things_log_sd=0.9)
+    mean_logit: _LogOdds = 3.4
+    logit_image_sd: _Difference = 0.6
+    logit_vehicle_sd: _Difference = 1.0
+    log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 2.0
 
 
 class StretchLimits(_Errors):
@@ -139,7 +171,7 @@ class DetectorErrors(_Errors):
         boxes: errors of the detector's boxes.
         vehicles: errors of all vehicles of an image as a ruler.
         appearance: errors of the chip network.
-        look_alikes: limits from which vehicles may be equal things that are not cars.
+        look_alikes: how equal things that are not cars differ from cars.
         stretch: limits from which the networks show a stretched image.
         tile_prior: odds that a part of an image shows cars.
     """
@@ -147,7 +179,7 @@ class DetectorErrors(_Errors):
     boxes: BoxErrors = BoxErrors()
     vehicles: VehicleErrors = VehicleErrors()
     appearance: AppearanceErrors = AppearanceErrors()
-    look_alikes: LookAlikeLimits = LookAlikeLimits()
+    look_alikes: LookAlikeErrors = LookAlikeErrors()
     stretch: StretchLimits = StretchLimits()
     tile_prior: TilePriorOdds = TilePriorOdds()
 

@@ -15,7 +15,7 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, ruler_class
 from vehanchor.rulers.ruler import unusable
-from vehanchor.rulers.vehicles import Vehicles
+from vehanchor.rulers.vehicles import Vehicles, vehicle_witness
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
 from vehanchor.scale.posterior import with_shared_error
@@ -114,6 +114,11 @@ def with_doubts(
     for witness in witnesses:
         codes.update(notice.code for notice in witness.notices)
     no_one_scale = NoticeCode.STRETCHED in codes or NoticeCode.TILT_SUSPECTED in codes
+    vehicles = vehicle_witness(witnesses)
+    p_look_alikes = 0.0
+    if vehicles is not None and vehicles.found:
+        p_look_alikes = vehicles.p_look_alikes
+    no_cars = NO_CARS._replace(chance_wrong=p_look_alikes)
     doubted = []
     for witness in witnesses:
         if not witness.found:
@@ -123,8 +128,8 @@ def with_doubts(
         if no_one_scale:
             shared = with_shared_error(shared, NO_ONE_SCALE, removes="disagree")
         depends_on_cars = witness.kind == Vehicles.kind or not witness.sets_scale
-        if NoticeCode.LOOK_ALIKES in codes and depends_on_cars:
-            shared = with_shared_error(shared, NO_CARS, removes="not_cars")
+        if no_cars.chance_wrong > 0 and depends_on_cars:
+            shared = with_shared_error(shared, no_cars, removes="not_cars")
         doubted.append(shared)
     return tuple(doubted)
 

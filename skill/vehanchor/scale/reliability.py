@@ -193,6 +193,6 @@ NO_ONE_SCALE = Shared("stretched or tilted image", 0.0, _DOUBTED)
 """A stretched or tilted image has no single scale for any ruler. All 3 photographs whose cars are
 larger on one side are tilted, and their scales are 1 to 24 % off."""
 
-NO_CARS = Shared("look-alikes", 0.0, _DOUBTED)
-"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. One
-of 204 fleets is taken for look-alikes."""
+NO_CARS = Shared("look-alikes", 0.0)
+"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. The
+vehicles give this error its chance (``vehanchor.rulers.look_alikes``)."""
