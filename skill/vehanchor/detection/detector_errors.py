@@ -107,19 +107,21 @@ class LookAlikeErrors(_Errors):
     """How equal things that are not cars differ from cars; see ``vehanchor.rulers.look_alikes``.
 
     Attributes:
-        log_odds: log odds of look-alikes before anything is measured, at the mean logit of cars.
-        spread_power: power of the evidence from the three spreads, which are not independent.
+        log_odds: log odds of look-alikes for a single vehicle with the mean logit of cars.
+        log_odds_per_log_n: their rise per log of the number of vehicles, which saturates:
+            look-alikes come in numbers.
+        spread_power: power of the evidence from the three spreads.
         lengths: spread of the log lengths.
         appearance: spread of the log lengths by appearance.
         tones: spread of the colours of bodies, the root of the summed variances in CIELAB.
         mean_logit: mean logit of the chip network over cars.
-        logit_image_sd: standard deviation of that mean between images.
-        logit_vehicle_sd: standard deviation of the logits within an image.
-        log_odds_per_logit: log odds of look-alikes per logit below the mean.
+        log_odds_per_logit: log odds of look-alikes per logit below that mean.
+        logit_half_n: number of vehicles at which their mean logit counts half.
     """
 
-    log_odds: _LogOdds = -6.0
-    spread_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.5
+    log_odds: _LogOdds = -8.0
+    log_odds_per_log_n: Annotated[float, Field(ge=0.0, le=10.0)] = 2.0
+    spread_power: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
     lengths: SpreadErrors = SpreadErrors(
         cars=0.106, cars_log_sd=0.3, things=0.04, things_log_sd=0.5
     )
@@ -128,9 +130,8 @@ class LookAlikeErrors(_Errors):
     )
     tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.3, things=8.0, things_log_sd=0.9)
     mean_logit: _LogOdds = 3.4
-    logit_image_sd: _Difference = 0.6
-    logit_vehicle_sd: _Difference = 1.0
-    log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 2.0
+    log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 6.0
+    logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 5.4
 
 
 class StretchLimits(_Errors):

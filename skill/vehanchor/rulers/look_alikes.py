@@ -26,9 +26,13 @@ if TYPE_CHECKING:
     Values: TypeAlias = NDArray[np.float64]
     """``[n]`` or ``[n, 3]`` measurements of vehicles."""
 
-# Standard normal deviates at which the distribution of a spread is integrated.
+# Standard normal deviates at which the distribution of a spread is integrated, and their weights.
 _DEVIATES = np.linspace(-3.0, 3.0, 25)
 _DEVIATE_WEIGHTS = np.exp(-(_DEVIATES**2) / 2)
+# Number of vehicles that no larger number exceeds as evidence by itself. A choice.
+_SATURATION = 20.0
+# Largest absolute log odds: no doubt is certain, and none is excluded.
+_MAX_LOG_ODDS = 20.0
 
 
 def chance_of_look_alikes(
@@ -41,7 +45,9 @@ def chance_of_look_alikes(
         appearance: appearance of the vehicles that have any; None without a chip network.
         errors: the detector's errors about look-alikes.
     """
-    log_odds = errors.log_odds
+    n = len(log_lengths)
+    n_telling = n / (1.0 + (n - 1) / _SATURATION)
+    log_odds = errors.log_odds + errors.log_odds_per_log_n * math.log(n_telling)
     evidence = spread_evidence(log_lengths, errors.lengths)
     if appearance is not None:
         evidence += spread_evidence(appearance.log_lengths, errors.appearance)
@@ -49,7 +55,8 @@ def chance_of_look_alikes(
             evidence += spread_evidence(appearance.tones, errors.tones)
         log_odds += _logit_evidence(appearance.logits, errors)
     log_odds += errors.spread_power * evidence
-    return 1.0 / (1.0 + math.exp(-log_odds))
+    bounded = min(max(log_odds, -_MAX_LOG_ODDS), _MAX_LOG_ODDS)
+    return 1.0 / (1.0 + math.exp(-bounded))
 
 
 def spread_evidence(values: Values, errors: SpreadErrors) -> float:
@@ -99,8 +106,7 @@ def _logit_evidence(logits: Values, errors: LookAlikeErrors) -> float:
         logits: ``[n]`` log odds of a small vehicle.
         errors: typical logits of cars, and what a lower mean shows.
     """
-    between = errors.logit_image_sd**2
-    within = errors.logit_vehicle_sd**2 / len(logits)
-    reliability = between / (between + within)
+    n = len(logits)
+    reliability = n / (n + errors.logit_half_n)
     deficit = errors.mean_logit - float(np.mean(logits))
     return errors.log_odds_per_logit * reliability * deficit
