@@ -57,10 +57,6 @@ _MAX_ANGLE = 1e4
 # has one anchor for 12 px.
 _MIN_BOX_LIMIT = 4096
 _PX_PER_BOX = 8
-# Checksum of the bundled detector's errors when they still were constants. Checksums in journals of
-# that time leave them out, and stay valid as long as the numbers are the same. If another constant
-# moves into the file with its value, compute this anew.
-_FIRST_ERRORS_SHA256 = "ef1e67b13702519766c151b9577e5d4f24d2ddbe3fd56c5fe152444c4ba8b540"
 
 
 class TileDetections(NamedTuple):
@@ -454,6 +450,5 @@ def networks_sha256(card: DetectorCard) -> str:
                 pass
             case _:
                 assert_never(model.role)
-    if card.errors.sha256 != _FIRST_ERRORS_SHA256:
-        digest.update(f"{card.errors.sha256}\n".encode())
+    digest.update(f"{card.errors.sha256}\n".encode())
     return digest.hexdigest()

@@ -128,7 +128,7 @@ class LookAlikeErrors(_Errors):
     appearance: SpreadErrors = SpreadErrors(
         cars=0.07, cars_log_sd=0.33, things=0.035, things_log_sd=0.5
     )
-    tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.3, things=8.0, things_log_sd=0.9)
+    tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.45, things=8.0, things_log_sd=0.9)
     mean_logit: _LogOdds = 3.4
     log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 6.0
     logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 5.4

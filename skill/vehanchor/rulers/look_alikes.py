@@ -45,18 +45,23 @@ def chance_of_look_alikes(
         appearance: appearance of the vehicles that have any; None without a chip network.
         errors: the detector's errors about look-alikes.
     """
-    n = len(log_lengths)
-    n_telling = n / (1.0 + (n - 1) / _SATURATION)
-    log_odds = errors.log_odds + errors.log_odds_per_log_n * math.log(n_telling)
+    log_odds = errors.log_odds
     evidence = spread_evidence(log_lengths, errors.lengths)
     if appearance is not None:
         evidence += spread_evidence(appearance.log_lengths, errors.appearance)
+        log_odds += _logit_evidence(appearance.logits, errors)
         if appearance.tones is not None:
             evidence += spread_evidence(appearance.tones, errors.tones)
-        log_odds += _logit_evidence(appearance.logits, errors)
+            # Only if all three spreads are known, their evidence for cars balances this rise.
+            log_odds += errors.log_odds_per_log_n * _log_telling_number(len(log_lengths))
     log_odds += errors.spread_power * evidence
     bounded = min(max(log_odds, -_MAX_LOG_ODDS), _MAX_LOG_ODDS)
     return 1.0 / (1.0 + math.exp(-bounded))
+
+
+def _log_telling_number(n: int) -> float:
+    """Compute the log of the number of vehicles, which saturates smoothly."""
+    return math.log(n / (1.0 + (n - 1) / _SATURATION))
 
 
 def spread_evidence(values: Values, errors: SpreadErrors) -> float:

@@ -167,18 +167,6 @@ def test_a_changed_comment_does_not_make_results_stale(own: Path) -> None:
     assert networks_sha256(load_detector(own).card) == before
 
 
-def test_the_first_numbers_are_not_in_the_checksum(own: Path, bundled_file: Path) -> None:
-    """Journals were written before these numbers stood in a file."""
-    _write_errors(own, bundled_file.read_text(encoding="utf-8"))
-    card = load_detector(own).card
-    assert card.errors.sha256 == (
-        "ef1e67b13702519766c151b9577e5d4f24d2ddbe3fd56c5fe152444c4ba8b540"
-    )
-    changed = card.errors.model_copy(update={"boxes": DetectorErrors().boxes})
-    other = card.model_copy(update={"errors": changed})
-    assert networks_sha256(other) != networks_sha256(card)
-
-
 # --- Use in a search
 
 
