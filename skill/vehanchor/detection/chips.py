@@ -19,6 +19,7 @@ import numpy as np
 from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
 from vehanchor.detection.detections import Appearance, Objects
+from vehanchor.detection.hidden_ends import edge_strengths, hidden_log_sds
 from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
 
@@ -135,6 +136,9 @@ def with_appearance(
 ) -> tuple[Objects, Appearance]:
     """Replace the boxes of candidates by those of their bodies, and score them again.
 
+    The length of a body that ends at a straight edge is less certain: a roof or a shadow may hide
+    a part of it.
+
     Args:
         network: the chip network.
         raster: the image.
@@ -154,7 +158,14 @@ def with_appearance(
     chips = candidate_chips(raster, examined)
     answers = network.answers(chips, views=n_views)
     appearance = read_appearance(examined, answers, image_px)
-    appearance = appearance.with_tones(body_tones(chips))
+    ends = CHIP_COLUMNS / 2 + answers.edges[:, :2] * CHIP_LENGTH_PX
+    hidden = hidden_log_sds(edge_strengths(chips, ends))
+    appearance = Appearance(
+        appearance.log_lengths,
+        np.hypot(appearance.log_sds, hidden),
+        logits=appearance.logits,
+        tones=body_tones(chips),
+    )
 
     boxes = candidates.boxes.copy()
     boxes[:most] = bodies(examined, answers)

@@ -107,10 +107,6 @@ class Appearance(NamedTuple):
             tones=tones,
         )
 
-    def with_tones(self, tones: Tones) -> Appearance:
-        """Add the colours of the bodies; ``_replace`` fails, because the length is n."""
-        return Appearance(self.log_lengths, self.log_sds, self.logits, tones=tones)
-
     @classmethod
     def joined(cls, parts: Sequence[Appearance]) -> Appearance:
         """Concatenate the vehicles of at least one part."""
