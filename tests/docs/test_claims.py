@@ -55,7 +55,7 @@ def _documented_errors() -> dict[tuple[str, str], float]:
 
 
 def test_the_table_of_a_detectors_errors_has_all_defaults() -> None:
-    expected = {}
+    expected: dict[tuple[str, str], float] = {}
     for group, numbers in DetectorErrors().model_dump().items():
         for name, number in numbers.items():
             if isinstance(number, dict):
