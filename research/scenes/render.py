@@ -108,21 +108,61 @@ def render_scene(
     x0, y0 = _view_corner(world, width_m, height=height_m, rng=thin_rng)
     _thin(world, (x0, y0, x0 + width_m, y0 + height_m), limit=n_vehicles, rng=thin_rng)
 
+    return photograph_world(
+        world,
+        sun,
+        gsd_m_per_px=gsd_m_per_px,
+        width_px=width_px,
+        height_px=height_px,
+        corner_m=(x0, y0),
+        paint_rng=paint_rng,
+        camera_rng=camera_rng,
+        seed=int(seed),
+        parameters={
+            "layout": layout,
+            "n_vehicles": n_vehicles,
+            "mean_vehicle_length_m": mean_vehicle_length_m,
+            **_sun_and_fleet(sun, fleet_kind),
+        },
+    )
+
+
+def photograph_world(
+    world: World,
+    sun: Sun,
+    *,
+    gsd_m_per_px: float,
+    width_px: int,
+    height_px: int,
+    corner_m: tuple[float, float] = (0.0, 0.0),
+    paint_rng: Generator,
+    camera_rng: Generator,
+    seed: int,
+    parameters: dict[str, float | int | str | None],
+) -> Scene:
+    """Paint a view of a world, and apply the camera.
+
+    Args:
+        world: its primitives.
+        sun: its light.
+        gsd_m_per_px: ground sampling distance.
+        width_px: width of the image.
+        height_px: height of the image.
+        corner_m: top left corner of the view, metres.
+        paint_rng: random numbers of textures and sprites.
+        camera_rng: random numbers of the camera.
+        seed: seed to record.
+        parameters: parameters to record.
+    """
+    x0, y0 = corner_m
     px_per_m = _oversampling(gsd_m_per_px) / gsd_m_per_px
     painter = Painter(world, sun, rng=paint_rng, px_per_m=px_per_m)
     image, crowns = _paint(
         painter, x0, y0, gsd_m_per_px=gsd_m_per_px, width_px=width_px, height_px=height_px
     )
     image = _photograph(image, camera_rng)
-
-    parameters: dict[str, float | int | str | None] = {
-        "layout": layout,
-        "n_vehicles": n_vehicles,
-        "mean_vehicle_length_m": mean_vehicle_length_m,
-        **_sun_and_fleet(sun, fleet_kind),
-    }
     view = _View(x0, y0, gsd_m_per_px=gsd_m_per_px, hidden=crowns > 127)
-    return _scene(image, world, view, seed=int(seed), parameters=parameters)
+    return _scene(image, world, view, seed=seed, parameters=parameters)
 
 
 def _scene(

@@ -108,24 +108,35 @@ def _two_levels(searching: Detector, other_px: float) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("n", "logit", "of_looks", "of_lengths", "doubt"),
+    ("n", "logit", "of_looks", "of_lengths", "of_tones", "doubt"),
     [
-        (30, 3.5, 0.07, 0.07, None),
-        (30, 3.5, 0.03, 0.03, "look_alikes"),
-        (30, 3.5, 0.03, 0.07, None),  # equal things have equal lengths
-        (30, 3.5, 0.07, 0.03, None),  # and equal looks
-        (12, 3.5, 0.03, 0.03, None),
-        (30, 1.5, 0.07, 0.07, "look_alikes"),
-        (12, 1.5, 0.07, 0.07, None),
+        (30, 3.5, 0.07, 0.10, 40.0, None),
+        (30, 3.5, 0.07, 0.10, 20.0, None),  # a white fleet of different makes
+        (30, 3.5, 0.03, 0.03, 40.0, "look_alikes"),
+        (8, 3.5, 0.07, 0.10, 40.0, None),
+        (8, 3.0, 0.03, 0.03, 8.0, "look_alikes"),
+        (30, 1.5, 0.07, 0.10, 40.0, "look_alikes"),
+        (8, 1.0, 0.07, 0.10, 40.0, "look_alikes"),
     ],
 )
 def test_things_that_do_not_look_like_a_fleet_of_cars_are_never_sure(
-    searching: Detector, n: int, logit: float, of_looks: float, of_lengths: float, doubt: str | None
+    searching: Detector,
+    n: int,
+    logit: float,
+    of_looks: float,
+    of_lengths: float,
+    of_tones: float,
+    doubt: str | None,
 ) -> None:
     normal = np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
     lengths = np.array(_fleet(40.0, n, of_lengths))
     boxes = np.column_stack([np.arange(n) * 99, lengths * 0, lengths, lengths / 2.6, lengths * 0])
-    appearance = Appearance(np.log(4.4) + of_looks * normal, np.full(n, 0.07), np.full(n, logit))
+    appearance = Appearance(
+        np.log(4.4) + of_looks * normal,
+        np.full(n, 0.07),
+        logits=np.full(n, logit),
+        tones=np.column_stack([120 + of_tones * normal, np.full((n, 2), 128.0)]),
+    )
 
     def estimate(scales: NDArray[np.float64] | None) -> Any:
         found = Detections(boxes, np.full(n, 0.9), reductions=scales, appearance=appearance)

@@ -13,11 +13,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
+import cv2
 import numpy as np
 
 from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
 from vehanchor.detection.detections import Appearance, Objects
+from vehanchor.detection.hidden_ends import edge_strengths, hidden_log_sds
 from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
 
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
     Chips: TypeAlias = NDArray[np.uint8]
     """``[n, rows, columns, 3]`` RGB."""
 
+    Tones: TypeAlias = NDArray[np.float64]
+    """``[n, 3]`` colours in CIELAB, scaled to 0..255."""
+
     Answers: TypeAlias = NDArray[np.float64]
     """Answers of the chip network, a row for each candidate."""
 
@@ -41,6 +46,8 @@ CHIP_COLUMNS = 96
 CHIP_LENGTH_PX = 36.0
 KINDS = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
 
+# Rows of a chip that a car's body fills.
+_BODY_ROWS = 16
 # A chip is the middle of a square; these rows are cut off above and below it.
 _CUT_ROWS = (CHIP_COLUMNS - CHIP_ROWS) // 2
 # Candidate lengths from the centre to the farthest pixel that the square needs.
@@ -129,6 +136,9 @@ def with_appearance(
 ) -> tuple[Objects, Appearance]:
     """Replace the boxes of candidates by those of their bodies, and score them again.
 
+    The length of a body that ends at a straight edge is less certain: a roof or a shadow may hide
+    a part of it.
+
     Args:
         network: the chip network.
         raster: the image.
@@ -148,6 +158,14 @@ def with_appearance(
     chips = candidate_chips(raster, examined)
     answers = network.answers(chips, views=n_views)
     appearance = read_appearance(examined, answers, image_px)
+    ends = CHIP_COLUMNS / 2 + answers.edges[:, :2] * CHIP_LENGTH_PX
+    hidden = hidden_log_sds(edge_strengths(chips, ends))
+    appearance = Appearance(
+        appearance.log_lengths,
+        np.hypot(appearance.log_sds, hidden),
+        logits=appearance.logits,
+        tones=body_tones(chips),
+    )
 
     boxes = candidates.boxes.copy()
     boxes[:most] = bodies(examined, answers)
@@ -201,6 +219,18 @@ def _cut_by_border(boxes: Boxes, image_px: tuple[int, int]) -> NDArray[np.bool_]
     beyond = (ends < 1) | (ends > last_pixel)
     is_cut = beyond.any(axis=(1, 3))
     return np.asarray(is_cut.T)
+
+
+def body_tones(chips: Chips) -> Tones:
+    """Measure the mean colours ``[n, 3]`` of candidates on their chips, in CIELAB."""
+    first_row = (CHIP_ROWS - _BODY_ROWS) // 2
+    first_column = (CHIP_COLUMNS - round(CHIP_LENGTH_PX)) // 2
+    inside = chips[:, first_row:-first_row, first_column:-first_column]
+    tones = np.zeros((len(chips), 3))
+    for tone, body in zip(tones, inside, strict=True):
+        lab = cv2.cvtColor(np.ascontiguousarray(body), cv2.COLOR_RGB2LAB)
+        tone[:] = lab.mean(axis=(0, 1))
+    return tones
 
 
 def middle(squares: Chips) -> Chips:

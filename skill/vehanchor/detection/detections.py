@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     PerVehicle: TypeAlias = NDArray[np.float64]
     """``[n]`` one number for each vehicle."""
 
+    Tones: TypeAlias = NDArray[np.float64]
+    """``[n, 3]`` colours in CIELAB."""
+
     Selection: TypeAlias = NDArray[np.bool_] | NDArray[np.intp]
     """Mask ``[n]``, or indices in the order of the result."""
 
@@ -80,26 +83,43 @@ class Appearance(NamedTuple):
         log_sds: ``[n]`` float64, their standard deviations as the network states them (see
             ``appearance_error``).
         logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
+        tones: ``[n, 3]`` float64, mean colours of the bodies in CIELAB, scaled to 0..255; None in
+            journals of earlier versions.
     """
 
     log_lengths: PerVehicle
     log_sds: PerVehicle
     logits: PerVehicle
+    tones: Tones | None = None
 
     def __len__(self) -> int:
         return len(self.log_lengths)
 
     def take(self, which: Selection) -> Appearance:
         """Select vehicles by a mask ``[n]``, or by indices in their order."""
-        log_lengths = self.log_lengths[which]
-        log_sds = self.log_sds[which]
-        return Appearance(log_lengths, log_sds, self.logits[which])
+        tones = None
+        if self.tones is not None:
+            tones = self.tones[which]
+        return Appearance(
+            self.log_lengths[which],
+            self.log_sds[which],
+            logits=self.logits[which],
+            tones=tones,
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[Appearance]) -> Appearance:
         """Concatenate the vehicles of at least one part."""
-        columns = zip(*parts, strict=True)
-        return cls(*(np.concatenate(column) for column in columns))
+        tones = [part.tones for part in parts if part.tones is not None]
+        all_tones = None
+        if len(tones) == len(parts):
+            all_tones = np.concatenate(tones)
+        return cls(
+            np.concatenate([part.log_lengths for part in parts]),
+            np.concatenate([part.log_sds for part in parts]),
+            logits=np.concatenate([part.logits for part in parts]),
+            tones=all_tones,
+        )
 
 
 class Corrections(NamedTuple):

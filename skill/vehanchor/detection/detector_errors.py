@@ -103,18 +103,51 @@ class AppearanceErrors(_Errors):
         return math.hypot(self.log_sd, kind_log_sd)
 
 
-class LookAlikeLimits(_Errors):
-    """Limits from which vehicles may be equal things that are not cars.
+class SpreadErrors(_Errors):
+    """Usual spreads of one measurement of the vehicles of an image.
 
     Attributes:
-        min_vehicles: number of vehicles from which they are judged.
-        log_sd: spread of log lengths below which vehicles are alike.
-        min_mean_logit: mean logit of the chip network below which vehicles look unlike cars.
+        cars: median standard deviation among cars.
+        cars_log_sd: standard deviation of its log between images.
+        things: median standard deviation among equal things.
+        things_log_sd: standard deviation of its log between images.
     """
 
-    min_vehicles: Annotated[int, Field(ge=2, le=100_000)] = 20
-    log_sd: _Spread = 0.045
-    min_mean_logit: _LogOdds = 2.0
+    cars: Annotated[float, Field(ge=_MIN_SD, le=255.0)]
+    cars_log_sd: _Spread
+    things: Annotated[float, Field(ge=_MIN_SD, le=255.0)]
+    things_log_sd: _Spread
+
+
+class LookAlikeErrors(_Errors):
+    """How equal things that are not cars differ from cars; see ``vehanchor.rulers.look_alikes``.
+
+    Attributes:
+        log_odds: log odds of look-alikes for a single vehicle with the mean logit of cars.
+        log_odds_per_log_n: their rise per log of the number of vehicles, which saturates:
+            look-alikes come in numbers.
+        spread_power: power of the evidence from the three spreads.
+        lengths: spread of the log lengths.
+        appearance: spread of the log lengths by appearance.
+        tones: spread of the colours of bodies, the root of the summed variances in CIELAB.
+        mean_logit: mean logit of the chip network over cars.
+        log_odds_per_logit: log odds of look-alikes per logit below that mean.
+        logit_half_n: number of vehicles at which their mean logit counts half.
+    """
+
+    log_odds: _LogOdds = -8.0
+    log_odds_per_log_n: Annotated[float, Field(ge=0.0, le=10.0)] = 2.0
+    spread_power: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
+    lengths: SpreadErrors = SpreadErrors(
+        cars=0.106, cars_log_sd=0.3, things=0.04, things_log_sd=0.5
+    )
+    appearance: SpreadErrors = SpreadErrors(
+        cars=0.07, cars_log_sd=0.33, things=0.035, things_log_sd=0.5
+    )
+    tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.45, things=8.0, things_log_sd=0.9)
+    mean_logit: _LogOdds = 3.4
+    log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 6.0
+    logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 5.4
 
 
 class StretchLimits(_Errors):
@@ -182,7 +215,7 @@ class DetectorErrors(_Errors):
         boxes: errors of the detector's boxes.
         vehicles: errors of all vehicles of an image as a ruler.
         appearance: errors of the chip network.
-        look_alikes: limits from which vehicles may be equal things that are not cars.
+        look_alikes: how equal things that are not cars differ from cars.
         stretch: limits from which the networks show a stretched image.
         stretch_odds: how the networks' preferences are distributed.
         tile_prior: odds that a part of an image shows cars.
@@ -191,7 +224,7 @@ class DetectorErrors(_Errors):
     boxes: BoxErrors = BoxErrors()
     vehicles: VehicleErrors = VehicleErrors()
     appearance: AppearanceErrors = AppearanceErrors()
-    look_alikes: LookAlikeLimits = LookAlikeLimits()
+    look_alikes: LookAlikeErrors = LookAlikeErrors()
     stretch: StretchLimits = StretchLimits()
     stretch_odds: StretchOdds = StretchOdds()
     tile_prior: TilePriorOdds = TilePriorOdds()

@@ -9,21 +9,18 @@ import numpy as np
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import count
+from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
     from typing import TypeAlias
 
-    from numpy.typing import ArrayLike, NDArray
-
-    from vehanchor.detection.detections import Appearance, Detections
-    from vehanchor.detection.detector_errors import LookAlikeLimits
+    from vehanchor.detection.detections import Detections
     from vehanchor.rulers.fleet import Fleet
 
     Notices: TypeAlias = tuple[Notice, ...]
 
-# Interquartile range of a normal distribution, in standard deviations.
-_QUARTILES_PER_SD = 1.349
-
+# Chance of look-alikes from which a notice names them: then no scale by vehicles alone is usable.
+_NAMED_CHANCE = 1.0 - USABLE_CHANCE
 
 _STRETCHED = Notice(
     code=NoticeCode.STRETCHED,
@@ -37,7 +34,7 @@ _LOOK_ALIKES = Notice(
     code=NoticeCode.LOOK_ALIKES,
     message=(
         "The vehicles are more alike than cars of different makes, or unlike any known car. They "
-        "may be lorries, caravans or containers of one model, roof units or boats. The scale is "
+        "may be lorries, caravans or containers of one model, graves, carts or boats. The scale is "
         "then wrong by the ratio of their length to a car's."
     ),
 )
@@ -60,58 +57,19 @@ def added_outliers(fleet: Fleet) -> Notices:
     return (Notice(code=NoticeCode.ADDED_VEHICLE_UNLIKE, message=message),)
 
 
-def doubts(fleet: Fleet, stretch: float | None, limits: LookAlikeLimits) -> Notices:
+def doubts(stretch: float | None, p_look_alikes: float) -> Notices:
     """Doubt that the vehicles are cars of true proportions, after a search over scales.
 
-    Without such a search, the vehicles were not chosen by their length, and no doubt arises. A
-    caller who states that most of the vehicles are cars resolves the doubt that they are
-    look-alikes.
-
     Args:
-        fleet: the vehicles.
         stretch: see ``vehanchor.detection.detections.Detections``; None if it is not doubted.
-        limits: the detector's limits of look-alikes.
+        p_look_alikes: chance, 0..1, that the vehicles are look-alikes.
     """
-    if fleet.detections.reductions is None:
-        return ()
     notices = []
     if stretch is not None and abs(stretch) > 1.0:
         notices.append(_STRETCHED)
-    if fleet.is_stated:
-        return tuple(notices)
-    if look_alikes(fleet.lengths, fleet.appearance, limits):
+    if p_look_alikes > _NAMED_CHANCE:
         notices.append(_LOOK_ALIKES)
     return tuple(notices)
-
-
-def look_alikes(lengths: ArrayLike, appearance: Appearance | None, limits: LookAlikeLimits) -> bool:
-    """Test whether vehicles may be equal things, such as lorries, caravans or boats in rows.
-
-    One of two signs is enough. Either their lengths and their appearances spread less than those of
-    cars of different makes (interquartile range over 1.349), or they look less like cars than any
-    fleet.
-
-    Args:
-        lengths: ``[n]`` pixels.
-        appearance: appearance of the vehicles that have any; None without a chip network.
-        limits: the detector's limits, among them the least number of vehicles.
-    """
-    lengths_px = np.asarray(lengths, dtype=np.float64)
-    if len(lengths_px) < limits.min_vehicles:
-        return False
-    log_lengths = np.log(lengths_px)
-    equal_lengths = _spread(log_lengths) < limits.log_sd
-    if appearance is None or len(appearance) < limits.min_vehicles:
-        return equal_lengths
-    if appearance.logits.mean() < limits.min_mean_logit:
-        return True
-    return equal_lengths and _spread(appearance.log_lengths) < limits.log_sd
-
-
-def _spread(values: NDArray[np.float64]) -> float:
-    """Estimate the standard deviation by the quartiles, which outliers hardly move."""
-    low, high = np.percentile(values, [25, 75])
-    return float(high - low) / _QUARTILES_PER_SD
 
 
 def capped_tiles(detections: Detections) -> Notices:

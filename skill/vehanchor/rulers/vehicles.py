@@ -25,6 +25,7 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import rectified
 from vehanchor.rulers.fleet import select
+from vehanchor.rulers.look_alikes import chance_of_look_alikes
 from vehanchor.rulers.reference import reference_length, unmeasured_region
 from vehanchor.rulers.ruler import Ruler, as_assumed
 from vehanchor.rulers.vehicle_notices import (
@@ -158,6 +159,20 @@ class VehicleWitness(Witness):
     def coarseness(self) -> float:
         """``P_thresh`` over the vehicles' length; above 1 they are too coarse."""
         return self.guard_length_px / (self.seen_length_px * self.detail_share)
+
+    @cached_property
+    def p_look_alikes(self) -> float:
+        """Chance, 0..1, that the vehicles are equal things that are not cars.
+
+        Without a search over scales, the vehicles were not chosen by their length, and no doubt
+        arises. A caller who states that most of the vehicles are cars resolves it.
+        """
+        fleet = self.fleet
+        if fleet.detections.reductions is None or fleet.is_stated or not self.n:
+            return 0.0
+        log_lengths = np.log(fleet.lengths)
+        errors = self.card.errors.look_alikes
+        return chance_of_look_alikes(log_lengths, fleet.appearance, errors)
 
     @property
     def doubted(self) -> bool:
@@ -449,6 +464,9 @@ def _notices(vehicles: VehicleWitness, stretch: float | None) -> tuple[Notice, .
         stretch: as in ``vehanchor.rulers.vehicle_notices.doubts``.
     """
     fleet = vehicles.fleet
+    if fleet.detections.reductions is None:
+        # Without a search over scales, the vehicles were not chosen by their length.
+        stretch = None
     missing = detail_missing(
         vehicles.seen_length_px,
         guard_px=vehicles.guard_length_px,
@@ -458,7 +476,7 @@ def _notices(vehicles: VehicleWitness, stretch: float | None) -> tuple[Notice, .
         *_unlikely_guess(vehicles),
         *added_outliers(fleet),
         *missing,
-        *doubts(fleet, stretch, vehicles.card.errors.look_alikes),
+        *doubts(stretch, vehicles.p_look_alikes),
     )
 
 

@@ -126,6 +126,11 @@ def with_doubts(
         codes.update(notice.code for notice in witness.notices)
     no_one_scale = not NO_ONE_SCALE_CODES.isdisjoint(codes)
     stretch_chance = _stretch_chance(witnesses)
+    vehicles = vehicle_witness(witnesses)
+    p_look_alikes = 0.0
+    if vehicles is not None and vehicles.found:
+        p_look_alikes = vehicles.p_look_alikes
+    no_cars = NO_CARS._replace(chance_wrong=p_look_alikes)
     doubted = []
     for witness in witnesses:
         if not witness.found:
@@ -139,8 +144,8 @@ def with_doubts(
             unsettled = NO_ONE_SCALE._replace(chance_wrong=stretch_chance)
             shared = with_shared_error(shared, unsettled, removes="too_few")
         depends_on_cars = witness.kind == Vehicles.kind or not witness.sets_scale
-        if NoticeCode.LOOK_ALIKES in codes and depends_on_cars:
-            shared = with_shared_error(shared, NO_CARS, removes="not_cars")
+        if no_cars.chance_wrong > 0 and depends_on_cars:
+            shared = with_shared_error(shared, no_cars, removes="not_cars")
         doubted.append(shared)
     return tuple(doubted)
 

@@ -277,6 +277,6 @@ def log_odds_by_density(aspect: float) -> float:
     return math.log(hinted / usual)
 
 
-NO_CARS = Shared("look-alikes", 0.0, _DOUBTED)
-"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. One
-of 204 fleets is taken for look-alikes."""
+NO_CARS = Shared("look-alikes", 0.0)
+"""Look-alikes are not cars: their own scale says nothing, nor does a prior that agrees with it. The
+vehicles give this error its chance (``vehanchor.rulers.look_alikes``)."""

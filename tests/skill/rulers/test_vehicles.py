@@ -250,7 +250,9 @@ def test_an_unknown_place_names_the_nearest(card: DetectorCard, region: str, exp
         reference_length(card, Reference(region=region), None)
 
 
-CARS_OF_4_4_M = Appearance(np.full(30, math.log(4.4)), np.full(30, 0.07), np.full(30, 4.0))
+CARS_OF_4_4_M = Appearance(
+    math.log(4.4) + 0.07 * np.linspace(-1.7, 1.7, 30), np.full(30, 0.07), logits=np.full(30, 4.0)
+)
 
 
 def test_without_a_region_the_appearance_gives_the_length(card: DetectorCard) -> None:
@@ -320,18 +322,16 @@ def test_the_errors_of_coarse_vehicles_are_the_detectors() -> None:
     assert Vehicles().measure(view).chance_wrong > Vehicles().measure(exact).chance_wrong
 
 
-@pytest.mark.parametrize("limits", [{"min_vehicles": 40}, {"log_sd": 0.001}])
-def test_the_limits_of_look_alikes_are_the_detectors(limits: dict[str, Any]) -> None:
-    alike = list(40.0 * np.exp(0.02 * np.linspace(-1.7, 1.7, 30)))
-    view = _searched(_view(alike))
+def test_the_odds_of_look_alikes_are_the_detectors() -> None:
+    view = _searched(_view(EQUAL))
     assert _doubts(view)[0] == ["look_alikes"]
-    assert _doubts(_with_errors(view, "look_alikes", **limits))[0] == []
+    assert _doubts(_with_errors(view, "look_alikes", spread_power=0.0))[0] == []
 
 
-def test_the_least_logit_of_cars_is_the_detectors() -> None:
+def test_the_mean_logit_of_cars_is_the_detectors() -> None:
     view = _searched(_view(_fleet(30)), appearance=CARS_OF_4_4_M)
     assert _doubts(view)[0] == []
-    assert _doubts(_with_errors(view, "look_alikes", min_mean_logit=5.0))[0] == ["look_alikes"]
+    assert _doubts(_with_errors(view, "look_alikes", mean_logit=7.0))[0] == ["look_alikes"]
 
 
 @pytest.mark.parametrize("region", [None, "NP"])
