@@ -27,9 +27,10 @@ from vehanchor.analysis.pipeline import (
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
-from vehanchor.measure.area import analyse_objects
+from vehanchor.measure.area import ShapeReading, analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.scale_source import read_scale_argument
+from vehanchor.measure.shapes import read_shapes
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.measure.scale_source import ScaleInput
+    from vehanchor.measure.shapes import Orientation
     from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point
@@ -277,6 +279,77 @@ class Engine:
                 object_height_m=object_height_m,
             )
         return analysis.drawn_over(image, raster, call_options.reading)
+
+    def measure_areas(
+        self, image: ImageSource, shapes: Any, options: ScaleOptions | None = None, **keywords: Any
+    ) -> tuple[AreaMeasurement, ...]:
+        """Measure areas like ``analyse_areas``, but return the records alone."""
+        analyses = self.analyse_areas(image, shapes, options, **keywords)
+        return tuple(analysis.measurement for analysis in analyses)
+
+    def analyse_areas(
+        self,
+        image: ImageSource,
+        shapes: Any,
+        options: ScaleOptions | None = None,
+        *,
+        gsd_m_per_px: float | None = None,
+        scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+        object_height_m: float | None = None,
+        edge_px: float | None = None,
+        orientation: Orientation | None = None,
+        **keywords: Any,
+    ) -> tuple[AreaAnalysis, ...]:
+        """Measure the areas of shapes that the caller has already, with one search.
+
+        No segmenter runs. A polygon's area follows from its corners, a mask's from its pixels.
+        Coordinates are those of ``analyse_area``; a mask has the size of the image, or of the
+        ``frame``.
+
+        Args:
+            image: as in ``estimate``.
+            shapes: a list of shapes: polygons (pairs x, y or one flat list), masks ``[h, w]``,
+                COCO's run lengths, polygons or annotations, GeoJSON, geometries of shapely in
+                pixels. Or masks ``[n, h, w]``, supervision's ``Detections``, or GeoJSON of several
+                shapes, which is in degrees if the image is georeferenced.
+            options: as in ``estimate``.
+            gsd_m_per_px: as in ``analyse_area``.
+            scale: as in ``analyse_area``.
+            object_height_m: height of all shapes above the ground; None for 0.
+            edge_px: how far the edges may lie from those of the objects, either way, in pixels of
+                the caller's picture; None for 0.5 for polygons and 1 for masks.
+            orientation: "oriented" or "stored": whether the shapes belong to the upright picture or
+                to the pixels as the file stores them; needed for a mask whose size does not show
+                it.
+            **keywords: see ``Engine``.
+
+        Returns:
+            For each shape, in order, what ``analyse_area`` returns; ``mask_score`` and
+            ``segmenter`` are None.
+
+        Raises:
+            PromptError: a shape crosses itself, is empty, outside the image or of another size, or
+                there are too many.
+            ScaleMismatchError: the scale was estimated from another image.
+            VehAnchorError: as ``estimate``.
+        """
+        engine, call_options = self.for_call(options, keywords)
+        callers_shapes = read_shapes(shapes)
+        shape_reading = ShapeReading(edge_px=edge_px, orientation=orientation)
+        scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
+        with open_raster(image, call_options.reading) as raster:
+            analyses = analyse_objects(
+                raster,
+                callers_shapes,
+                segmenter=None,
+                scale=scale_input,
+                options=call_options,
+                object_height_m=object_height_m,
+                reading=shape_reading,
+            )
+        return tuple(
+            analysis.drawn_over(image, raster, call_options.reading) for analysis in analyses
+        )
 
     def measure_distance(
         self,

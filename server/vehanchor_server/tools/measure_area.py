@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from vehanchor.measure.shapes import CallerPolygon
     from vehanchor.pictures.placement import Cut
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor_server.tools.strict_tool import StrictTool
@@ -58,7 +59,7 @@ def measure_area_tool(services: Services) -> "StrictTool":
             Field(
                 min_length=1,
                 max_length=MAX_TARGETS,
-                description="Objects to measure: a box around each, or points on it.",
+                description="Objects: a box around each, points on it, or its polygon.",
                 examples=[_EXAMPLE],
             ),
         ],
@@ -100,15 +101,17 @@ def _measure(
     from vehanchor_server.app_page.panel import drawing_of
 
     # Refuse invalid prompts before the models load and search.
-    prompts = [_prompt(target) for target in question.subject]
-    segmenter = resources.models.segmenter(job.runtime)
+    subjects = [_subject(target) for target in question.subject]
+    segmenter = None
+    if any(target.polygon is None for target in question.subject):
+        segmenter = resources.models.segmenter(job.runtime)
     options, scale = resolve_source(question.options, resources, job)
     job.stop.check()
     with open_raster(source, options.reading) as raster:
         job.segmenting()
         objects = analyse_objects(
             raster,
-            prompts,
+            subjects,
             segmenter=segmenter,
             scale=scale,
             options=options,
@@ -135,9 +138,12 @@ def _measure(
     return Reply(measurements, picture=picture, drawing=drawing)
 
 
-def _prompt(target: Target) -> "Prompt":
+def _subject(target: Target) -> "Prompt | CallerPolygon":
+    from vehanchor.measure.shapes import read_polygon
     from vehanchor.segmentation.prompt import read_prompt
 
+    if target.polygon is not None:
+        return read_polygon(target.polygon)
     if target.box is not None:
         (left, top), (right, bottom) = target.box.corners
         return read_prompt((left, top, right, bottom), None)

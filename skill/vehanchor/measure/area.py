@@ -1,4 +1,4 @@
-"""Area of one object in a box or at points.
+"""Areas of objects: in a box, at points, or in shapes of the caller's own.
 
 Raster + prompt -> mask -> pixels x GSD^2 -> record. The scale comes from the whole image, or from
 the caller. No language model takes part in the measurement.
@@ -6,12 +6,16 @@ the caller. No language model takes part in the measurement.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
+from vehanchor.errors import PromptError
+from vehanchor.measure.placing import check_edge, place_shape
 from vehanchor.measure.scale_source import find_measurement_scale
+from vehanchor.measure.shapes import check_orientation
 from vehanchor.options import ScaleOptions
 from vehanchor.records import (
     AreaMeasurement,
@@ -22,118 +26,254 @@ from vehanchor.records import (
     OutlinePolygon,
     OutlineRing,
 )
-from vehanchor.segmentation.doubts import mask_notices
-from vehanchor.segmentation.prompt import prompt_in_image
+from vehanchor.scale.lengths import Z95
+from vehanchor.segmentation.doubts import edge_notices, mask_notices
+from vehanchor.segmentation.prompt import Prompt, prompt_in_image
 from vehanchor.segmentation.segmenter import Segmenter
-from vehanchor.segmentation.shape import inscribed_circle, perimeter, rotated_extents, trace_outline
+from vehanchor.segmentation.shape import (
+    MAX_OUTLINE_POINTS,
+    inscribed_circle,
+    perimeter,
+    rotated_extents,
+    trace_outline,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
+    from vehanchor.measure.placing import PlacedShape
     from vehanchor.measure.scale_source import MeasurementScale, ScaleInput
+    from vehanchor.measure.shapes import CallerShape, Orientation
     from vehanchor.options import Frame
+    from vehanchor.records import Notice
     from vehanchor.scale.lengths import Spread
-    from vehanchor.segmentation.prompt import Prompt
+    from vehanchor.segmentation.object_mask import ObjectMask
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
-    from vehanchor.segmentation.shape import Mask
+    from vehanchor.segmentation.shape import Circle
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeReading:
+    """How the caller's shapes are read.
+
+    Attributes:
+        edge_px: how far their edge may lie from the object's; see ``place_shape``.
+        orientation: whether they belong to the upright or the stored pixels; see ``place_shape``.
+    """
+
+    edge_px: float | None = None
+    orientation: Orientation | None = None
+
+    def __post_init__(self) -> None:
+        check_edge(self.edge_px)
+        check_orientation(self.orientation)
+
+
+_USUAL_READING = ShapeReading()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Object:
+    """Object before its scale is known, in pixels of the image.
+
+    Attributes:
+        pixels: its mask: a segmentation, or the pixels of the caller's shape.
+        prompt: what names it; empty for a shape of the caller.
+        area_px: its area; that of a polygon by its corners.
+        perimeter_px: length of its outline.
+        extents_px: length and width of the smallest rotated rectangle around it.
+        circle: the largest circle inside; None for an empty mask.
+        area_log_sd: standard deviation of the log of its area, from the error of its edge.
+        outline: its outline for drawing.
+        card: model card of the segmenter; None for a shape of the caller.
+        score: the segmenter's estimate of the mask's IoU; None for a shape of the caller.
+        is_polygon: whether the caller gave a polygon.
+        is_doubtful: whether the mask needs a check.
+        notices: doubts about the mask.
+        alternatives: other objects that the points may mean.
+    """
+
+    pixels: ObjectMask
+    prompt: Prompt
+    area_px: float
+    perimeter_px: float
+    extents_px: tuple[float, float]
+    circle: Circle | None
+    area_log_sd: float
+    outline: tuple[OutlinePolygon, ...]
+    card: SegmenterCard | None = None
+    score: float | None = None
+    is_polygon: bool = False
+    is_doubtful: bool = False
+    notices: tuple[Notice, ...] = ()
+    alternatives: tuple[Segmentation, ...] = ()
 
 
 def analyse_objects(
     raster: Raster,
-    prompts: Sequence[Prompt],
-    segmenter: Segmenter,
+    subjects: Sequence[Prompt | CallerShape],
+    segmenter: Segmenter | None,
     scale: ScaleInput,
     options: ScaleOptions,
     *,
     object_height_m: float | None = None,
+    reading: ShapeReading = _USUAL_READING,
 ) -> tuple[AreaAnalysis, ...]:
     """Measure several objects of an open image with one search.
 
     Args:
         raster: the image.
-        prompts: results of ``read_prompt``, in the caller's coordinates.
-        segmenter: segments the objects.
+        subjects: results of ``read_prompt`` and ``read_shapes``, in the caller's coordinates.
+        segmenter: segments the objects of prompts; None without prompts.
         scale: the known scale, or the analysis that finds it.
         options: all options of the scale estimate.
         object_height_m: height of all objects above the ground.
+        reading: how shapes are read.
 
     Returns:
-        For each prompt the record, the mask, the prompt in pixels of the image and the analysis of
+        For each subject the record, the mask, the prompt in pixels of the image and the analysis of
         the scale.
 
     Raises:
-        VehAnchorError: see ``Engine.measure_area``.
+        VehAnchorError: see ``Engine.measure_area`` and ``Engine.measure_areas``.
     """
     options.frame.check(raster.width_px, raster.height_px)
-    width_px = raster.width_px
-    height_px = raster.height_px
-    in_image = [
-        prompt_in_image(prompt, options.frame, width_px, height_px=height_px) for prompt in prompts
+    # All prompts first: they are faster than the masks, and an invalid one fails early.
+    in_image: list[Prompt | PlacedShape] = []
+    for number, subject in enumerate(subjects, 1):
+        if isinstance(subject, Prompt):
+            prompt = prompt_in_image(
+                subject, options.frame, raster.width_px, height_px=raster.height_px
+            )
+            in_image.append(prompt)
+            continue
+        try:
+            shape = place_shape(
+                subject,
+                raster,
+                options,
+                edge_px=reading.edge_px,
+                orientation=reading.orientation,
+            )
+        except PromptError as error:
+            if len(subjects) == 1:
+                raise
+            raise PromptError(f"shape {number}: {error}") from None
+        in_image.append(shape)
+    # Then the masks, which are faster than the search.
+    objects = [
+        _find_object(raster, subject, segmenter=segmenter, options=options) for subject in in_image
     ]
-    # Masks first: they are faster than the search, and an invalid prompt fails early.
-    limits = options.reading.limits
-    masks = [segmenter.segment(raster, prompt, limits=limits) for prompt in in_image]
     measurement_scale = find_measurement_scale(
         raster, scale, options, object_height_m=object_height_m
     )
     analyses = []
-    for prompt, mask in zip(in_image, masks, strict=True):
-        record = _measure_object(
-            raster,
-            mask,
-            prompt=prompt,
-            card=segmenter.card,
-            options=options,
-            scale=measurement_scale,
-        )
+    for subject, measured in zip(subjects, objects, strict=True):
+        record = _measure_object(raster, measured, options=options, scale=measurement_scale)
         analysis = AreaAnalysis(
             record,
-            mask,
-            prompt,
+            measured.pixels,
+            measured.prompt,
             scale=measurement_scale.analysis,
             nadir=measurement_scale.plane is None,
+            name="" if isinstance(subject, Prompt) else subject.name,
         )
         analyses.append(analysis)
     return tuple(analyses)
 
 
-def _measure_object(
+def _find_object(
     raster: Raster,
-    segmentation: Segmentation,
+    subject: Prompt | PlacedShape,
     *,
-    prompt: Prompt,
-    card: SegmenterCard,
+    segmenter: Segmenter | None,
     options: ScaleOptions,
-    scale: MeasurementScale,
-) -> AreaMeasurement:
-    """Make the record from mask and scale."""
+) -> _Object:
+    if not isinstance(subject, Prompt):
+        return _given_object(raster, subject)
+    assert segmenter is not None, "prompts need a segmenter"
+    segmentation = segmenter.segment(raster, subject, limits=options.reading.limits)
+    return _segmented_object(raster, segmentation, prompt=subject, card=segmenter.card)
+
+
+def _segmented_object(
+    raster: Raster, segmentation: Segmentation, *, prompt: Prompt, card: SegmenterCard
+) -> _Object:
+    """Describe the object of a model's mask."""
     mask = segmentation.mask
-    left = segmentation.window.x_px
-    top = segmentation.window.y_px
-    n_px = int(mask.sum())
-    perimeter_px = perimeter(mask)
+    window = segmentation.window
     length_px, width_px = rotated_extents(mask)
     circle = inscribed_circle(mask)
+    if circle is not None:
+        circle = circle._replace(x=circle.x + window.x_px, y=circle.y + window.y_px)
+    doubts = mask_notices(raster, segmentation, prompt=prompt, card=card, width_px=width_px)
+    return _Object(
+        pixels=segmentation,
+        prompt=prompt,
+        area_px=float(mask.sum()),
+        perimeter_px=perimeter(mask),
+        extents_px=(length_px, width_px),
+        circle=circle,
+        area_log_sd=card.area_log_sd(prompt, segmentation),
+        outline=_traced_outline(segmentation),
+        card=card,
+        score=segmentation.score,
+        is_doubtful=card.is_doubtful(segmentation),
+        notices=tuple(doubts),
+        alternatives=segmentation.alternatives,
+    )
+
+
+def _given_object(raster: Raster, shape: PlacedShape) -> _Object:
+    """Describe a shape of the caller."""
+    n_corners = sum(len(ring) for part in shape.parts for ring in part)
+    if 0 < n_corners <= MAX_OUTLINE_POINTS:
+        outline = _outline(shape.parts, 0, 0)
+    else:
+        outline = _traced_outline(shape.pixels)
+    # The edge lies up to so far inside or outside: 95 % of its errors. An offset of the outline
+    # changes the area by the offset times the perimeter.
+    area_error = shape.edge_px * shape.perimeter_px / shape.area_px
+    return _Object(
+        pixels=shape.pixels,
+        prompt=Prompt(),
+        area_px=shape.area_px,
+        perimeter_px=shape.perimeter_px,
+        extents_px=shape.extents_px,
+        circle=shape.circle,
+        area_log_sd=area_error / Z95,
+        outline=outline,
+        is_polygon=bool(shape.parts),
+        notices=tuple(edge_notices(raster, shape.pixels)),
+    )
+
+
+def _measure_object(
+    raster: Raster, measured: _Object, *, options: ScaleOptions, scale: MeasurementScale
+) -> AreaMeasurement:
+    """Make the record from an object and the scale."""
+    pixels = measured.pixels
+    circle = measured.circle
+    length_px, width_px = measured.extents_px
     # None for an empty mask, too: it has no size, not a size of zero.
-    gsd = scale.gsd_over(mask, left, top)
+    gsd = scale.gsd_over(pixels.mask, pixels.window.x_px, pixels.window.y_px)
     area = _NO_SIZE
     diameter = _NO_SIZE
     centre = None
     if circle is not None:
-        centre = ImagePoint(x_px=circle.x + left, y_px=circle.y + top)
+        centre = ImagePoint(x_px=circle.x, y_px=circle.y)
     if gsd is not None and circle is not None:
-        area_log_sd = card.area_log_sd(prompt, segmentation)
         # The paper, section III-G: the area is the number of pixels times the scale squared, so
         # the log error of the scale counts twice.
-        area_spread = scale.spread.times(2).plus(area_log_sd)
-        area = _Size.of(n_px * gsd**2, area_spread)
+        area_spread = scale.spread.times(2).plus(measured.area_log_sd)
+        area = _Size.of(measured.area_px * gsd**2, area_spread)
         diameter_log_sd = _diameter_log_sd(
-            area_log_sd,
-            n_px,
-            perimeter_px=perimeter_px,
+            measured.area_log_sd,
+            measured.area_px,
+            perimeter_px=measured.perimeter_px,
             diameter_px=circle.diameter,
         )
         diameter_spread = scale.spread.plus(diameter_log_sd)
@@ -142,20 +282,21 @@ def _measure_object(
     if scale.estimate is not None:
         mode_length_px = scale.estimate.mode_length_px
     status = scale.status
-    if status == "ok" and card.is_doubtful(segmentation):
+    if status == "ok" and measured.is_doubtful:
         status = "low_confidence"
-    box = _box(segmentation)
-    doubts = mask_notices(raster, segmentation, prompt=prompt, card=card, width_px=width_px)
-    alternatives = [_other_object(other, scale) for other in segmentation.alternatives]
+    box = _box(pixels)
+    alternatives = [_other_object(other, scale) for other in measured.alternatives]
+    card = measured.card
     return AreaMeasurement(
         status=status,
         area_m2=area.value,
         area_ci95_low_m2=area.low,
         area_ci95_high_m2=area.high,
         mode_length_px=mode_length_px,
-        mask_area_px=n_px,
-        mask_score=segmentation.score,
-        perimeter_m=_metres(perimeter_px, gsd),
+        mask_area_px=int(pixels.mask.sum()),
+        polygon_area_px=measured.area_px if measured.is_polygon else None,
+        mask_score=measured.score,
+        perimeter_m=_metres(measured.perimeter_px, gsd),
         length_m=_metres(length_px, gsd),
         width_m=_metres(width_px, gsd),
         inscribed_diameter_m=diameter.value,
@@ -164,11 +305,11 @@ def _measure_object(
         inscribed_center=centre,
         bounding_box=box,
         alternatives=tuple(alternatives),
-        outline=_outline(mask, left, top),
+        outline=measured.outline,
         frame=_frame_area(options.frame, raster, gsd=scale.gsd_m_per_px, box=box),
-        segmenter=card.name,
-        segmenter_sha256=card.sha256,
-        warnings=(*scale.notices, *doubts),
+        segmenter=None if card is None else card.name,
+        segmenter_sha256=None if card is None else card.sha256,
+        warnings=(*scale.notices, *measured.notices),
         **scale.fields(raster.width_px, raster.height_px),
     )
 
@@ -220,18 +361,26 @@ def _other_object(segmentation: Segmentation, scale: MeasurementScale) -> OtherO
     )
 
 
-def _box(segmentation: Segmentation) -> BoundingBox | None:
-    bounds = segmentation.bounding_box
+def _box(pixels: ObjectMask) -> BoundingBox | None:
+    bounds = pixels.bounding_box
     if bounds is None:
         return None
     x1, y1, x2, y2 = bounds
     return BoundingBox(x1_px=x1, y1_px=y1, x2_px=x2, y2_px=y2)
 
 
-def _outline(mask: Mask, left: int, top: int) -> tuple[OutlinePolygon, ...]:
-    """Trace the outline of a mask whose first pixel is at ``left``, ``top`` of the image."""
+def _traced_outline(pixels: ObjectMask) -> tuple[OutlinePolygon, ...]:
+    """Trace the outline of a mask."""
+    window = pixels.window
+    return _outline(trace_outline(pixels.mask), window.x_px, window.y_px)
+
+
+def _outline(
+    parts: Iterable[Sequence[NDArray[np.float64]]], left: int, top: int
+) -> tuple[OutlinePolygon, ...]:
+    """Make the outline of rings that are counted from ``left``, ``top`` of the image."""
     polygons = []
-    for rings in trace_outline(mask):
+    for rings in parts:
         exterior, *holes = [_outline_ring(ring, left, top) for ring in rings]
         polygon = OutlinePolygon(exterior=exterior, holes=tuple(holes))
         polygons.append(polygon)

@@ -33,6 +33,8 @@ PROMPT_RGB = (240, 228, 66)
 _OUTSIDE_RGB = (213, 94, 0)
 _BLACK = (0, 0, 0)
 _TINT_OPACITY = 0.35
+# Objects whose sizes the caption lists; more would be higher than the picture.
+_MAX_CAPTIONS = 16
 
 
 def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) -> RgbImage:
@@ -58,7 +60,9 @@ def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) 
     for number, analysis in zip(numbers, analyses, strict=True):
         if number:
             _write_number(canvas, number, analysis)
-    sizes = [_area_text(analysis.measurement) for analysis in analyses]
+    sizes = [_area_text(analysis.measurement) for analysis in analyses[:_MAX_CAPTIONS]]
+    if len(analyses) > _MAX_CAPTIONS:
+        sizes.append(f"and {len(analyses) - _MAX_CAPTIONS} more")
     return _finish(canvas, first, sizes)
 
 
@@ -211,6 +215,8 @@ def _area_text(record: AreaMeasurement) -> str:
     pixels = "" if record.area_m2 is None else f"{mask}, "
     codes = {notice.code for notice in record.warnings}
     doubt = " - low" if NoticeCode.MASK_SCORE_LOW in codes else ""
+    if record.mask_score is None:
+        return f"{size}; {pixels}shape given" if pixels else f"{size}; shape given"
     return f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
 
 

@@ -54,6 +54,7 @@ EstimateField = Annotated[
 ]
 ImageWidth = Annotated[int, Field(gt=0, description="Width of the full image, pixels.")]
 ImageHeight = Annotated[int, Field(gt=0, description="Height of the full image, pixels.")]
+Score = Annotated[float, Field(ge=0, le=1)]
 MeasuredWarnings = Annotated[
     tuple[Notice, ...],
     Field(description="Further facts about this result and its scale, each with a stable code."),
@@ -134,7 +135,7 @@ class OtherObject(Record):
 
 
 class AreaMeasurement(Record):
-    """Area of an object: the pixels of its mask times the square of the scale."""
+    """Area of an object: the pixels of its mask or polygon times the square of the scale."""
 
     status: Annotated[Status, Short()] = Field(
         description="ok: scale and mask are usable. low_confidence: the scale is not usable, the "
@@ -142,8 +143,8 @@ class AreaMeasurement(Record):
         "scale, so sizes are in pixels only."
     )
     area_m2: Annotated[float | None, Short(when_null=True)] = Field(
-        description="mask_area_px times GSD squared, square metres, summed over the ground plane "
-        "for a tilted camera; null without a scale."
+        description="mask_area_px, or polygon_area_px, times GSD squared, square metres, summed "
+        "over the ground plane for a tilted camera; null without a scale."
     )
     area_ci95_low_m2: Annotated[float | None, Short()] = Field(
         description="Lower end of its 95 % interval, from the errors of scale and mask."
@@ -159,8 +160,13 @@ class AreaMeasurement(Record):
     )
     scale_source: ScaleSourceField
     mask_area_px: int = Field(ge=0, description="N_px: pixels of the mask in the full image.")
-    mask_score: Annotated[float, Short(round_down=True)] = Field(
-        ge=0, le=1, description="The segmenter's estimate of the mask's IoU."
+    polygon_area_px: float | None = Field(
+        default=None,
+        gt=0,
+        description="Area of the caller's polygon by its corners, pixels; null for a mask.",
+    )
+    mask_score: Annotated[Score | None, Short(round_down=True)] = Field(
+        description="The segmenter's estimate of the mask's IoU; null for the caller's own shape."
     )
     perimeter_m: float | None = Field(
         description="Length of the mask's outline with its holes, metres."
@@ -201,9 +207,12 @@ class AreaMeasurement(Record):
     )
     scale: ScaleField
     estimate: EstimateField
-    segmenter: str = Field(description="Name of the segmenter.")
-    segmenter_sha256: str = Field(
-        description="SHA-256 of the segmenter's encoder file followed by its decoder file."
+    segmenter: str | None = Field(
+        description="Name of the segmenter; null for the caller's own shape."
+    )
+    segmenter_sha256: str | None = Field(
+        description="SHA-256 of the segmenter's encoder file followed by its decoder file; null "
+        "for the caller's own shape."
     )
     warnings: MeasuredWarnings
     schema_version: SchemaVersion = SCHEMA_VERSION

@@ -29,8 +29,9 @@ from vehanchor.segmentation.crop import (
     place_mask,
     read_resized,
 )
-from vehanchor.segmentation.prompt import MIN_BOX_PX, Box, Prompt
-from vehanchor.segmentation.shape import mask_bounds, touches_edge
+from vehanchor.segmentation.object_mask import ObjectMask
+from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt
+from vehanchor.segmentation.shape import touches_edge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,33 +104,18 @@ class SegmenterCard:
 
 
 @dataclass(frozen=True, eq=False)
-class Segmentation:
-    """Mask of an object.
+class Segmentation(ObjectMask):
+    """Mask of an object by a model, which ran on the mask's window.
 
     Attributes:
-        mask: ``[h, w]`` bool, the pixels of ``window``; nothing outside it belongs to the object.
-        window: crop of the image on which the model ran.
         score: IoU of the mask as predicted by the model, 0..1.
         alternatives: other objects that the points may mean, best first; none for a box.
         is_agreed: whether the masks of the points show the same object; true for a box.
     """
 
-    mask: Mask
-    window: Window
     score: float
     alternatives: tuple[Segmentation, ...] = ()
     is_agreed: bool = True
-
-    @property
-    def bounding_box(self) -> Box | None:
-        """Smallest box around the mask, in whole pixels of the image; None for an empty mask."""
-        bounds = mask_bounds(self.mask)
-        if bounds is None:
-            return None
-        x1, y1, x2, y2 = bounds
-        left = self.window.x_px
-        top = self.window.y_px
-        return x1 + left, y1 + top, x2 + left, y2 + top
 
 
 class Segmenter(LoadedModel):

@@ -38,7 +38,12 @@ from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.raster import Raster
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size
 from vehanchor.imagery.sources.files import spelled_as_stored
-from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
+from vehanchor.imagery.sources.pillow import (
+    PillowImage,
+    is_pillow,
+    pillow_orientation,
+    pillow_pixels,
+)
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.options import Reading
 
@@ -118,7 +123,9 @@ def open_raster(image: ImageSource, reading: Reading = _DEFAULT_READING) -> Rast
         return _open_bytes(bytes(image), "bytes", reading)
     if is_pillow(image):
         pixels = pillow_pixels(image, reading.limits)
-        return ArrayRaster(pixels, "image", reading.bands, alpha=True)
+        raster = ArrayRaster(pixels, "image", reading.bands, alpha=True)
+        raster.file_orientation = pillow_orientation(image)
+        return raster
     if is_dataset(image):
         return open_dataset(image, reading.bands, reading.limits)
     if hasattr(image, "read"):
@@ -187,6 +194,7 @@ def _open_bytes(data: bytes, source: str, reading: Reading) -> Raster:
         pixels, source, reading.bands, bgr=True, orientation=orientation, alpha=has_alpha
     )
     raster.camera = read_camera(read_at, header)
+    raster.file_orientation = header.orientation
     return raster
 
 
