@@ -281,6 +281,11 @@ def write_own_shape() -> None:
     write_overlay(IMAGES / "own_shape.jpg", ["--polygon", ROOF])
 
 
+def write_fit() -> None:
+    """Write the overlay of a rectangle that fits on the roof."""
+    write_overlay(IMAGES / "fit.jpg", ["--polygon", ROOF, "--must-fit", "12x5"])
+
+
 def write_overlay(figure: Path, options: Sequence[str]) -> None:
     """Write the overlay of ``vehanchor measure`` with options as a figure."""
     with tempfile.TemporaryDirectory() as folder:
@@ -302,6 +307,7 @@ WRITERS = {
     "image_to_number": write_image_to_number,
     "hits_and_misses": write_hits_and_misses,
     "own_shape": write_own_shape,
+    "fit": write_fit,
     "page": write_page,
 }
 

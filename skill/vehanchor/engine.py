@@ -29,6 +29,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import ShapeReading, analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
+from vehanchor.measure.fit import read_must_fit
 from vehanchor.measure.scale_source import read_scale_argument
 from vehanchor.measure.shapes import read_shapes
 from vehanchor.models.runtime import Cancellation, Runtime
@@ -233,6 +234,7 @@ class Engine:
         gsd_m_per_px: float | None = None,
         scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
         object_height_m: float | None = None,
+        must_fit: Mapping[str, float] | None = None,
         **keywords: Any,
     ) -> AreaAnalysis:
         """Measure the area of the object in a box or at points.
@@ -254,6 +256,8 @@ class Engine:
             scale: an earlier estimate of this image, or its ``scale``; the detector does not run,
                 and the interval and the confidence of that estimate hold.
             object_height_m: height of the object above the ground, such as a roof; None for 0.
+            must_fit: ``diameter_m`` of a circle, or ``length_m`` and ``width_m`` of a rectangle, in
+                metres: the record's ``fit`` states the probability that it fits, and where.
             **keywords: see ``Engine``.
 
         Returns:
@@ -267,6 +271,7 @@ class Engine:
         """
         engine, call_options = self.for_call(options, keywords)
         prompt = read_prompt(box, points)
+        shape_to_fit = read_must_fit(must_fit)
         segmenter = engine.segmenter
         scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
         with open_raster(image, call_options.reading) as raster:
@@ -277,6 +282,7 @@ class Engine:
                 scale=scale_input,
                 options=call_options,
                 object_height_m=object_height_m,
+                must_fit=shape_to_fit,
             )
         return analysis.drawn_over(image, raster, call_options.reading)
 
@@ -298,6 +304,7 @@ class Engine:
         object_height_m: float | None = None,
         edge_px: float | None = None,
         orientation: Orientation | None = None,
+        must_fit: Mapping[str, float] | None = None,
         **keywords: Any,
     ) -> tuple[AreaAnalysis, ...]:
         """Measure the areas of shapes that the caller has already, with one search.
@@ -321,6 +328,7 @@ class Engine:
             orientation: "oriented" or "stored": whether the shapes belong to the upright picture or
                 to the pixels as the file stores them; needed for a mask whose size does not show
                 it.
+            must_fit: as in ``analyse_area``, for each shape.
             **keywords: see ``Engine``.
 
         Returns:
@@ -336,6 +344,7 @@ class Engine:
         engine, call_options = self.for_call(options, keywords)
         callers_shapes = read_shapes(shapes)
         shape_reading = ShapeReading(edge_px=edge_px, orientation=orientation)
+        shape_to_fit = read_must_fit(must_fit)
         scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
         with open_raster(image, call_options.reading) as raster:
             analyses = analyse_objects(
@@ -346,6 +355,7 @@ class Engine:
                 options=call_options,
                 object_height_m=object_height_m,
                 reading=shape_reading,
+                must_fit=shape_to_fit,
             )
         return tuple(
             analysis.drawn_over(image, raster, call_options.reading) for analysis in analyses

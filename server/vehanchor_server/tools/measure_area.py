@@ -25,7 +25,7 @@ from vehanchor_server.tools.scale_arguments import (
     resolve_source,
     with_options,
 )
-from vehanchor_server.tools.target import MAX_TARGETS, Target
+from vehanchor_server.tools.target import MAX_TARGETS, MustFit, Objects, Target
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,6 +66,13 @@ def measure_area_tool(services: Services) -> "StrictTool":
         ctx: Context[Any, Any],
         caller_options: CallerOptions,
         picture: PictureRequest,
+        must_fit: Annotated[
+            MustFit | None,
+            Field(
+                description="Shape that must fit inside, metres: the answer has fit_probability "
+                "and its place.",
+            ),
+        ] = None,
         detail: DetailArgument = "short",
     ) -> CallToolResult:
         reply, answer = await run_measuring_call(
@@ -73,7 +80,7 @@ def measure_area_tool(services: Services) -> "StrictTool":
             ctx,
             image=image,
             work=_measure,
-            question=Question(caller_options, picture, subject=targets),
+            question=Question(caller_options, picture, subject=Objects(targets, must_fit)),
             points=[point for target in targets for point in target.coordinates],
             detail=detail,
         )
@@ -92,18 +99,22 @@ def measure_area_tool(services: Services) -> "StrictTool":
 
 @work(AreaMeasurement)
 def _measure(
-    resources: Resources, job: Job, source: OpenedImage, question: Question[tuple[Target, ...]]
+    resources: Resources, job: Job, source: OpenedImage, question: Question[Objects]
 ) -> Reply[AreaMeasurement]:
     """Segment the objects and measure them."""
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
+    from vehanchor.measure.fit import read_must_fit
     from vehanchor.pictures.measurement import cut_to_objects, draw_area
     from vehanchor_server.app_page.panel import drawing_of
 
     # Refuse invalid prompts before the models load and search.
-    subjects = [_subject(target) for target in question.subject]
+    subjects = [_subject(target) for target in question.subject.targets]
+    must_fit = None
+    if question.subject.must_fit is not None:
+        must_fit = read_must_fit(question.subject.must_fit.model_dump())
     segmenter = None
-    if any(target.polygon is None for target in question.subject):
+    if any(target.polygon is None for target in question.subject.targets):
         segmenter = resources.models.segmenter(job.runtime)
     options, scale = resolve_source(question.options, resources, job)
     job.stop.check()
@@ -116,6 +127,7 @@ def _measure(
             scale=scale,
             options=options,
             object_height_m=question.options.get("object_height_m"),
+            must_fit=must_fit,
         )
         # All objects of an image share its scale.
         evidence = objects[0].scale

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -20,6 +21,8 @@ _FORMS = (
     '80}}, {"points": [{"x": 50, "y": 40}]} or {"polygon": [10, 20, 90, 20, 90, 80]}'
 )
 _FORM_NAMES = ("box", "points", "polygon")
+_MUST_FIT_FORMS = 'give {"diameter_m": 12} or {"length_m": 12, "width_m": 5}'
+Metres: TypeAlias = Annotated[Number, Field(gt=0)]
 
 
 class Box(FrozenModel):
@@ -83,3 +86,34 @@ class Target(FrozenModel):
         if len(forms) != 1:
             raise PydanticCustomError("target_form", _FORMS)
         return value
+
+
+class MustFit(FrozenModel):
+    """A circle, or a rectangle."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 2})
+
+    diameter_m: Metres | None = None
+    length_m: Metres | None = None
+    width_m: Metres | None = None
+
+    @model_validator(mode="after")
+    def _is_one_shape(self) -> MustFit:
+        is_rectangle = self.length_m is not None and self.width_m is not None
+        is_partial = self.length_m is not None or self.width_m is not None
+        if (self.diameter_m is None) != is_rectangle or (is_partial and not is_rectangle):
+            raise PydanticCustomError("must_fit_form", _MUST_FIT_FORMS)
+        return self
+
+
+@dataclass(frozen=True)
+class Objects:
+    """Subject of a call of ``measure_area``.
+
+    Attributes:
+        targets: the objects.
+        must_fit: shape that must fit into each; None for none.
+    """
+
+    targets: tuple[Target, ...]
+    must_fit: MustFit | None = None

@@ -17,7 +17,7 @@ from vehanchor.errors import PromptError
 from vehanchor.measure.shape_file import read_shape_file
 from vehanchor.measure.shapes import read_polygon
 from vehanchor.options.models import SEGMENTER
-from vehanchor.records.text import significant, with_interval
+from vehanchor.records.text import fit_in_words, significant, with_interval
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,6 +70,13 @@ ShapeOrientation: TypeAlias = Annotated[
         "(stored).",
     ),
 ]
+FittingShape: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="METRES",
+        help="Does it fit inside? A diameter such as 12, or length x width such as 12x5.",
+    ),
+]
 MaskFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(metavar="OUT.png", help="Write the object's mask, white on black, in full size."),
@@ -98,6 +105,7 @@ def measure(
     shapes: OwnShapes = None,
     edge: EdgeError = None,
     orientation: ShapeOrientation = None,
+    must_fit: FittingShape = None,
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     object_height: ObjectHeight = None,
@@ -129,6 +137,7 @@ def measure(
             "gsd_m_per_px": gsd,
             "scale": known_scale,
             "object_height_m": object_height,
+            "must_fit": _read_must_fit(must_fit),
             "progress": progress,
         }
         points = _read_points(point, negative)
@@ -176,6 +185,21 @@ def _read_own_shapes(
     return own_shapes
 
 
+def _read_must_fit(text: str | None) -> dict[str, float] | None:
+    """Read a diameter, or length x width."""
+    if text is None:
+        return None
+    try:
+        sizes = [float(size) for size in text.lower().split("x")]
+    except ValueError:
+        sizes = []
+    if len(sizes) == 1:
+        return {"diameter_m": sizes[0]}
+    if len(sizes) == 2:
+        return {"length_m": sizes[0], "width_m": sizes[1]}
+    raise PromptError(f"--must-fit is {text!r}: use metres, as 12 or 12x5")
+
+
 def _read_points(
     on_object: Sequence[str] | None, beside_object: Sequence[str] | None
 ) -> list[tuple[float, float, bool]] | None:
@@ -200,6 +224,8 @@ def _facts(record: AreaMeasurement) -> Facts:
         missing="none: there is no scale, or no mask",
     )
     facts = [("area", area)]
+    if record.fit is not None:
+        facts.append(("fits", _fit_text(record)))
     if record.area_m2 is not None:
         facts += _size_facts(record)
     if record.segmenter is None:
@@ -235,6 +261,20 @@ def _size_facts(record: AreaMeasurement) -> Facts:
         ("size", f"{length} x {width} m, perimeter {perimeter} m"),
         ("largest circle", circle),
     ]
+
+
+def _fit_text(record: AreaMeasurement) -> str:
+    """State the shape that must fit, its probability and its place."""
+    fit = record.fit
+    assert fit is not None
+    text = fit_in_words(fit)
+    if record.status != "ok":
+        text += "; do not act on it"
+    if fit.center is not None:
+        text += f"; best at x {fit.center.x_px:.0f}, y {fit.center.y_px:.0f}"
+    if fit.heading_deg is not None:
+        text += f", heading {fit.heading_deg:.0f} degrees"
+    return text
 
 
 def _object_text(other: OtherObject) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.errors import PromptError
+from vehanchor.measure.fit import find_fit
 from vehanchor.measure.placing import check_edge, place_shape
 from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.measure.shapes import check_orientation
@@ -44,11 +45,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.raster import Raster
+    from vehanchor.measure.fit import MustFit
     from vehanchor.measure.placing import PlacedShape
+    from vehanchor.measure.polygon import Part
     from vehanchor.measure.scale_source import MeasurementScale, ScaleInput
     from vehanchor.measure.shapes import CallerShape, Orientation
     from vehanchor.options import Frame
     from vehanchor.records import Notice
+    from vehanchor.records.measurement import Fit
     from vehanchor.scale.lengths import Spread
     from vehanchor.segmentation.object_mask import ObjectMask
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
@@ -87,10 +91,11 @@ class _Object:
         extents_px: length and width of the smallest rotated rectangle around it.
         circle: the largest circle inside; None for an empty mask.
         area_log_sd: standard deviation of the log of its area, from the error of its edge.
+        width_log_sd: least standard deviation of the log of what fits inside.
         outline: its outline for drawing.
         card: model card of the segmenter; None for a shape of the caller.
         score: the segmenter's estimate of the mask's IoU; None for a shape of the caller.
-        is_polygon: whether the caller gave a polygon.
+        parts: rings of the caller's polygon; empty for a mask.
         is_doubtful: whether the mask needs a check.
         notices: doubts about the mask.
         alternatives: other objects that the points may mean.
@@ -103,13 +108,19 @@ class _Object:
     extents_px: tuple[float, float]
     circle: Circle | None
     area_log_sd: float
+    width_log_sd: float
     outline: tuple[OutlinePolygon, ...]
     card: SegmenterCard | None = None
     score: float | None = None
-    is_polygon: bool = False
+    parts: tuple[Part, ...] = ()
     is_doubtful: bool = False
     notices: tuple[Notice, ...] = ()
     alternatives: tuple[Segmentation, ...] = ()
+
+    @property
+    def edge_sd_px(self) -> float:
+        """Standard deviation of the place of its edge, pixels: an offset of the whole outline."""
+        return self.area_log_sd * self.area_px / self.perimeter_px
 
 
 def analyse_objects(
@@ -121,6 +132,7 @@ def analyse_objects(
     *,
     object_height_m: float | None = None,
     reading: ShapeReading = _USUAL_READING,
+    must_fit: MustFit | None = None,
 ) -> tuple[AreaAnalysis, ...]:
     """Measure several objects of an open image with one search.
 
@@ -132,6 +144,7 @@ def analyse_objects(
         options: all options of the scale estimate.
         object_height_m: height of all objects above the ground.
         reading: how shapes are read.
+        must_fit: shape that must fit into each object; None for none.
 
     Returns:
         For each subject the record, the mask, the prompt in pixels of the image and the analysis of
@@ -172,7 +185,13 @@ def analyse_objects(
     )
     analyses = []
     for subject, measured in zip(subjects, objects, strict=True):
-        record = _measure_object(raster, measured, options=options, scale=measurement_scale)
+        record = _measure_object(
+            raster,
+            measured,
+            options=options,
+            scale=measurement_scale,
+            must_fit=must_fit,
+        )
         analysis = AreaAnalysis(
             record,
             measured.pixels,
@@ -218,6 +237,7 @@ def _segmented_object(
         extents_px=(length_px, width_px),
         circle=circle,
         area_log_sd=card.area_log_sd(prompt, segmentation),
+        width_log_sd=card.mask_width_log_sd,
         outline=_traced_outline(segmentation),
         card=card,
         score=segmentation.score,
@@ -245,14 +265,20 @@ def _given_object(raster: Raster, shape: PlacedShape) -> _Object:
         extents_px=shape.extents_px,
         circle=shape.circle,
         area_log_sd=area_error / Z95,
+        width_log_sd=0.0,
         outline=outline,
-        is_polygon=bool(shape.parts),
+        parts=shape.parts,
         notices=tuple(edge_notices(raster, shape.pixels)),
     )
 
 
 def _measure_object(
-    raster: Raster, measured: _Object, *, options: ScaleOptions, scale: MeasurementScale
+    raster: Raster,
+    measured: _Object,
+    *,
+    options: ScaleOptions,
+    scale: MeasurementScale,
+    must_fit: MustFit | None,
 ) -> AreaMeasurement:
     """Make the record from an object and the scale."""
     pixels = measured.pixels
@@ -276,7 +302,7 @@ def _measure_object(
             perimeter_px=measured.perimeter_px,
             diameter_px=circle.diameter,
         )
-        diameter_spread = scale.spread.plus(diameter_log_sd)
+        diameter_spread = scale.spread.plus(max(diameter_log_sd, measured.width_log_sd))
         diameter = _Size.of(circle.diameter * gsd, diameter_spread)
     mode_length_px = None
     if scale.estimate is not None:
@@ -287,6 +313,17 @@ def _measure_object(
     box = _box(pixels)
     alternatives = [_other_object(other, scale) for other in measured.alternatives]
     card = measured.card
+    fit = None
+    if must_fit is not None and circle is not None:
+        fit = find_fit(
+            must_fit,
+            pixels,
+            scale,
+            parts=measured.parts,
+            edge_sd_px=measured.edge_sd_px,
+            width_log_sd=measured.width_log_sd,
+            at_most=measured.score if measured.is_doubtful else None,
+        )
     return AreaMeasurement(
         status=status,
         area_m2=area.value,
@@ -294,7 +331,7 @@ def _measure_object(
         area_ci95_high_m2=area.high,
         mode_length_px=mode_length_px,
         mask_area_px=int(pixels.mask.sum()),
-        polygon_area_px=measured.area_px if measured.is_polygon else None,
+        polygon_area_px=measured.area_px if measured.parts else None,
         mask_score=measured.score,
         perimeter_m=_metres(measured.perimeter_px, gsd),
         length_m=_metres(length_px, gsd),
@@ -303,10 +340,11 @@ def _measure_object(
         inscribed_diameter_ci95_low_m=diameter.low,
         inscribed_diameter_ci95_high_m=diameter.high,
         inscribed_center=centre,
+        fit=fit,
         bounding_box=box,
         alternatives=tuple(alternatives),
         outline=measured.outline,
-        frame=_frame_area(options.frame, raster, gsd=scale.gsd_m_per_px, box=box),
+        frame=_frame_area(options.frame, raster, gsd=scale.gsd_m_per_px, box=box, fit=fit),
         segmenter=None if card is None else card.name,
         segmenter_sha256=None if card is None else card.sha256,
         warnings=(*scale.notices, *measured.notices),
@@ -394,17 +432,29 @@ def _outline_ring(ring: NDArray[np.float64], left: int, top: int) -> OutlineRing
 
 
 def _frame_area(
-    frame: Frame, raster: Raster, *, gsd: float | None, box: BoundingBox | None
+    frame: Frame,
+    raster: Raster,
+    *,
+    gsd: float | None,
+    box: BoundingBox | None,
+    fit: Fit | None,
 ) -> FrameArea | None:
-    """Convert scale and bounding box to the caller's resized copy; None without a copy."""
+    """Convert scale and places to the caller's resized copy; None without a copy."""
     if frame.size is None:
         return None
     width, height = frame.size
     across = width / raster.width_px
     down = height / raster.height_px
+    fit_center = None
+    fit_corners: tuple[ImagePoint, ...] = ()
+    if fit is not None and fit.center is not None:
+        fit_center = fit.center.scaled(across, down)
+        fit_corners = tuple(corner.scaled(across, down) for corner in fit.corners)
     return FrameArea(
         width_px=width,
         height_px=height,
         gsd_m_per_px=None if gsd is None else gsd / across,
         bounding_box=None if box is None else box.scaled(across, down),
+        fit_center=fit_center,
+        fit_corners=fit_corners,
     )

@@ -67,6 +67,10 @@ class ImagePoint(Record):
     x_px: float = Field(description="Pixels from the left edge.")
     y_px: float = Field(description="Pixels from the upper edge.")
 
+    def scaled(self, across: float, down: float) -> ImagePoint:
+        """Scale the point to a copy of the image; see ``BoundingBox.scaled``."""
+        return ImagePoint(x_px=self.x_px * across, y_px=self.y_px * down)
+
 
 class BoundingBox(Record):
     """Upright box; the first pixel spans 0 to 1."""
@@ -123,6 +127,12 @@ class FrameArea(Record):
     bounding_box: Annotated[BoundingBox | None, Short(when_null=True)] = Field(
         description="The object's box in pixels of that copy; null without a mask."
     )
+    fit_center: Annotated[ImagePoint | None, Short()] = Field(
+        default=None, description="The centre of fit in pixels of that copy."
+    )
+    fit_corners: Annotated[tuple[ImagePoint, ...], Short()] = Field(
+        default=(), description="The corners of fit in pixels of that copy."
+    )
 
 
 class OtherObject(Record):
@@ -132,6 +142,39 @@ class OtherObject(Record):
     mask_area_px: int = Field(gt=0, description="Pixels of its mask in the full image.")
     mask_score: float = Field(ge=0, le=1, description="The segmenter's estimate of its mask's IoU.")
     bounding_box: BoundingBox = Field(description="Its box, pixels of the full image.")
+
+
+class Fit(Record):
+    """Whether the shape that must fit has room in the object, and where."""
+
+    fit_probability: Annotated[float, Short(round_down=True)] = Field(
+        ge=0,
+        le=1,
+        description="Probability that it fits, over the whole posterior of the scale and the error "
+        "of the edge; at most the scale's confidence.",
+    )
+    center: Annotated[ImagePoint | None, Short()] = Field(
+        default=None,
+        description="Centre of the best place, pixels of the full image; null without one.",
+    )
+    heading_deg: Annotated[float | None, Short()] = Field(
+        default=None,
+        description="Direction of a rectangle's length in the image, degrees clockwise from up.",
+    )
+    corners: Annotated[tuple[ImagePoint, ...], Short()] = Field(
+        default=(),
+        description="Corners of a rectangle of that size at the best place, pixels of the full "
+        "image; empty for a circle and without a scale.",
+    )
+    n_fits_at_least: Annotated[int | None, Short()] = Field(
+        default=None,
+        ge=0,
+        description="Rectangles that fit in rows at that heading, even at the lower end of the "
+        "scale's interval; more may fit otherwise. Null for a circle.",
+    )
+    diameter_m: float | None = Field(default=None, description="Diameter of the circle, metres.")
+    length_m: float | None = Field(default=None, description="Length of the rectangle, metres.")
+    width_m: float | None = Field(default=None, description="Width of the rectangle, metres.")
 
 
 class AreaMeasurement(Record):
@@ -188,6 +231,10 @@ class AreaMeasurement(Record):
     )
     inscribed_center: Annotated[ImagePoint | None, Short(only_if_ok=True)] = Field(
         description="Centre of that circle, pixels of the full image; null without a mask."
+    )
+    fit: Annotated[Fit | None, Short()] = Field(
+        default=None,
+        description="Whether the shape of must_fit fits; null without must_fit or a mask.",
     )
     bounding_box: Annotated[BoundingBox | None, Short()] = Field(
         description="The mask's box, pixels of the full image; null without a mask."

@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 MIN_MASK_SCORE = 0.7
 # Default: standard deviation of log(mask area / true area).
 MASK_AREA_LOG_SD = 0.1
+# Default: standard deviation of the log of what fits into a mask over what fits in truth. A dent or
+# a bump changes it more than the area shows (research/results/notes.md).
+MASK_WIDTH_LOG_SD = 0.12
 # research/results/notes.md has the trial behind the numbers for points.
 # Standard deviation of log(mask area / true area) where all masks of the points agree.
 _POINT_AREA_LOG_SD = 0.25
@@ -70,6 +73,8 @@ class SegmenterCard:
         input_px: side of the input, pixels.
         min_score: masks with a lower score need a check of the outline.
         mask_area_log_sd: standard deviation of the log of mask area over true area, for boxes.
+        mask_width_log_sd: least standard deviation of the log of the largest circle or rectangle
+            inside a mask over the true one.
         licence: licence of the weights, from the file.
     """
 
@@ -79,6 +84,7 @@ class SegmenterCard:
     input_px: int
     min_score: float
     mask_area_log_sd: float
+    mask_width_log_sd: float
     licence: str | None
 
     def is_doubtful(self, segmentation: Segmentation) -> bool:
@@ -170,6 +176,7 @@ class Segmenter(LoadedModel):
             input_px=self._contract.input_px,
             min_score=metadata_number(metadata, "min_score", MIN_MASK_SCORE),
             mask_area_log_sd=metadata_number(metadata, "mask_area_log_sd", MASK_AREA_LOG_SD),
+            mask_width_log_sd=metadata_number(metadata, "mask_width_log_sd", MASK_WIDTH_LOG_SD),
             licence=metadata.get("license"),
         )
 

@@ -321,3 +321,80 @@ async def test_a_bad_polygon_is_refused(
     result = await asked(server, {**by_path(images / "pool.png"), "targets": targets})
     assert result.is_error
     assert message in text_of(result)
+
+
+# --- What must fit
+
+
+async def test_a_fit_is_stated_in_words_and_fields(server: MCPServer[object], images: Path) -> None:
+    image = {"image": by_path(images / "pool.png")["image"]}
+    must_fit = {"length_m": 5, "width_m": 3}
+    result = await asked(server, {**image, "targets": [{"polygon": CORNERS}], "must_fit": must_fit})
+    record = record_of(result)
+    fit = record["fit"]
+    assert 0.9 < fit["fit_probability"] <= record["scale_confidence"]
+    assert (fit["center"]["x_px"], fit["center"]["y_px"]) == pytest.approx((324, 378), abs=1)
+    assert len(fit["corners"]) == 4
+    assert fit["n_fits_at_least"] >= 2
+    # Other sizes are left out.
+    assert "inscribed_diameter_m" not in record
+    assert "5 x 3 m fits with probability 0.9" in text_of(result)
+    assert "centre x 324, y 378 in your image, heading" in text_of(result)
+
+
+async def test_a_fit_lies_in_the_callers_copy(server: MCPServer[object], images: Path) -> None:
+    half = [number / 2 for number in CORNERS]
+    result = await asked(
+        server,
+        {
+            "image": by_path(images / "pool.png")["image"],
+            "targets": [{"polygon": half}],
+            "must_fit": {"length_m": 5, "width_m": 3},
+            "frame": {"width_px": 320, "height_px": 256},
+        },
+    )
+    record = record_of(result)
+    centre = record["frame"]["fit_center"]
+    assert (centre["x_px"], centre["y_px"]) == pytest.approx((162, 189), abs=1)
+    assert "center" not in record["fit"]
+    assert "centre x 162, y 189 in your copy" in text_of(result)
+
+
+async def test_a_fit_at_an_unusable_scale_is_not_acted_on(
+    server: MCPServer[object], images: Path
+) -> None:
+    image = {"image": by_path(images / "pool_two.png")["image"]}
+    result = await asked(
+        server,
+        {**image, "targets": [{"polygon": CORNERS}], "must_fit": {"diameter_m": 0.5}},
+    )
+    record = record_of(result)
+    assert record["status"] == "low_confidence"
+    assert record["fit"]["fit_probability"] <= record["scale_confidence"]
+    assert ": do not act on it." in text_of(result)
+
+
+@pytest.mark.parametrize(
+    "must_fit",
+    [{}, {"length_m": 5}, {"diameter_m": 3, "length_m": 5, "width_m": 2}, {"diameter_m": 0}],
+    ids=str,
+)
+async def test_a_bad_shape_to_fit_is_refused(
+    server: MCPServer[object], images: Path, must_fit: dict[str, float]
+) -> None:
+    targets = [{"polygon": CORNERS}]
+    result = await asked(
+        server, {**by_path(images / "pool.png"), "targets": targets, "must_fit": must_fit}
+    )
+    assert result.is_error
+    assert "must_fit" in text_of(result)
+
+
+async def test_a_picture_shows_what_must_fit(server: MCPServer[object], images: Path) -> None:
+    arguments = {
+        "image": by_path(images / "pool.png")["image"],
+        "targets": [{"polygon": CORNERS}],
+        "must_fit": {"diameter_m": 3},
+    }
+    result = await called(server, "view_image", of={"tool": "measure_area", "arguments": arguments})
+    assert not result.is_error

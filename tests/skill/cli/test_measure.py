@@ -240,3 +240,23 @@ def test_bad_shapes_end_the_command(run: Any, arguments: list[str], message: str
     result = run("cars.png", "--gsd", 0.1, *arguments)
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+# --- What must fit
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [("4", "a circle of 4 m fits with probability"), ("9x4", "9 x 4 m fits with probability")],
+)
+def test_a_shape_that_must_fit_is_stated(run: Any, size: str, words: str) -> None:
+    result = run("cars.png", "--polygon", POLYGON, "--gsd", 0.1, "--must-fit", size)
+    assert words in result.stdout
+    assert "best at x 444, y 3" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("size", ["wide", "1x2x3", "0", "-1x2"])
+def test_a_bad_shape_to_fit_ends_the_command(run: Any, size: str) -> None:
+    result = run("cars.png", "--polygon", POLYGON, "--gsd", 0.1, f"--must-fit={size}")
+    assert result.exit_code == 2
+    assert "must" in result.stderr
