@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.records import GsdEstimate
+from vehanchor.records.text import significant
 from vehanchor_server.calls.reply import MAX_SIDE_PX
 from vehanchor_server.errors import CallError
 from vehanchor_server.tools.messages import answer_of
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 _LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
 _PER_CENT = 100
+# Beyond this factor, a model sees only interpolated pixels.
+MAX_ENLARGEMENT = 2.0
 
 
 async def run_measuring_call(
@@ -34,6 +37,7 @@ async def run_measuring_call(
     question: Question[Any],
     points: Sequence[tuple[float, float]] = (),
     more: Sequence[AnyImage] = (),
+    target_gsd_m_per_px: float | None = None,
     detail: Detail,
 ) -> tuple[Reply[Any], Answer]:
     """Run the work of a call, and describe its records in words.
@@ -46,6 +50,7 @@ async def run_measuring_call(
         question: its question.
         points: points of the subjects, in the caller's coordinates.
         more: other images.
+        target_gsd_m_per_px: scale for which the caller wants to resample; None for none.
         detail: extent of the answer.
 
     Raises:
@@ -57,6 +62,7 @@ async def run_measuring_call(
     reply = await services.run_call(ctx, image, work=work, question=question, more=more)
     hints = [
         *_hints_about_scale(options, reply.record),
+        *_hints_about_resampling(target_gsd_m_per_px, reply.record),
         *_hints_about_coordinates(all_points, options, reply.record),
     ]
     return reply, answer_of(reply.records, hints, detail)
@@ -102,6 +108,25 @@ def _hints_about_scale(options: CallerOptions, record: AnyRecord) -> list[str]:
     if "gsd_m_per_px" in options and "gsd_tolerance" not in options:
         hints.append("The stated scale is taken as +- 10 %.")
     return hints
+
+
+def _hints_about_resampling(target_gsd_m_per_px: float | None, record: AnyRecord) -> list[str]:
+    """State by which factor to resample the image, or the caller's copy, for a target scale."""
+    if target_gsd_m_per_px is None or not isinstance(record, GsdEstimate):
+        return []
+    target = f"{target_gsd_m_per_px:g} m/px"
+    if record.status != "ok" or record.gsd_m_per_px is None:
+        return [f"Do not resample for {target}: the scale is not usable."]
+    gsd = record.gsd_m_per_px
+    picture = "the image"
+    if record.frame is not None and record.frame.gsd_m_per_px is not None:
+        gsd = record.frame.gsd_m_per_px
+        picture = "your copy"
+    factor = gsd / target_gsd_m_per_px
+    hint = f"For {target}, resample {picture} by {significant(factor)}."
+    if factor > MAX_ENLARGEMENT:
+        hint += " Enlarging adds no detail."
+    return [hint]
 
 
 def _hints_about_coordinates(
