@@ -26,6 +26,7 @@ from vehanchor.analysis.pipeline import (
 )
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.errors import InvalidParameterError
+from vehanchor.export.resample import MAX_ENLARGEMENT, Resampled, resample_raster
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import ShapeReading, analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
@@ -35,6 +36,7 @@ from vehanchor.measure.shapes import read_shapes
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
+from vehanchor.options.rulers import GSD_M_PER_PX
 from vehanchor.rulers.active import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
@@ -415,6 +417,44 @@ class Engine:
                 object_height_m=object_height_m,
             )
         return analysis.drawn_over(image, raster, call_options.reading)
+
+    def resample(
+        self,
+        image: ImageSource,
+        options: ScaleOptions | None = None,
+        *,
+        gsd_m_per_px: float,
+        max_enlargement: float = MAX_ENLARGEMENT,
+        **keywords: Any,
+    ) -> Resampled:
+        """Resample a photograph to a scale that another model expects.
+
+        Args:
+            image: as in ``estimate``.
+            options: as in ``estimate``.
+            gsd_m_per_px: scale of the copy, metres per pixel.
+            max_enlargement: largest factor; a larger one adds no detail.
+            **keywords: see ``Engine``.
+
+        Returns:
+            The copy with its factor and scale; ``write`` writes it into a folder.
+
+        Raises:
+            InvalidParameterError: the photograph has no single usable scale, or would grow more.
+            VehAnchorError: as ``estimate``.
+        """
+        GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
+        engine, call_options = self.for_call(options, keywords)
+        detector = checked_detector(engine.detector, call_options)
+        with open_raster(image, call_options.reading) as raster:
+            analysis = analyse_raster(detector, raster, call_options)
+            return resample_raster(
+                raster,
+                analysis.estimate,
+                gsd_m_per_px,
+                max_enlargement=max_enlargement,
+                max_pixels=call_options.reading.limits.max_pixels,
+            )
 
     def for_call(
         self, options: ScaleOptions | None, keywords: Mapping[str, object]

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 _LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
 _PER_CENT = 100
-# Beyond this factor, a model sees only interpolated pixels.
-MAX_ENLARGEMENT = 2.0
 
 
 async def run_measuring_call(
@@ -124,6 +122,8 @@ def _hints_about_resampling(target_gsd_m_per_px: float | None, record: AnyRecord
         picture = "your copy"
     factor = gsd / target_gsd_m_per_px
     hint = f"For {target}, resample {picture} by {significant(factor)}."
+    from vehanchor.export.resample import MAX_ENLARGEMENT
+
     if factor > MAX_ENLARGEMENT:
         hint += " Enlarging adds no detail."
     return [hint]

@@ -297,7 +297,7 @@ class GsdEstimate(Record):
 
     @property
     def pixels_per_meter(self) -> float | None:
-        """Pixels of the full image per metre, as speed estimation asks for; None without a scale."""
+        """Pixels of the full image per metre; None without a scale."""
         if self.gsd_m_per_px is None:
             return None
         return 1 / self.gsd_m_per_px
