@@ -54,11 +54,15 @@ def read_run_lengths(segmentation: Mapping[str, Any]) -> tuple[Runs, tuple[int, 
     if isinstance(counts, bytes):
         counts = _decompress(counts)
     try:
-        runs = np.array(counts, dtype=np.int64)
-    except (OverflowError, TypeError, ValueError):
+        numbers = np.asarray(counts)
+    except ValueError:
+        numbers = np.zeros(0)
+    # Numbers that are too large for 64 bits are objects.
+    if numbers.dtype.kind not in "iu":
         raise PromptError(
             "the counts of run lengths are not whole numbers: use COCO's list or text"
-        ) from None
+        )
+    runs = numbers.astype(np.int64)
     if runs.ndim != 1 or (runs < 0).any():
         raise PromptError("the counts of run lengths must be one list of numbers of at least 0")
     # In Python's integers, which do not overflow.

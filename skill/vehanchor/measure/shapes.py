@@ -35,6 +35,8 @@ MIN_CORNERS = 3
 Orientation: TypeAlias = Literal["oriented", "stored"]
 """Whether shapes belong to the upright picture, or to the pixels as the file stores them."""
 
+# Larger coordinates are in no image, and their products would overflow.
+_MAX_COORDINATE = 1e7
 _GEOMETRIES = ("Polygon", "MultiPolygon")
 # Reference systems of RFC 7946, as QGIS and GDAL name them.
 _DEGREES = ("CRS84", "EPSG::4326", "EPSG:4326", "WGS 84", "WGS84")
@@ -287,6 +289,8 @@ def _ring(points: Any) -> Corners:
     corners = corners[:, :2]
     if not np.isfinite(corners).all():
         raise PromptError("the polygon has NaN or infinite coordinates: use finite numbers")
+    if np.abs(corners).max(initial=0) > _MAX_COORDINATE:
+        raise PromptError("the polygon lies outside any image: give pixels, or degrees of WGS 84")
     is_new = (corners != np.roll(corners, 1, axis=0)).any(axis=1)
     corners = np.asarray(corners[is_new])
     if len(corners) < MIN_CORNERS:
@@ -299,7 +303,7 @@ def _ring(points: Any) -> Corners:
 def _numbers(values: Any) -> NDArray[np.float64]:
     try:
         numbers: NDArray[np.float64] = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         raise PromptError("the polygon is not a list of numbers: give x and y of corners") from None
     return numbers
 

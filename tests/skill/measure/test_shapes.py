@@ -270,6 +270,8 @@ def test_the_orientation_of_a_pillow_image_is_known() -> None:
         ([[(20, 30), (80, 70), (80, 30), (20, 70)]], "lines cross at 50, 50"),
         ([[(20, 30), (80, 30), (50, 30)]], "no area"),
         ([[(20, 30), (80, 30), (2000, 70)]], "not inside the 200 x 120 px image"),
+        ([[(20, 30), (80, 30), (1e300, 70)]], "outside any image"),
+        ([[20, 30, 80, 30, 10**400, 70]], "not a list of numbers"),
         ([[(20, 30), (20.2, 30), (20.2, 30.2)]], "covers no pixel"),
         ([[(0, 0), (50, 50), (90, 90), (90, 10), (50, 50), (0, 100)]], "cross in a corner"),
         ([np.tile(RECTANGLE, (2000, 1))], "simplify it to at most 4000"),
