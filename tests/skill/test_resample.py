@@ -159,6 +159,17 @@ def test_a_geotiff_keeps_its_place(tmp_path: Path) -> None:
         assert new.res == pytest.approx((0.5, 0.5))
 
 
+def test_a_geotiff_keeps_its_bands(tmp_path: Path) -> None:
+    four = np.dstack([IMAGE, IMAGE[:, :, 0]]).astype(np.uint16) * 100
+    source = geotiff(tmp_path / "photo.tif", four)
+    (tmp_path / "out").mkdir()
+    path = _resample(source, 0.2).write(tmp_path / "out")
+    with rasterio.open(path) as file:
+        assert (file.count, set(file.dtypes)) == (4, {"uint16"})
+        halved = file.read(4)
+    assert halved[100, 150] == pytest.approx(four[200, 300, 3], rel=0.02)
+
+
 def test_other_formats_become_png(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "photo.bmp"), IMAGE)
     (tmp_path / "out").mkdir()

@@ -16,6 +16,10 @@ from vehanchor.imagery.raster import Window
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.raster import Raster, RgbImage
     from vehanchor.records import GsdEstimate
@@ -25,6 +29,8 @@ MAX_ENLARGEMENT = 2.0
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _JPEG_QUALITY = 95
+# Copies with more bytes in all their bands are written as 8-bit RGB.
+_MAX_BAND_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,8 +74,8 @@ class Resampled:
     def write(self, folder: str | Path) -> Path:
         """Write the copy, and its facts as JSON beside it.
 
-        A georeferenced photograph becomes a GeoTIFF, a JPEG stays one with its position and camera,
-        and any other becomes a PNG.
+        A georeferenced photograph becomes a GeoTIFF, with all bands and the type of its values; a
+        JPEG stays one with its position and camera; any other becomes a PNG.
 
         Args:
             folder: folder of the copy, which exists; the name is that of the photograph.
@@ -91,12 +97,39 @@ class Resampled:
             raise OutputError(f"{str(path)!r} is the photograph itself: choose another folder")
         with whole_file(path) as partial:
             if self.ground is not None:
-                _write_geotiff(partial, self.pixels, self.ground)
+                bands, profile = self._bands()
+                _write_geotiff(partial, bands, self.ground, profile)
             else:
                 partial.write_bytes(self._encoded(suffix))
         with whole_file(path.with_name(f"{path.name}.json")) as partial:
             partial.write_text(json.dumps(self.facts, indent=1), encoding="utf-8")
         return path
+
+    def _bands(self) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Resample the bands of the file itself; the pixels if it has none but red, green, blue.
+
+        Returns:
+            ``[bands, h, w]`` and the fields of a profile that describe them.
+        """
+        import rasterio
+        from rasterio.enums import Resampling
+
+        rgb = np.moveaxis(self.pixels, 2, 0)
+        plain = {"photometric": "RGB"}
+        if not Path(self.source).is_file():
+            return rgb, plain
+        height_px, width_px = self.pixels.shape[:2]
+        method = Resampling.average if self.factor < 1 else Resampling.cubic
+        with rasterio.open(self.source) as file:
+            is_rgb = file.count == 3 and set(file.dtypes) == {"uint8"}
+            # A file that is stored turned has other sides.
+            is_upright = round(file.width * self.factor) == width_px
+            n_bytes = file.count * width_px * height_px * np.dtype(file.dtypes[0]).itemsize
+            if is_rgb or not is_upright or n_bytes > _MAX_BAND_BYTES:
+                return rgb, plain
+            shape = (file.count, height_px, width_px)
+            bands = file.read(out_shape=shape, resampling=method)
+            return bands, {"nodata": file.nodata}
 
     def _encoded(self, suffix: str) -> bytes:
         bgr = np.ascontiguousarray(self.pixels[:, :, ::-1])
@@ -196,20 +229,23 @@ def _ground_of_copy(raster: Raster, width_px: int, height_px: int) -> Ground | N
     return ground._replace(transform=transform)
 
 
-def _write_geotiff(path: Path, pixels: RgbImage, ground: Ground) -> None:
+def _write_geotiff(
+    path: Path, bands: NDArray[Any], ground: Ground, more: Mapping[str, Any]
+) -> None:
+    """Write bands ``[n, h, w]`` with a georeference."""
     import rasterio
 
-    height, width = pixels.shape[:2]
+    n_bands, height, width = bands.shape
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "width": width,
         "height": height,
-        "count": 3,
-        "dtype": "uint8",
-        "photometric": "RGB",
+        "count": n_bands,
+        "dtype": bands.dtype,
         "compress": "deflate",
         "crs": ground.crs,
         "transform": ground.transform,
+        **more,
     }
     with rasterio.open(path, "w", **profile) as file:
-        file.write(np.moveaxis(pixels, 2, 0))
+        file.write(bands)
