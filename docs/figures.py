@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -37,6 +38,8 @@ MEASURED = (
     ("Area", (255, 160), (535, 470)),
     ("Distance", (217, 120), (292, 188)),
 )
+# The outline of the roof in that image.
+ROOF = "452,182,528,247,349,447,277,381"
 # Sides of the icons, pixels. That of the server is small, because every initialisation sends it.
 ICONS = {
     ROOT / "server/vehanchor_server/icon.png": 48,
@@ -273,6 +276,27 @@ def write_hits_and_misses() -> None:
     figure.savefig(IMAGES / "hits_and_misses.jpg", pil_kwargs={"quality": 88})
 
 
+def write_own_shape() -> None:
+    """Write the overlay of a roof in an outline of the caller's own."""
+    write_overlay(IMAGES / "own_shape.jpg", ["--polygon", ROOF])
+
+
+def write_fit() -> None:
+    """Write the overlay of a rectangle that fits on the roof."""
+    write_overlay(IMAGES / "fit.jpg", ["--polygon", ROOF, "--must-fit", "12x5"])
+
+
+def write_overlay(figure: Path, options: Sequence[str]) -> None:
+    """Write the overlay of ``vehanchor measure`` with options as a figure."""
+    with tempfile.TemporaryDirectory() as folder:
+        overlay = Path(folder) / "overlay.png"
+        command = [sys.executable, "-m", "vehanchor", "measure", str(PAGE_IMAGE), *options]
+        subprocess.run([*command, "--overlay", str(overlay)], check=True, capture_output=True)
+        picture = cv2.imread(str(overlay))
+    assert picture is not None
+    cv2.imwrite(str(figure), picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
 def write_page() -> None:
     """Write the screenshot of the page."""
     photograph_page(PAGE_IMAGE, IMAGES / "page.jpg")
@@ -282,6 +306,8 @@ WRITERS = {
     "icons": write_icons,
     "image_to_number": write_image_to_number,
     "hits_and_misses": write_hits_and_misses,
+    "own_shape": write_own_shape,
+    "fit": write_fit,
     "page": write_page,
 }
 

@@ -7,8 +7,8 @@ need the same rules:
 
 1. Never decide on a scale whose ``status`` is not ``ok``. Try the next ruler; without one, hold
    altitude.
-2. A zone fits only if the *lower* end of its 95 % interval fits: ``inscribed_diameter_ci95_low_m``,
-   never the estimate.
+2. A zone fits only if the craft with its margin fits with a high probability: ``must_fit`` and
+   ``fit_probability``, never an estimated size.
 3. Log the reason of every decision on stderr; print the decision as one JSON object on stdout.
 """
 
@@ -42,6 +42,9 @@ REMEDIES = {
     "assumed": "give a measured length or height",
 }
 
+# As often as a usable scale is right: 9 of 10.
+MIN_PROBABILITY = 0.9
+
 log = logging.getLogger("planner")
 
 
@@ -59,6 +62,7 @@ class Craft:
 
     diameter_m: float
     margin_m: float
+    min_probability: float = MIN_PROBABILITY
 
     @property
     def needed_m(self) -> float:
@@ -100,7 +104,7 @@ class Decision:
     ruler: str | None = None
     zone: Zone | None = None
     needed_m: float | None = None
-    diameter_low_m: float | None = None
+    fit_probability: float | None = None
     center_x_px: float | None = None
     center_y_px: float | None = None
 
@@ -123,26 +127,26 @@ def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) 
     if record["status"] != "ok":
         reason = "the zone's outline is uncertain"
         return Decision(Action.NEXT_ZONE, reason, ruler=ruler.name, zone=zone)
-    diameter_low_m = record["inscribed_diameter_ci95_low_m"]
-    fit = (
-        f"a circle of at least {diameter_low_m:.1f} m fits by {ruler.name} (estimate "
-        f"{record['inscribed_diameter_m']:.1f} m), {craft.needed_m:.1f} m needed"
+    fit = record["fit"]
+    fits = (
+        f"a circle of {craft.needed_m:.1f} m fits by {ruler.name} with probability "
+        f"{fit['fit_probability']:.2f}, {craft.min_probability:.2f} needed"
     )
-    if diameter_low_m < craft.needed_m:
+    if fit["fit_probability"] < craft.min_probability:
         action = Action.NEXT_ZONE
-        reason = f"too small: {fit}"
+        reason = f"too small: {fits}"
     else:
         action = Action.LAND
-        reason = fit
+        reason = fits
     return Decision(
         action,
         reason,
         ruler=ruler.name,
         zone=zone,
         needed_m=craft.needed_m,
-        diameter_low_m=diameter_low_m,
-        center_x_px=record["inscribed_center"]["x_px"],
-        center_y_px=record["inscribed_center"]["y_px"],
+        fit_probability=fit["fit_probability"],
+        center_x_px=fit["center"]["x_px"],
+        center_y_px=fit["center"]["y_px"],
     )
 
 
@@ -161,7 +165,7 @@ async def decide(
         if number > 0:
             log.info("trying the next ruler: %s", ruler.name)
         for zone in zones:
-            arguments = measure_arguments(image, zone, ruler, region)
+            arguments = measure_arguments(image, zone, ruler, craft=craft, region=region)
             result = await client.call_tool("measure_area", arguments)
             if result.is_error:
                 # The text of an error is "code: problem. remedy".
@@ -181,11 +185,14 @@ async def decide(
     return decision
 
 
-def measure_arguments(image: Path, zone: Zone, ruler: Ruler, region: str | None) -> dict[str, Any]:
+def measure_arguments(
+    image: Path, zone: Zone, ruler: Ruler, *, craft: Craft, region: str | None
+) -> dict[str, Any]:
     """Build the arguments of ``measure_area``; the region concerns only the vehicles."""
     arguments: dict[str, Any] = {
         "image": {"kind": "path", "path": str(image.resolve())},
         "targets": [{"box": asdict(zone)}],
+        "must_fit": {"diameter_m": craft.needed_m},
         **ruler.arguments,
     }
     if region is not None and ruler.gsd_m_per_px is None:
@@ -204,6 +211,12 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument(
         "--margin", type=float, default=2.0, help="free margin on each side, metres"
+    )
+    parser.add_argument(
+        "--probability",
+        type=float,
+        default=MIN_PROBABILITY,
+        help="least probability that the craft with its margin fits",
     )
     parser.add_argument(
         "--region",
@@ -225,7 +238,7 @@ async def main() -> None:
     if options.altitude is not None and options.focal is not None:
         rulers.append(Ruler("barometer", options.altitude / options.focal))
     zones = [Zone(*corners) for corners in options.zone]
-    craft = Craft(options.diameter, options.margin)
+    craft = Craft(options.diameter, options.margin, options.probability)
     server = StdioServerParameters(
         command=sys.executable,
         args=["-m", "vehanchor", "serve", "--root", str(options.image.resolve().parent)],

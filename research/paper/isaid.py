@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor_evaluation.areas import read_pixels, split_instances
+from vehanchor.measure.id_image import read_pixels, split_instances
 from vehanchor_evaluation.known_scale import FileIssue
 
 if TYPE_CHECKING:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     analyse_scale = Engine().analyse_scale
     measure_area = Engine().measure_area
     analyse_area = Engine().analyse_area
+    measure_areas = Engine().measure_areas
+    analyse_areas = Engine().analyse_areas
     measure_distance = Engine().measure_distance
     analyse_distance = Engine().analyse_distance
 
@@ -43,12 +45,14 @@ __all__ = [
     "VehAnchorError",
     "__version__",
     "analyse_area",
+    "analyse_areas",
     "analyse_distance",
     "analyse_scale",
     "estimate_gsd",
     "find_images",
     "load_calibration",
     "measure_area",
+    "measure_areas",
     "measure_distance",
 ]
 # Modules are imported on first use, so that ``import vehanchor`` is fast.

@@ -26,13 +26,17 @@ from vehanchor.analysis.pipeline import (
 )
 from vehanchor.detection.detector import Detector, load_detector
 from vehanchor.errors import InvalidParameterError
+from vehanchor.export.resample import MAX_ENLARGEMENT, Resampled, resample_raster
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
-from vehanchor.measure.area import analyse_objects
+from vehanchor.measure.area import ShapeReading, analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
+from vehanchor.measure.fit import read_must_fit
 from vehanchor.measure.scale_source import read_scale_argument
+from vehanchor.measure.shapes import read_shapes
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
 from vehanchor.options import ScaleOptions
+from vehanchor.options.rulers import GSD_M_PER_PX
 from vehanchor.rulers.active import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
@@ -41,6 +45,7 @@ if TYPE_CHECKING:
     from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.measure.scale_source import ScaleInput
+    from vehanchor.measure.shapes import Orientation
     from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point
@@ -231,6 +236,7 @@ class Engine:
         gsd_m_per_px: float | None = None,
         scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
         object_height_m: float | None = None,
+        must_fit: Mapping[str, float] | None = None,
         **keywords: Any,
     ) -> AreaAnalysis:
         """Measure the area of the object in a box or at points.
@@ -252,6 +258,8 @@ class Engine:
             scale: an earlier estimate of this image, or its ``scale``; the detector does not run,
                 and the interval and the confidence of that estimate hold.
             object_height_m: height of the object above the ground, such as a roof; None for 0.
+            must_fit: ``diameter_m`` of a circle, or ``length_m`` and ``width_m`` of a rectangle, in
+                metres: the record's ``fit`` states the probability that it fits, and where.
             **keywords: see ``Engine``.
 
         Returns:
@@ -265,6 +273,7 @@ class Engine:
         """
         engine, call_options = self.for_call(options, keywords)
         prompt = read_prompt(box, points)
+        shape_to_fit = read_must_fit(must_fit)
         segmenter = engine.segmenter
         scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
         with open_raster(image, call_options.reading) as raster:
@@ -275,8 +284,84 @@ class Engine:
                 scale=scale_input,
                 options=call_options,
                 object_height_m=object_height_m,
+                must_fit=shape_to_fit,
             )
         return analysis.drawn_over(image, raster, call_options.reading)
+
+    def measure_areas(
+        self, image: ImageSource, shapes: Any, options: ScaleOptions | None = None, **keywords: Any
+    ) -> tuple[AreaMeasurement, ...]:
+        """Measure areas like ``analyse_areas``, but return the records alone."""
+        analyses = self.analyse_areas(image, shapes, options, **keywords)
+        return tuple(analysis.measurement for analysis in analyses)
+
+    def analyse_areas(
+        self,
+        image: ImageSource,
+        shapes: Any,
+        options: ScaleOptions | None = None,
+        *,
+        gsd_m_per_px: float | None = None,
+        scale: KnownScale | GsdEstimate | Mapping[str, Any] | None = None,
+        object_height_m: float | None = None,
+        edge_px: float | None = None,
+        orientation: Orientation | None = None,
+        must_fit: Mapping[str, float] | None = None,
+        **keywords: Any,
+    ) -> tuple[AreaAnalysis, ...]:
+        """Measure the areas of shapes that the caller has already, with one search.
+
+        No segmenter runs. A polygon's area follows from its corners, a mask's from its pixels.
+        Coordinates are those of ``analyse_area``; a mask has the size of the image, or of the
+        ``frame``.
+
+        Args:
+            image: as in ``estimate``.
+            shapes: a list of shapes: polygons (pairs x, y or one flat list), masks ``[h, w]``,
+                COCO's run lengths, polygons or annotations, GeoJSON, geometries of shapely in
+                pixels. Or masks ``[n, h, w]``, supervision's ``Detections``, or GeoJSON of several
+                shapes, which is in degrees if the image is georeferenced.
+            options: as in ``estimate``.
+            gsd_m_per_px: as in ``analyse_area``.
+            scale: as in ``analyse_area``.
+            object_height_m: height of all shapes above the ground; None for 0.
+            edge_px: how far the edges may lie from those of the objects, either way, in pixels of
+                the caller's picture; None for 0.5 for polygons and 1 for masks.
+            orientation: "oriented" or "stored": whether the shapes belong to the upright picture or
+                to the pixels as the file stores them; needed for a mask whose size does not show
+                it.
+            must_fit: as in ``analyse_area``, for each shape.
+            **keywords: see ``Engine``.
+
+        Returns:
+            For each shape, in order, what ``analyse_area`` returns; ``mask_score`` and
+            ``segmenter`` are None.
+
+        Raises:
+            PromptError: a shape crosses itself, is empty, outside the image or of another size, or
+                there are too many.
+            ScaleMismatchError: the scale was estimated from another image.
+            VehAnchorError: as ``estimate``.
+        """
+        engine, call_options = self.for_call(options, keywords)
+        callers_shapes = read_shapes(shapes)
+        shape_reading = ShapeReading(edge_px=edge_px, orientation=orientation)
+        shape_to_fit = read_must_fit(must_fit)
+        scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
+        with open_raster(image, call_options.reading) as raster:
+            analyses = analyse_objects(
+                raster,
+                callers_shapes,
+                segmenter=None,
+                scale=scale_input,
+                options=call_options,
+                object_height_m=object_height_m,
+                reading=shape_reading,
+                must_fit=shape_to_fit,
+            )
+        return tuple(
+            analysis.drawn_over(image, raster, call_options.reading) for analysis in analyses
+        )
 
     def measure_distance(
         self,
@@ -332,6 +417,44 @@ class Engine:
                 object_height_m=object_height_m,
             )
         return analysis.drawn_over(image, raster, call_options.reading)
+
+    def resample(
+        self,
+        image: ImageSource,
+        options: ScaleOptions | None = None,
+        *,
+        gsd_m_per_px: float,
+        max_enlargement: float = MAX_ENLARGEMENT,
+        **keywords: Any,
+    ) -> Resampled:
+        """Resample a photograph to a scale that another model expects.
+
+        Args:
+            image: as in ``estimate``.
+            options: as in ``estimate``.
+            gsd_m_per_px: scale of the copy, metres per pixel.
+            max_enlargement: largest factor; a larger one adds no detail.
+            **keywords: see ``Engine``.
+
+        Returns:
+            The copy with its factor and scale; ``write`` writes it into a folder.
+
+        Raises:
+            InvalidParameterError: the photograph has no single usable scale, or would grow more.
+            VehAnchorError: as ``estimate``.
+        """
+        GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
+        engine, call_options = self.for_call(options, keywords)
+        detector = checked_detector(engine.detector, call_options)
+        with open_raster(image, call_options.reading) as raster:
+            analysis = analyse_raster(detector, raster, call_options)
+            return resample_raster(
+                raster,
+                analysis.estimate,
+                gsd_m_per_px,
+                max_enlargement=max_enlargement,
+                max_pixels=call_options.reading.limits.max_pixels,
+            )
 
     def for_call(
         self, options: ScaleOptions | None, keywords: Mapping[str, object]

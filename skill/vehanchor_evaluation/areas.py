@@ -14,21 +14,16 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-import cv2
 import numpy as np
 
-from vehanchor.errors import (
-    ImageDecodeError,
-    ImageFormatError,
-    ImageNotFoundError,
-    InvalidParameterError,
-)
+from vehanchor.errors import InvalidParameterError
+from vehanchor.measure.id_image import read_masks
 from vehanchor_evaluation.known_scale import FileIssue
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,9 +31,6 @@ if TYPE_CHECKING:
 
     Mask: TypeAlias = NDArray[np.bool_]
     """Pixels ``[h, w]`` of an object."""
-
-    ObjectMask: TypeAlias = tuple[int, int, int, Mask]
-    """Number of an object, left and top of its box, and its mask in the box."""
 
     IndexLine: TypeAlias = tuple[int, dict[str, str]]
     """Number of a line of the index, and its cells by column."""
@@ -265,70 +257,3 @@ def _alternating(entries: Sequence[AreaEntry]) -> list[AreaEntry]:
         return n_earlier[entry.category]
 
     return sorted(entries, key=rank_in_category)
-
-
-# --- Label images
-
-
-def read_masks(path: Path) -> Iterator[ObjectMask]:
-    """Read the objects of a label image of 8 or 16 bit: see ``split_instances``.
-
-    Raises:
-        ImageError: the file cannot be read, or is not a label image.
-    """
-    numbers = read_pixels(path)
-    has_one_band = numbers.ndim == 2
-    has_integers = numbers.dtype in (np.uint8, np.uint16)
-    if not has_one_band or not has_integers:
-        raise ImageFormatError(
-            f"{path}: masks must have one band of 8 or 16 bit, got {numbers.dtype} {numbers.shape}"
-        )
-    return split_instances(numbers)
-
-
-def read_pixels(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any]:
-    """Decode a label image exactly as stored, from any path that Python can open.
-
-    Raises:
-        ImageNotFoundError: there is no such file.
-        ImageDecodeError: the file is damaged or not an image.
-    """
-    try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-    except OSError as error:
-        raise ImageNotFoundError(f"{path}: {error.strerror}") from None
-    # OpenCV raises its own error for an empty buffer.
-    pixels = None
-    if len(data):
-        pixels = cv2.imdecode(data, flags)
-    if pixels is None:
-        raise ImageDecodeError(f"{path}: damaged, or not an image")
-    return np.asarray(pixels)
-
-
-def split_instances(ids: NDArray[np.integer[Any]]) -> Iterator[ObjectMask]:
-    """Split a label image into its objects.
-
-    Args:
-        ids: ``[h, w]``, 0 for the background; numbers may have gaps.
-
-    Yields:
-        Number, left, top and mask, ``[h', w']`` bool, of each object, in the order of the numbers.
-    """
-    from scipy.ndimage import find_objects
-
-    # Numbers become ranks without gaps: find_objects makes an entry for every number up to the
-    # largest.
-    largest = int(ids.max(initial=0))
-    is_present = np.zeros(largest + 1, bool)
-    is_present[ids] = True
-    is_present[0] = False
-    numbers = np.flatnonzero(is_present)
-    rank_of_number = np.zeros(len(is_present), np.int32)
-    rank_of_number[numbers] = np.arange(1, len(numbers) + 1)
-    ranks = rank_of_number[ids]
-    for rank, box in enumerate(find_objects(ranks), start=1):
-        rows, columns = box
-        number = int(numbers[rank - 1])
-        mask = ranks[box] == rank
-        yield number, columns.start, rows.start, mask

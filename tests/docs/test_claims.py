@@ -105,8 +105,11 @@ def _known_quantities() -> set[str]:
     groups = (Search, Lengths, Reference, Frame, Reading, KnownLength)
     options = {field.name for group in groups for field in fields_of(group)}
     keywords = set(signature(Engine.analyse_area).parameters)
-    schema = json.loads((ROOT / "schemas/measure_area.input.json").read_text(encoding="utf-8"))
-    return records | options | keywords | set(schema["properties"])
+    arguments = set()
+    for tool in ("estimate_gsd", "measure_area"):
+        schema = (ROOT / f"schemas/{tool}.input.json").read_text(encoding="utf-8")
+        arguments |= set(json.loads(schema)["properties"])
+    return records | options | keywords | arguments
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_IDS)

@@ -19,8 +19,9 @@ from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import write_sam
 from vehanchor.cli import app as cli
 from vehanchor.errors import ImageError, InvalidParameterError
+from vehanchor.measure.id_image import read_masks
 from vehanchor_evaluation.area_errors import AreaErrors, area_errors
-from vehanchor_evaluation.areas import AreaEntry, read_areas, read_masks
+from vehanchor_evaluation.areas import AreaEntry, read_areas
 
 LENGTH_PX = 29.0
 # All cars have one length, so the estimate is exactly this.
@@ -304,7 +305,9 @@ def test_entries_have_their_true_box_and_area(entries: tuple[AreaEntry, ...]) ->
 
 
 def test_masks_in_colour_are_refused(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "c.png"), np.zeros((20, 30, 3), np.uint8))
+    colour = np.zeros((20, 30, 3), np.uint8)
+    colour[5, 5] = (0, 0, 1)
+    cv2.imwrite(str(tmp_path / "c.png"), colour)
     with pytest.raises(ImageError, match="one band"):
         read_masks(tmp_path / "c.png")
 

@@ -35,9 +35,7 @@ def _record(**changes: Any) -> dict[str, Any]:
     record = {
         "status": "ok",
         "scale_confidence": 0.95,
-        "inscribed_diameter_m": 10.0,
-        "inscribed_diameter_ci95_low_m": 8.5,
-        "inscribed_center": {"x_px": 40.5, "y_px": 30.5},
+        "fit": {"fit_probability": 0.94, "center": {"x_px": 40.5, "y_px": 30.5}},
     }
     return record | changes
 
@@ -69,7 +67,8 @@ def test_an_unusable_scale_holds_altitude_whatever_the_size(
     decide_zone: Callable[[dict[str, Any]], Any], reason: str
 ) -> None:
     record = _record(status="low_confidence", scale_confidence=0.89, reason=reason)
-    decision = decide_zone(record | {"inscribed_diameter_ci95_low_m": 100.0})
+    fit = {**record["fit"], "fit_probability": 1.0}
+    decision = decide_zone(record | {"fit": fit})
     assert decision.action == "hold_altitude"
     assert "confidence 0.89" in decision.reason
     assert f": {reason}; " in decision.reason
@@ -134,7 +133,8 @@ def test_a_shipped_scene_gets_the_decision_of_its_readme(
     assert decision["action"] == action, decision["reason"]
     assert f"planner: decision: {action}, because {decision['reason']}" in log
     if action == "land":
-        assert decision["diameter_low_m"] >= decision["needed_m"] == 8.0
+        assert decision["needed_m"] == 8.0
+        assert decision["fit_probability"] >= 0.9
 
 
 @pytest.mark.slow
@@ -193,21 +193,21 @@ def test_an_error_of_the_server_holds_altitude() -> None:
     assert "image_not_found" in decision["reason"]
 
 
-def test_a_zone_whose_lower_bound_fits_is_landed_on(
+def test_a_zone_that_fits_with_a_high_probability_is_landed_on(
     decide_zone: Callable[[dict[str, Any]], Any],
 ) -> None:
     decision = decide_zone(_record())
     assert decision.action == "land"
     assert (decision.center_x_px, decision.center_y_px, decision.needed_m) == (40.5, 30.5, 8.0)
     assert (
-        decision.reason
-        == "a circle of at least 8.5 m fits by the ruler (estimate 10.0 m), 8.0 m needed"
+        decision.reason == "a circle of 8.0 m fits by the ruler with probability 0.94, 0.90 needed"
     )
 
 
-def test_an_estimate_that_fits_is_not_enough(
+def test_a_probability_below_the_limit_is_not_enough(
     decide_zone: Callable[[dict[str, Any]], Any],
 ) -> None:
-    decision = decide_zone(_record(inscribed_diameter_ci95_low_m=7.9))
+    fit = {"fit_probability": 0.899, "center": {"x_px": 40.5, "y_px": 30.5}}
+    decision = decide_zone(_record(fit=fit))
     assert decision.action == "next_zone"
-    assert decision.reason.startswith("too small: a circle of at least 7.9 m")
+    assert decision.reason.startswith("too small: a circle of 8.0 m fits")

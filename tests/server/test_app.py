@@ -87,8 +87,10 @@ LISTED = 2800
 ESTIMATE = (80, 160)
 AREA = (130, 220)
 DISTANCE = (130, 220)
+FIT = (130, 240)
 FRAME = {"width_px": 320, "height_px": 256}
 SMALL_BOX = {name: value / 2 for name, value in POOL_BOX.items()}
+RECTANGLE = {"length_m": 6, "width_m": 2.5}
 LINES = [{"points": [{"x": 10, "y": 20}, {"x": 300, "y": 120}]}]
 CALLS: list[tuple[str, str, dict[str, Any], tuple[int, int]]] = [
     ("estimate_gsd", "cars.png", {"region": "europe", "frame": FRAME}, ESTIMATE),
@@ -98,6 +100,18 @@ CALLS: list[tuple[str, str, dict[str, Any], tuple[int, int]]] = [
     ("measure_area", "pool.png", {"targets": [{"points": [{"x": 324, "y": 378}]}]}, AREA),
     ("measure_area", "pool_two.png", {"targets": [{"box": POOL_BOX}]}, AREA),
     ("measure_area", "pool_alone.png", {"targets": [{"box": POOL_BOX}]}, AREA),
+    (
+        "measure_area",
+        "pool.png",
+        {"targets": [{"box": SMALL_BOX}], "frame": FRAME, "must_fit": RECTANGLE},
+        FIT,
+    ),
+    (
+        "measure_area",
+        "pool_two.png",
+        {"targets": [{"box": POOL_BOX}], "must_fit": RECTANGLE},
+        FIT,
+    ),
     ("measure_distance", "two.png", {"lines": LINES}, DISTANCE),
     ("measure_distance", "empty.png", {"lines": LINES}, DISTANCE),
     ("measure_distance", "cars.png", {"lines": LINES, "gsd_m_per_px": 0.1}, DISTANCE),

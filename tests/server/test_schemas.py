@@ -88,10 +88,18 @@ def _properties(node: dict[str, Any]) -> set[str]:
     ("tool", "more"),
     [
         ("estimate_gsd", {}),
-        ("measure_area", {"targets": [{"box": POOL_BOX, "points": None}]}),
+        ("measure_area", {"targets": [{"box": POOL_BOX, "points": None, "polygon": None}]}),
         (
             "measure_area",
-            {"targets": [{"box": None, "points": [{"x": 324, "y": 378, "label": None}]}]},
+            {
+                "targets": [
+                    {
+                        "box": None,
+                        "points": [{"x": 324, "y": 378, "label": None}],
+                        "polygon": None,
+                    }
+                ]
+            },
         ),
     ],
 )

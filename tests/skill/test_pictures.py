@@ -25,8 +25,9 @@ from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import OutputError
-from vehanchor.export.geojson import PIXELS_WKT, check_geojson_path, write_shapes
+from vehanchor.export.geojson import check_geojson_path, write_shapes
 from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.metadata.georeference import PIXELS_WKT
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.marks import MARK_RGB, draw_marks

@@ -11,7 +11,7 @@ function detailsSection(record) {
   const rows = [["Image", `${whole(record.image_width_px)} × ${whole(record.image_height_px)} px`]];
   const add = (name, value) => rows.push([name, value]);
   const { frame } = record;
-  if (isArea(record)) add("Mask", `${whole(record.mask_area_px)} px, score ${record.mask_score.toFixed(2)}`);
+  if (isArea(record)) add("Mask", `${whole(record.mask_area_px)} px${record.mask_score === null ? "" : `, score ${record.mask_score.toFixed(2)}`}`);
   if (frame?.gsd_m_per_px) add("In the caller's frame", `${number(frame.gsd_m_per_px)} m/px at ${frame.width_px} × ${frame.height_px} px`);
   if (scale) {
     if (scale.mode_length_px !== null) add("Modal length of the vehicles", `${number(scale.mode_length_px)} px`);

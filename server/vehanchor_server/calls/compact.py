@@ -60,6 +60,8 @@ def _short(record: BaseModel) -> dict[str, Any]:
         if record.alternatives:
             short["alternatives"] = [_size(other) for other in record.alternatives]
         _drop_superfluous_box(short, record)
+        if record.fit is not None:
+            _drop_sizes(short)
     return short
 
 
@@ -74,7 +76,8 @@ def _marked(record: BaseModel) -> dict[str, Any]:
         value = getattr(record, name)
         if mark.only_if_ok and not is_ok:
             continue
-        if value is not None or mark.when_null:
+        is_empty = value is None or value == ()
+        if not is_empty or mark.when_null:
             values[name] = _shortened(name, value, mark)
     return values
 
@@ -94,6 +97,8 @@ def _shortened(name: str, value: Any, mark: Short) -> Any:
     """Shorten the record in a field, or round the number in it."""
     if isinstance(value, BaseModel):
         return _rounded(name, _marked(value))
+    if isinstance(value, tuple):
+        return [_shortened(name, item, mark) for item in value]
     if mark.round_down and value is not None:
         return math.floor(value * 10**_DIGITS) / 10**_DIGITS
     return _rounded(name, value)
@@ -107,6 +112,21 @@ def _drop_superfluous_box(short: dict[str, Any], area: AreaMeasurement) -> None:
         short.pop("bounding_box", None)
     elif frame.get("bounding_box"):
         short.pop("bounding_box", None)
+
+
+def _drop_sizes(short: dict[str, Any]) -> None:
+    """Drop what a caller who asks whether a shape fits does not need: other sizes and boxes.
+
+    Places are given once: in the caller's pixels.
+    """
+    for name in list(short):
+        if name.startswith(("inscribed_", "length_", "width_", "bounding_")):
+            del short[name]
+    frame = short.get("frame", {})
+    frame.pop("bounding_box", None)
+    if "fit_center" in frame:
+        short["fit"].pop("center", None)
+        short["fit"].pop("corners", None)
 
 
 def has_unknown_extent(area: AreaMeasurement) -> bool:

@@ -6,7 +6,9 @@ first answer.
 
 # No postponed annotations here: the SDK reads the arguments' schema from them.
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field
 
 from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page.page import APP_META
@@ -77,6 +79,10 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
         ctx: Context[Any, Any],
         caller_options: CallerOptions,
         picture: PictureRequest,
+        target_gsd_m_per_px: Annotated[
+            float | None,
+            Field(gt=0, description="Scale that another model needs: how to resample for it."),
+        ] = None,
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
@@ -91,6 +97,7 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
             work=estimate_with_flight if more_images else _estimate,
             question=Question(options, picture, subject=same_scale),
             more=more_images or (),
+            target_gsd_m_per_px=target_gsd_m_per_px,
             detail=detail,
         )
         # Forms are for a person's own call about one image.

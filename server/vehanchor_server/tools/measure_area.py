@@ -25,12 +25,13 @@ from vehanchor_server.tools.scale_arguments import (
     resolve_source,
     with_options,
 )
-from vehanchor_server.tools.target import MAX_TARGETS, Target
+from vehanchor_server.tools.target import MAX_TARGETS, MustFit, Objects, Target
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from vehanchor.measure.shapes import CallerPolygon
     from vehanchor.pictures.placement import Cut
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor_server.tools.strict_tool import StrictTool
@@ -58,13 +59,20 @@ def measure_area_tool(services: Services) -> "StrictTool":
             Field(
                 min_length=1,
                 max_length=MAX_TARGETS,
-                description="Objects to measure: a box around each, or points on it.",
+                description="Objects: a box around each, points on it, or its polygon.",
                 examples=[_EXAMPLE],
             ),
         ],
         ctx: Context[Any, Any],
         caller_options: CallerOptions,
         picture: PictureRequest,
+        must_fit: Annotated[
+            MustFit | None,
+            Field(
+                description="Shape that must fit inside, metres: the answer has fit_probability "
+                "and its place.",
+            ),
+        ] = None,
         detail: DetailArgument = "short",
     ) -> CallToolResult:
         reply, answer = await run_measuring_call(
@@ -72,7 +80,7 @@ def measure_area_tool(services: Services) -> "StrictTool":
             ctx,
             image=image,
             work=_measure,
-            question=Question(caller_options, picture, subject=targets),
+            question=Question(caller_options, picture, subject=Objects(targets, must_fit)),
             points=[point for target in targets for point in target.coordinates],
             detail=detail,
         )
@@ -91,28 +99,35 @@ def measure_area_tool(services: Services) -> "StrictTool":
 
 @work(AreaMeasurement)
 def _measure(
-    resources: Resources, job: Job, source: OpenedImage, question: Question[tuple[Target, ...]]
+    resources: Resources, job: Job, source: OpenedImage, question: Question[Objects]
 ) -> Reply[AreaMeasurement]:
     """Segment the objects and measure them."""
     from vehanchor.imagery.sources.opening import open_raster
     from vehanchor.measure.area import analyse_objects
+    from vehanchor.measure.fit import read_must_fit
     from vehanchor.pictures.measurement import cut_to_objects, draw_area
     from vehanchor_server.app_page.panel import drawing_of
 
     # Refuse invalid prompts before the models load and search.
-    prompts = [_prompt(target) for target in question.subject]
-    segmenter = resources.models.segmenter(job.runtime)
+    subjects = [_subject(target) for target in question.subject.targets]
+    must_fit = None
+    if question.subject.must_fit is not None:
+        must_fit = read_must_fit(question.subject.must_fit.model_dump())
+    segmenter = None
+    if any(target.polygon is None for target in question.subject.targets):
+        segmenter = resources.models.segmenter(job.runtime)
     options, scale = resolve_source(question.options, resources, job)
     job.stop.check()
     with open_raster(source, options.reading) as raster:
         job.segmenting()
         objects = analyse_objects(
             raster,
-            prompts,
+            subjects,
             segmenter=segmenter,
             scale=scale,
             options=options,
             object_height_m=question.options.get("object_height_m"),
+            must_fit=must_fit,
         )
         # All objects of an image share its scale.
         evidence = objects[0].scale
@@ -135,9 +150,12 @@ def _measure(
     return Reply(measurements, picture=picture, drawing=drawing)
 
 
-def _prompt(target: Target) -> "Prompt":
+def _subject(target: Target) -> "Prompt | CallerPolygon":
+    from vehanchor.measure.shapes import read_polygon
     from vehanchor.segmentation.prompt import read_prompt
 
+    if target.polygon is not None:
+        return read_polygon(target.polygon)
     if target.box is not None:
         (left, top), (right, bottom) = target.box.corners
         return read_prompt((left, top, right, bottom), None)

@@ -35,6 +35,7 @@ async def run_measuring_call(
     question: Question[Any],
     points: Sequence[tuple[float, float]] = (),
     more: Sequence[AnyImage] = (),
+    target_gsd_m_per_px: float | None = None,
     detail: Detail,
 ) -> tuple[Reply[Any], Answer]:
     """Run the work of a call, and describe its records in words.
@@ -47,6 +48,7 @@ async def run_measuring_call(
         question: its question.
         points: points of the subjects, in the caller's coordinates.
         more: other images.
+        target_gsd_m_per_px: scale for which the caller wants to resample; None for none.
         detail: extent of the answer.
 
     Raises:
@@ -58,6 +60,7 @@ async def run_measuring_call(
     reply = await services.run_call(ctx, image, work=work, question=question, more=more)
     hints = [
         *_hints_about_scale(options),
+        *_hints_about_resampling(target_gsd_m_per_px, reply.record),
         *_hints_about_coordinates(all_points, options, reply.record),
     ]
     if more:
@@ -113,6 +116,27 @@ def _hints_about_flight(record: AnyRecord) -> list[str]:
         f"To measure in this image, give gsd_m_per_px {significant(scale.gsd_m_per_px)}, "
         f'gsd_tolerance {significant(half_width, 2)} and gsd_basis "measured".'
     ]
+
+
+def _hints_about_resampling(target_gsd_m_per_px: float | None, record: AnyRecord) -> list[str]:
+    """State by which factor to resample the image, or the caller's copy, for a target scale."""
+    if target_gsd_m_per_px is None or not isinstance(record, GsdEstimate):
+        return []
+    target = f"{target_gsd_m_per_px:g} m/px"
+    if record.status != "ok" or record.gsd_m_per_px is None:
+        return [f"Do not resample for {target}: the scale is not usable."]
+    gsd = record.gsd_m_per_px
+    picture = "the image"
+    if record.frame is not None and record.frame.gsd_m_per_px is not None:
+        gsd = record.frame.gsd_m_per_px
+        picture = "your copy"
+    factor = gsd / target_gsd_m_per_px
+    hint = f"For {target}, resample {picture} by {significant(factor)}."
+    from vehanchor.export.resample import MAX_ENLARGEMENT
+
+    if factor > MAX_ENLARGEMENT:
+        hint += " Enlarging adds no detail."
+    return [hint]
 
 
 def _hints_about_coordinates(

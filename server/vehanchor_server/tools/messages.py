@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
-from vehanchor.records.text import by_hand_text, pixel_text, ruler_names, significant
+from vehanchor.records.text import (
+    by_hand_text,
+    fit_in_words,
+    pixel_text,
+    ruler_names,
+    significant,
+)
 from vehanchor.scale.defaults import INTERVAL_PREMISE
 from vehanchor_server.calls.compact import brief, has_unknown_extent
 from vehanchor_server.calls.remedies import advice_on
@@ -166,15 +172,40 @@ def _area_in_words(area: AreaMeasurement) -> str:
     else:
         interval = _interval(area.area_ci95_low_m2, area.area_ci95_high_m2)
         size = f"{significant(area.area_m2)} m2{interval}"
-        if area.status == "ok" and area.length_m and area.width_m and area.inscribed_diameter_m:
+        # Beside the answer to must_fit, other sizes are not needed.
+        is_asked = area.status == "ok" and area.fit is None
+        if is_asked and area.length_m and area.width_m and area.inscribed_diameter_m:
             size += f", {significant(area.length_m)} x {significant(area.width_m)} m"
             size += f", largest circle inside {significant(area.inscribed_diameter_m)} m across"
         words = f"{size}; {_scale_origin(area)}: {_verdict(area)}"
-    words += _mask_position(area)
+    if area.fit is not None:
+        words += f" {_fit_sentence(area)}"
+    else:
+        words += _mask_position(area)
     if area.alternatives:
         others = " or ".join(map(_size, area.alternatives))
         words += f" Or you mean {others}."
     return words
+
+
+def _fit_sentence(area: AreaMeasurement) -> str:
+    """State whether the shape that must fit fits, and where."""
+    fit = area.fit
+    assert fit is not None
+    words = fit_in_words(fit)
+    sentence = f"{words[0].upper()}{words[1:]}"
+    if area.status != "ok":
+        return f"{sentence}: do not act on it."
+    centre = fit.center
+    place = "image"
+    if area.frame is not None:
+        centre = area.frame.fit_center
+        place = "copy"
+    if centre is not None:
+        sentence += f", centre x {centre.x_px:.0f}, y {centre.y_px:.0f} in your {place}"
+    if fit.heading_deg is not None:
+        sentence += f", heading {fit.heading_deg:.0f} degrees"
+    return f"{sentence}."
 
 
 def _mask_position(area: AreaMeasurement) -> str:

@@ -25,7 +25,7 @@ from vehanchor_server.tools.portable_schema import listed, portable_schema, with
 # SDK loads slowly.
 __all__ = ["CallToolResult", "Context", "InputRequiredResult", "StrictTool"]
 
-MAX_VALUES = 1000  # per call; the largest valid call, with 32 points, has about 120
+MAX_VALUES = 7000  # per call; 16 polygons of 400 numbers have 6,400, and a call with points 120
 _MAX_SHOWN_PATH = 200  # characters of a call's own path in an example
 _EXACT = 2.0**53  # above, a float cannot hold each whole number
 

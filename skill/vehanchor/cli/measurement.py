@@ -20,8 +20,9 @@ from vehanchor.cli.terminal import (
 from vehanchor.records.text import scale_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
+    from vehanchor.analysis.measurement_analysis import AreaAnalysis
     from vehanchor.cli.terminal import Facts
     from vehanchor.models.runtime import Progress
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
@@ -40,7 +41,8 @@ def show_measurement(
 
     Args:
         image: the photograph.
-        measure: makes the analysis from a callback for the progress of the search.
+        measure: makes the analysis from a callback for the progress of the search; several areas
+            of one image as an ``AreaCollection``.
         facts: lists the facts of a record for people, without its scale.
         files: files by the names of their options; None for options that are not given.
         as_json: print one JSON object and nothing else.
@@ -55,16 +57,35 @@ def show_measurement(
         check_outputs([image], outputs.items())
         with work_progress("tiles", lines=as_json) as tell:
             analysis = measure(partial(tell, name=name))
-    record = analysis.measurement
+    analyses = getattr(analysis, "analyses", (analysis,))
+    records = [part.measurement for part in analyses]
     if as_json:
-        fields = record.model_dump(mode="json")
+        dumped = [record.model_dump(mode="json") for record in records]
+        fields = dumped[0] if len(records) == 1 else {"measurements": dumped}
         print_json({"source": image, **fields})
-    else:
+    elif len(records) == 1:
+        record = records[0]
         status = ("status", record.status)
         print_facts(image, [*facts(record), *_scale_facts(record), status])
         print_warnings(record.warnings)
+    else:
+        _print_several(image, analyses, facts)
     write_outputs(analysis, outputs)
-    exit_strictly(strict, [record.status])
+    exit_strictly(strict, [record.status for record in records])
+
+
+def _print_several(
+    image: str, analyses: Sequence[AreaAnalysis], facts: Callable[[Any], Facts]
+) -> None:
+    """Print several areas of an image, then their common scale."""
+    for number, analysis in enumerate(analyses, 1):
+        record = analysis.measurement
+        title = f"{number}: {analysis.name}" if analysis.name else f"{number}"
+        print_facts(title, [*facts(record), ("status", record.status)])
+    print_facts(image, _scale_facts(analyses[0].measurement))
+    warnings = [warning for analysis in analyses for warning in analysis.measurement.warnings]
+    # Warnings about the scale are the same for all.
+    print_warnings(tuple(dict.fromkeys(warnings)))
 
 
 def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> Facts:

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
-    from vehanchor.records import GsdEstimate
 
 # GeoJSON files.
 _SHAPES = ("boxes", "line", "outline")
@@ -81,6 +80,7 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         ImageError: the photograph cannot be read again.
     """
     from vehanchor.export.geojson import write_shapes
+    from vehanchor.export.resample import why_not_resampled
     from vehanchor.pictures.scale import write_picture
 
     for name, path in outputs.items():
@@ -102,24 +102,10 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
             metric[name] = outputs[name]
     if not metric:
         return None
-    why_refused = refusal(analysis.estimate)
+    why_refused = why_not_resampled(analysis.estimate)
     if why_refused is None:
         _write_metric(analysis, metric)
     return why_refused
-
-
-def refusal(record: GsdEstimate) -> str | None:
-    """Explain why the photograph has no single usable scale; None if it has one."""
-    if record.scale is None:
-        return "there is no scale"
-    if record.status != "ok":
-        return "the scale is not usable"
-    if record.scale.plane is not None:
-        return (
-            f"the camera was tilted by {record.scale.plane.tilt_deg:.0f} degrees, and the scale "
-            "varies"
-        )
-    return None
 
 
 def _write_metric(analysis: ScaleAnalysis, outputs: Mapping[str, Path]) -> None:

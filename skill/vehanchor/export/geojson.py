@@ -11,6 +11,7 @@ import json
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.errors import OutputError
+from vehanchor.imagery.metadata.georeference import PIXELS_WKT
 from vehanchor.storage.atomic import check_output_path, whole_file
 
 if TYPE_CHECKING:
@@ -27,11 +28,6 @@ if TYPE_CHECKING:
     """Feature in pixels, and the position of its image on the ground."""
 
 SUFFIXES = (".geojson",)
-PIXELS_WKT = (
-    'LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],'
-    'AXIS["x",EAST],AXIS["y",SOUTH]]'
-)
-"""Reference system of an image without a georeference; readers take its unit for pixels."""
 
 
 def check_geojson_path(path: Path) -> None:

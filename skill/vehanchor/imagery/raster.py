@@ -111,6 +111,7 @@ class Raster(ABC):
         in_memory: whether all pixels are decoded.
         encoded: path or bytes of the file that is read by windows; None if unknown.
         cached_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
+        file_orientation: EXIF orientation of the file, 1 to 8, whoever applies it; 1 without one.
     """
 
     orientation = 1
@@ -142,6 +143,7 @@ class Raster(ABC):
         self.warnings = notes
         self.orientation = orientation
         self._orientation = orientation
+        self.file_orientation = orientation
         self._stretch: Stretch | None = None
         self._no_data: float | None = None
 
@@ -327,18 +329,42 @@ def oriented(stored: NDArray[_Value], orientation: int) -> NDArray[_Value]:
     """Turn a stored image ``[h, w, 3]`` or mask ``[h, w]`` upright, as a view.
 
     Args:
-        stored: pixels in the file's orientation.
+        stored: pixels in the file's orientation, ``[h, w, 3]``, or a mask ``[h, w]``.
         orientation: EXIF orientation, 1 to 8.
     """
     turn = _TURNS[orientation]
-    pixels = stored
+    pixels: Any = stored
     if turn.swap:
         pixels = pixels.swapaxes(0, 1)
     if turn.flip_rows:
         pixels = pixels[::-1]
     if turn.flip_columns:
         pixels = pixels[:, ::-1]
-    return pixels
+    upright: NDArray[_Value] = pixels
+    return upright
+
+
+def oriented_points(
+    stored: NDArray[np.float64], orientation: int, *, width_px: int, height_px: int
+) -> NDArray[np.float64]:
+    """Map points ``[n, 2]`` of the stored frame to the oriented one, ``width_px`` x ``height_px``.
+
+    The first pixel spans 0 to 1 in both frames.
+    """
+    turn = _TURNS[orientation]
+    points = stored[:, ::-1].copy() if turn.swap else stored.copy()
+    if turn.flip_rows:
+        points[:, 1] = height_px - points[:, 1]
+    if turn.flip_columns:
+        points[:, 0] = width_px - points[:, 0]
+    return points
+
+
+def stored_size(raster: Raster) -> tuple[int, int]:
+    """Return width and height of the stored frame, by the file's orientation."""
+    if _TURNS[raster.file_orientation].swap:
+        return raster.height_px, raster.width_px
+    return raster.width_px, raster.height_px
 
 
 def stored_window(window: Window, width_px: int, *, height_px: int, orientation: int) -> Window:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.options.rulers import StatedScale
     from vehanchor.records import GsdEstimate, ScaleSource, Status
+    from vehanchor.scale.density import Density
     from vehanchor.scale.plane import GroundPlane
     from vehanchor.segmentation.shape import Mask
 
@@ -62,6 +63,8 @@ class MeasurementScale:
             scale holds.
         known: the scale of the ground, which the caller can give back; None for a number, and
             without a scale.
+        posterior: ``[g]`` whole posterior of the scale; None for a number, a scale that was given
+            back, and the preset ``paper``.
     """
 
     gsd_m_per_px: float | None
@@ -72,6 +75,7 @@ class MeasurementScale:
     notices: tuple[Notice, ...] = ()
     plane: GroundPlane | None = None
     known: KnownScale | None = None
+    posterior: Density | None = None
 
     def gsd_over(self, mask: Mask, left: int, top: int) -> float | None:
         """Compute metres per pixel over a mask: the square root of the mean area of its pixels.
@@ -221,7 +225,11 @@ def _use_stated_scale(
     assert decision is not None
     spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
     scale = MeasurementScale(
-        gsd_m_per_px=gsd, spread=spread, confidence=decision.chance, source="given"
+        gsd_m_per_px=gsd,
+        spread=spread,
+        confidence=decision.chance,
+        source="given",
+        posterior=decision.posterior,
     )
     return _with_metadata(raster, options, scale, "the stated scale is")
 
@@ -237,6 +245,7 @@ def _estimate_scale(raster: Raster, analysis: ScaleAnalysis) -> MeasurementScale
         notices=record.warnings,
         plane=_ground_plane(raster, record.scale),
         known=record.scale,
+        posterior=None if analysis.answer is None else analysis.answer.posterior,
     )
 
 
@@ -406,4 +415,5 @@ def _scale_at_height(
     gsd = ground_gsd * (1 - share)
     if plane is not None:
         plane = replace(plane, gsd_m_per_px=gsd)
-    return replace(ground_scale, gsd_m_per_px=gsd, spread=spread, plane=plane)
+    # The posterior is that of the ground; the spread has the errors of lens and height, too.
+    return replace(ground_scale, gsd_m_per_px=gsd, spread=spread, plane=plane, posterior=None)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
+from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.analysis.pipeline import analyse_raster
 from vehanchor.errors import PromptError, VehAnchorError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
+from vehanchor.measure.shape_file import read_shape_file
+from vehanchor.measure.shapes import read_polygon
 from vehanchor.rulers.image_table import read_image_table
 from vehanchor.segmentation.prompt import read_prompt
 
@@ -18,23 +22,23 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Mapping, Sequence
 
-    from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
+    from vehanchor.analysis.measurement_analysis import DistanceAnalysis
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.detection.detector import Detector
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.scale_source import ScaleInput
+    from vehanchor.measure.shapes import CallerShape
     from vehanchor.options import ScaleOptions
     from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmenter
 
-Kind: TypeAlias = Literal["box", "point", "line"]
+Kind: TypeAlias = Literal["box", "point", "line", "polygon", "shapes"]
 
-_REQUIRED_COLUMNS = ("file", "x1", "y1")
-_OPTIONAL_COLUMNS = ("x2", "y2", "kind", "name")
-_KINDS: tuple[Kind, ...] = ("box", "point", "line")
+_REQUIRED_COLUMNS = ("file",)
+_OPTIONAL_COLUMNS = ("x1", "y1", "x2", "y2", "kind", "name", "polygon", "shapes")
 _N_NUMBERS: dict[Kind, int] = {"box": 4, "point": 2, "line": 4}
 _COORDINATES = ("x1", "y1", "x2", "y2")
 _AREA_FIELDS = (
@@ -75,14 +79,17 @@ class Target:
     Attributes:
         file: the image, as the table names it.
         name: the caller's name of the target; may be empty.
-        kind: box around an object, point on it, or line.
-        numbers: x1, y1 of a point; x1, y1, x2, y2 of a box or line.
+        kind: box around an object, point on it, line, polygon, or file of shapes.
+        numbers: x1, y1 of a point; x1, y1, x2, y2 of a box or line; those of all corners of a
+            polygon; none for a file of shapes.
+        shapes: path of the file of shapes; empty for the other kinds.
     """
 
     file: str
     name: str
     kind: Kind
-    numbers: tuple[float, ...]
+    numbers: tuple[float, ...] = ()
+    shapes: str = ""
 
 
 class TargetRow(NamedTuple):
@@ -107,8 +114,9 @@ class TargetRow(NamedTuple):
         values["file"] = target.file
         values["name"] = target.name
         values["kind"] = target.kind
-        # A point has no x2 and y2.
-        values.update(zip(_COORDINATES, target.numbers, strict=False))
+        if target.kind in _N_NUMBERS:
+            # A point has no x2 and y2.
+            values.update(zip(_COORDINATES, target.numbers, strict=False))
         if self.record is not None:
             for name in ("status", *_NUMBER_FIELDS):
                 values[name] = getattr(self.record, name, None)
@@ -135,9 +143,11 @@ class TargetRow(NamedTuple):
 def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
     """Read a CSV of targets.
 
-    The columns are ``file``, ``x1``, ``y1`` and optionally ``x2``, ``y2``, ``kind`` and ``name``.
-    The kind is ``box``, ``line`` or ``point``. A row without a kind is a point if it has no ``x2``
-    and ``y2``, else a box.
+    The columns are ``file``, and ``x1``, ``y1``, ``x2``, ``y2``, ``polygon``, ``shapes``, ``kind``
+    and ``name`` as far as the rows need them. ``polygon`` has the numbers of all corners, and
+    ``shapes`` a file of shapes (COCO JSON, GeoJSON, PNG of ids), relative to the table, each of
+    which becomes a target. The kind is ``box``, ``line`` or ``point``. A row without a kind is a
+    point if it has no ``x2`` and ``y2``, else a box.
 
     Args:
         path: path of the table. Files are relative to the table.
@@ -152,7 +162,7 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, tuple[Target, ...]]:
         path,
         "targets",
         needed=_REQUIRED_COLUMNS,
-        read_row=_read_target,
+        read_row=partial(_read_target, Path(path).parent),
         error=PromptError,
         optional=_OPTIONAL_COLUMNS,
     )
@@ -185,20 +195,24 @@ def measure_targets(
             def find_scale(_raster: Raster, _options: ScaleOptions) -> ScaleAnalysis:
                 return search()
 
-            return [
-                _measure_target(raster, target, segmenter, scale=find_scale, options=options)
-                for target in targets
-            ]
+            rows: list[TargetRow] = []
+            for target in targets:
+                rows += _measure_target(
+                    raster, target, segmenter, scale=find_scale, options=options
+                )
+            return rows
     except VehAnchorError as error:
         return [TargetRow(target, error=error) for target in targets]
 
 
-def _read_target(row: Mapping[str, str | None]) -> Target:
-    """Read a row of the table.
+def _read_target(folder: Path, row: Mapping[str, str | None]) -> Target:
+    """Read a row of a table in a folder.
 
     Raises:
         PromptError: a number or the kind is invalid, or the numbers do not fit the kind.
     """
+    if row.get("polygon") or row.get("shapes"):
+        return _read_own_shape(folder, row)
     columns = ["x1", "y1"]
     # A point has no x2 and y2.
     columns += [column for column in ("x2", "y2") if row.get(column)]
@@ -206,8 +220,10 @@ def _read_target(row: Mapping[str, str | None]) -> Target:
     kind = row.get("kind")
     if not kind:
         kind = "point" if len(numbers) == 2 else "box"
-    if kind not in _KINDS:
-        raise PromptError(f"kind is {kind!r}: use {', '.join(_KINDS)}")
+    if kind not in _N_NUMBERS:
+        raise PromptError(
+            f"kind is {kind!r}: use {', '.join(_N_NUMBERS)}, or the column polygon or shapes"
+        )
     if len(numbers) != _N_NUMBERS[kind]:
         raise PromptError(
             f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, "
@@ -216,6 +232,29 @@ def _read_target(row: Mapping[str, str | None]) -> Target:
     file = row["file"] or ""
     name = row.get("name") or ""
     return Target(file, name, kind=kind, numbers=tuple(numbers))
+
+
+def _read_own_shape(folder: Path, row: Mapping[str, str | None]) -> Target:
+    """Read a row with a polygon or a file of shapes."""
+    filled = [column for column in ("polygon", "shapes", *_COORDINATES) if row.get(column)]
+    if len(filled) > 1:
+        raise PromptError(f"{' and '.join(filled)} are given: use one of them")
+    (kind,) = filled
+    stated_kind = row.get("kind") or kind
+    if stated_kind != kind:
+        raise PromptError(f"kind is {stated_kind!r} beside a {kind}: leave it empty")
+    file = row["file"] or ""
+    name = row.get("name") or ""
+    if kind == "shapes":
+        path = folder / (row["shapes"] or "")
+        return Target(file, name, kind="shapes", shapes=str(path))
+    text = row["polygon"] or ""
+    try:
+        numbers = tuple(float(number) for number in text.replace(",", " ").split())
+    except ValueError:
+        raise PromptError(f"polygon is {text!r}: use x1 y1 x2 y2 and so on") from None
+    read_polygon(numbers)
+    return Target(file, name, kind="polygon", numbers=numbers)
 
 
 def _read_number(row: Mapping[str, str | None], column: str) -> float:
@@ -233,22 +272,39 @@ def _measure_target(
     *,
     scale: ScaleInput,
     options: ScaleOptions,
-) -> TargetRow:
-    """Measure a target; an invalid prompt concerns only its own row."""
+) -> list[TargetRow]:
+    """Measure a target, or all shapes of its file; an invalid one concerns only its own row."""
     analyses: tuple[AreaAnalysis | DistanceAnalysis, ...]
     try:
         if target.kind == "line":
             path = _target_path(target)
             analyses = analyse_paths(raster, [path], scale=scale, options=options)
         else:
-            prompt = _target_prompt(target)
+            subjects = _target_subjects(target, raster, options)
             analyses = analyse_objects(
-                raster, [prompt], segmenter=segmenter, scale=scale, options=options
+                raster, subjects, segmenter=segmenter, scale=scale, options=options
             )
     except PromptError as error:
-        return TargetRow(target, error=error)
-    (analysis,) = analyses
-    return TargetRow(target, analysis.measurement, raster.ground)
+        return [TargetRow(target, error=error)]
+    rows = []
+    for analysis in analyses:
+        measured = target
+        if target.kind == "shapes" and isinstance(analysis, AreaAnalysis):
+            name = f"{target.name} {analysis.name}".strip()
+            measured = replace(target, name=name)
+        rows.append(TargetRow(measured, analysis.measurement, raster.ground))
+    return rows
+
+
+def _target_subjects(
+    target: Target, raster: Raster, options: ScaleOptions
+) -> Sequence[Prompt | CallerShape]:
+    """Read what names the object of a target, or its shapes."""
+    if target.kind == "shapes":
+        return read_shape_file(target.shapes, raster.source, limits=options.reading.limits)
+    if target.kind == "polygon":
+        return [read_polygon(target.numbers)]
+    return [_target_prompt(target)]
 
 
 def _target_path(target: Target) -> tuple[Place, ...]:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.posterior import Answer, Mark, Witness
+    from vehanchor.segmentation.object_mask import ObjectMask
     from vehanchor.segmentation.prompt import Prompt
-    from vehanchor.segmentation.segmenter import Segmentation
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,11 +96,12 @@ class AreaEvidence(MeasurementEvidence):
     Attributes:
         measurement: the record.
         segmentation: the mask, and its window in the image, in square pixels.
-        prompt: the box or points, in square pixels of the full image.
+        prompt: the box or points, in square pixels of the full image; empty for a shape of the
+            caller.
     """
 
     measurement: AreaMeasurement
-    segmentation: Segmentation
+    segmentation: ObjectMask
     prompt: Prompt
 
 

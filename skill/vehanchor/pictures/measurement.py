@@ -13,13 +13,14 @@ from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, line_px, part_around
 from vehanchor.pictures.scale import Canvas, open_canvas
 from vehanchor.records.advice import advice_for
 from vehanchor.records.notices import NoticeCode
-from vehanchor.records.text import NO_SCALE, significant, with_interval
+from vehanchor.records.text import NO_SCALE, fit_in_words, significant, with_interval
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.posterior import Mark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.pictures.evidence import AreaEvidence, DistanceEvidence
     from vehanchor.pictures.placement import Colour, Placement, Points, RgbImage
     from vehanchor.pictures.scale import CaptionLine
@@ -31,8 +32,13 @@ MEASURED_RGB = (204, 121, 167)
 PROMPT_RGB = (240, 228, 66)
 # Okabe and Ito's vermilion, for points outside the object.
 _OUTSIDE_RGB = (213, 94, 0)
+# Okabe and Ito's bluish green, for the shape that must fit.
+FIT_RGB = (0, 158, 115)
+_CIRCLE_POINTS = 90
 _BLACK = (0, 0, 0)
 _TINT_OPACITY = 0.35
+# Objects whose sizes the caption lists; more would be higher than the picture.
+_MAX_CAPTIONS = 16
 
 
 def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) -> RgbImage:
@@ -54,11 +60,14 @@ def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) 
     for analysis in analyses:
         _draw_mask(canvas.picture, analysis, canvas.placement)
         _draw_prompt(canvas.picture, analysis, canvas.placement)
+        _draw_fit(canvas.picture, analysis.measurement, canvas.placement, analysis.grid)
     numbers = _numbered([""] * len(analyses))
     for number, analysis in zip(numbers, analyses, strict=True):
         if number:
             _write_number(canvas, number, analysis)
-    sizes = [_area_text(analysis.measurement) for analysis in analyses]
+    sizes = [_area_text(analysis.measurement) for analysis in analyses[:_MAX_CAPTIONS]]
+    if len(analyses) > _MAX_CAPTIONS:
+        sizes.append(f"and {len(analyses) - _MAX_CAPTIONS} more")
     return _finish(canvas, first, sizes)
 
 
@@ -179,6 +188,41 @@ def _draw_prompt(picture: RgbImage, analysis: AreaEvidence, placement: Placement
         _draw_dot(picture, centre, 2 * line, colour=colour)
 
 
+def _draw_fit(
+    picture: RgbImage, record: AreaMeasurement, placement: Placement, grid: PixelGrid
+) -> None:
+    """Draw the shape that must fit at its best place, in its own size."""
+    fit = record.fit
+    gsd = record.gsd_m_per_px
+    if fit is None or fit.center is None or gsd is None:
+        return
+    places = [(point.x_px, point.y_px) for point in (fit.center, *fit.corners)]
+    centre, *corners = grid.to_square(places).tolist()
+    if fit.diameter_m is not None:
+        corners = _circle(centre, fit.diameter_m / gsd)
+    if not corners:
+        return
+    points = placement.to_opencv(np.array(corners)).reshape(-1, 1, 2)
+    for colour, thickness in ((_BLACK, 3), (FIT_RGB, 1)):
+        cv2.polylines(
+            picture,
+            [points],
+            isClosed=True,
+            color=colour,
+            thickness=thickness * line_px(picture),
+            lineType=cv2.LINE_AA,
+        )
+
+
+def _circle(centre: Sequence[float], diameter_px: float) -> list[tuple[float, float]]:
+    """List points of a circle, square pixels of the image."""
+    x_px, y_px = centre
+    angles = np.linspace(0, 2 * np.pi, _CIRCLE_POINTS, endpoint=False)
+    xs = x_px + diameter_px / 2 * np.cos(angles)
+    ys = y_px + diameter_px / 2 * np.sin(angles)
+    return list(zip(xs.tolist(), ys.tolist(), strict=True))
+
+
 def _draw_dot(picture: RgbImage, centre: Sequence[int], radius: int, *, colour: Colour) -> None:
     cv2.circle(
         picture,
@@ -211,7 +255,12 @@ def _area_text(record: AreaMeasurement) -> str:
     pixels = "" if record.area_m2 is None else f"{mask}, "
     codes = {notice.code for notice in record.warnings}
     doubt = " - low" if NoticeCode.MASK_SCORE_LOW in codes else ""
-    return f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
+    text = f"{size}; {pixels}shape given"
+    if record.mask_score is not None:
+        text = f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
+    if record.fit is not None:
+        text += f"; {fit_in_words(record.fit)}"
+    return text
 
 
 def _line_label(record: DistanceMeasurement) -> str:

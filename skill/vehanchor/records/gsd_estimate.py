@@ -317,6 +317,13 @@ class GsdEstimate(Record):
     schema_version: SchemaVersion = SCHEMA_VERSION
 
     @property
+    def pixels_per_meter(self) -> float | None:
+        """Pixels of the full image per metre; None without a scale."""
+        if self.gsd_m_per_px is None:
+            return None
+        return 1 / self.gsd_m_per_px
+
+    @property
     def probable_rulers(self) -> list[RulerScale]:
         """Rulers that can set a scale and are probably right, the leading one first."""
         setting = [ruler for ruler in self.rulers if ruler.sets_scale]

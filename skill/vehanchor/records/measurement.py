@@ -54,6 +54,7 @@ EstimateField = Annotated[
 ]
 ImageWidth = Annotated[int, Field(gt=0, description="Width of the full image, pixels.")]
 ImageHeight = Annotated[int, Field(gt=0, description="Height of the full image, pixels.")]
+Score = Annotated[float, Field(ge=0, le=1)]
 MeasuredWarnings = Annotated[
     tuple[Notice, ...],
     Field(description="Further facts about this result and its scale, each with a stable code."),
@@ -65,6 +66,10 @@ class ImagePoint(Record):
 
     x_px: float = Field(description="Pixels from the left edge.")
     y_px: float = Field(description="Pixels from the upper edge.")
+
+    def scaled(self, across: float, down: float) -> ImagePoint:
+        """Scale the point to a copy of the image; see ``BoundingBox.scaled``."""
+        return ImagePoint(x_px=self.x_px * across, y_px=self.y_px * down)
 
 
 class BoundingBox(Record):
@@ -122,6 +127,12 @@ class FrameArea(Record):
     bounding_box: Annotated[BoundingBox | None, Short(when_null=True)] = Field(
         description="The object's box in pixels of that copy; null without a mask."
     )
+    fit_center: Annotated[ImagePoint | None, Short()] = Field(
+        default=None, description="The centre of fit in pixels of that copy."
+    )
+    fit_corners: Annotated[tuple[ImagePoint, ...], Short()] = Field(
+        default=(), description="The corners of fit in pixels of that copy."
+    )
 
 
 class OtherObject(Record):
@@ -133,8 +144,41 @@ class OtherObject(Record):
     bounding_box: BoundingBox = Field(description="Its box, pixels of the full image.")
 
 
+class Fit(Record):
+    """Whether the shape that must fit has room in the object, and where."""
+
+    fit_probability: Annotated[float, Short(round_down=True)] = Field(
+        ge=0,
+        le=1,
+        description="Probability that it fits, over the whole posterior of the scale and the error "
+        "of the edge; at most the scale's confidence.",
+    )
+    center: Annotated[ImagePoint | None, Short()] = Field(
+        default=None,
+        description="Centre of the best place, pixels of the full image; null without one.",
+    )
+    heading_deg: Annotated[float | None, Short()] = Field(
+        default=None,
+        description="Direction of a rectangle's length in the image, degrees clockwise from up.",
+    )
+    corners: Annotated[tuple[ImagePoint, ...], Short()] = Field(
+        default=(),
+        description="Corners of a rectangle of that size at the best place, pixels of the full "
+        "image; empty for a circle and without a scale.",
+    )
+    n_fits_at_least: Annotated[int | None, Short()] = Field(
+        default=None,
+        ge=0,
+        description="Rectangles that fit in rows at that heading, even at the lower end of the "
+        "scale's interval; more may fit otherwise. Null for a circle.",
+    )
+    diameter_m: float | None = Field(default=None, description="Diameter of the circle, metres.")
+    length_m: float | None = Field(default=None, description="Length of the rectangle, metres.")
+    width_m: float | None = Field(default=None, description="Width of the rectangle, metres.")
+
+
 class AreaMeasurement(Record):
-    """Area of an object: the pixels of its mask times the square of the scale."""
+    """Area of an object: the pixels of its mask or polygon times the square of the scale."""
 
     status: Annotated[Status, Short()] = Field(
         description="ok: scale and mask are usable. low_confidence: the scale is not usable, the "
@@ -142,8 +186,8 @@ class AreaMeasurement(Record):
         "scale, so sizes are in pixels only."
     )
     area_m2: Annotated[float | None, Short(when_null=True)] = Field(
-        description="mask_area_px times GSD squared, square metres, summed over the ground plane "
-        "for a tilted camera; null without a scale."
+        description="mask_area_px, or polygon_area_px, times GSD squared, square metres, summed "
+        "over the ground plane for a tilted camera; null without a scale."
     )
     area_ci95_low_m2: Annotated[float | None, Short()] = Field(
         description="Lower end of its 95 % interval, from the errors of scale and mask."
@@ -163,8 +207,13 @@ class AreaMeasurement(Record):
         description="N_px: pixels of the mask in the full image, square ones of the side "
         "gsd_m_per_px even if the file's are not.",
     )
-    mask_score: Annotated[float, Short(round_down=True)] = Field(
-        ge=0, le=1, description="The segmenter's estimate of the mask's IoU."
+    polygon_area_px: float | None = Field(
+        default=None,
+        gt=0,
+        description="Area of the caller's polygon by its corners, pixels; null for a mask.",
+    )
+    mask_score: Annotated[Score | None, Short(round_down=True)] = Field(
+        description="The segmenter's estimate of the mask's IoU; null for the caller's own shape."
     )
     perimeter_m: float | None = Field(
         description="Length of the mask's outline with its holes, metres."
@@ -187,6 +236,10 @@ class AreaMeasurement(Record):
     inscribed_center: Annotated[ImagePoint | None, Short(only_if_ok=True)] = Field(
         description="Centre of that circle, pixels of the full image; null without a mask."
     )
+    fit: Annotated[Fit | None, Short()] = Field(
+        default=None,
+        description="Whether the shape of must_fit fits; null without must_fit or a mask.",
+    )
     bounding_box: Annotated[BoundingBox | None, Short()] = Field(
         description="The mask's box, pixels of the full image; null without a mask."
     )
@@ -206,9 +259,12 @@ class AreaMeasurement(Record):
     )
     scale: ScaleField
     estimate: EstimateField
-    segmenter: str = Field(description="Name of the segmenter.")
-    segmenter_sha256: str = Field(
-        description="SHA-256 of the segmenter's encoder file followed by its decoder file."
+    segmenter: str | None = Field(
+        description="Name of the segmenter; null for the caller's own shape."
+    )
+    segmenter_sha256: str | None = Field(
+        description="SHA-256 of the segmenter's encoder file followed by its decoder file; null "
+        "for the caller's own shape."
     )
     warnings: MeasuredWarnings
     schema_version: SchemaVersion = SCHEMA_VERSION

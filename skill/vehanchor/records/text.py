@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from vehanchor.scale.defaults import INTERVAL_PREMISE
 
 if TYPE_CHECKING:
     from vehanchor.records import FrameScale, GsdEstimate
+    from vehanchor.records.measurement import Fit
 
 NO_SCALE = "no scale: nothing of known size found"
 
@@ -58,6 +60,20 @@ def with_interval(
 def count(number: int, noun: str) -> str:
     """Format a number of things, such as "1 vehicle" and "2 vehicles"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def fit_in_words(fit: Fit) -> str:
+    """State what must fit, and with which probability it does."""
+    if fit.diameter_m is not None:
+        shape = f"a circle of {fit.diameter_m:g} m"
+    else:
+        shape = f"{fit.length_m:g} x {fit.width_m:g} m"
+    # Never rounded up to a limit that the probability does not reach.
+    probability = math.floor(fit.fit_probability * 100) / 100
+    text = f"{shape} fits with probability {probability:.2f}"
+    if fit.n_fits_at_least is not None and fit.n_fits_at_least > 1:
+        text += f", at least {fit.n_fits_at_least} in rows"
+    return text
 
 
 def scale_text(record: GsdEstimate | FrameScale) -> str:

@@ -214,6 +214,7 @@ class Answer:
         interval: 95 % interval, metres per pixel.
         chance: 0..1, chance of an error below 20 %.
         density: ``[g]`` posterior, given that at least one witness that can set a scale is right.
+        posterior: ``[g]`` whole posterior, also of the case that none of them is right.
         p_right: chance of each witness with a finding that it is right; these do not add up to 1.
         leading: index of the setting witness without which the interval is widest, of those that
             are probably right.
@@ -225,6 +226,7 @@ class Answer:
     interval: Interval
     chance: float
     density: Density = field(repr=False)
+    posterior: Density = field(repr=False)
     p_right: tuple[float, ...] = ()
     leading: int = 0
     reason: Reason | None = None
@@ -305,6 +307,7 @@ def judge(witnesses: Sequence[Witness]) -> Answer | None:
         interval=credible_interval(supported),
         chance=min(chance, MAX_CHANCE),
         density=supported,
+        posterior=posterior.density,
     )
 
 

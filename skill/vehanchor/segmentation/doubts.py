@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from vehanchor.imagery.raster import Raster
+    from vehanchor.segmentation.object_mask import ObjectMask
     from vehanchor.segmentation.prompt import Prompt
     from vehanchor.segmentation.segmenter import Segmentation, SegmenterCard
 
@@ -60,12 +61,7 @@ def mask_notices(
             message=f"The expected overlap with the object is {segmentation.score:.2f}, below "
             f"{card.min_score:g}. Look at the outline before using the area.",
         )
-    image_sides = outer_sides(segmentation.window, raster.width_px, raster.height_px)
-    if touches_edge(segmentation.mask, image_sides):
-        yield Notice(
-            code=NoticeCode.MASK_TOUCHES_EDGE,
-            message="The mask reaches the image's edge: the area is a lower bound.",
-        )
+    yield from edge_notices(raster, segmentation)
     outside = _share_outside(segmentation, prompt)
     if outside > _MAX_OUTSIDE_SHARE:
         yield Notice(
@@ -86,6 +82,16 @@ def mask_notices(
             message=f"The object is {width_px:.1f} px wide. Below {SMALL_TARGET_PX:g} px, masks "
             "are less exact than the interval states. Use a larger copy of the image if there is "
             "one.",
+        )
+
+
+def edge_notices(raster: Raster, pixels: ObjectMask) -> Iterator[Notice]:
+    """State that a mask reaches the image's edge."""
+    image_sides = outer_sides(pixels.window, raster.width_px, raster.height_px)
+    if touches_edge(pixels.mask, image_sides):
+        yield Notice(
+            code=NoticeCode.MASK_TOUCHES_EDGE,
+            message="The mask reaches the image's edge: the area is a lower bound.",
         )
 
 

@@ -29,8 +29,9 @@ from vehanchor.segmentation.crop import (
     place_mask,
     read_resized,
 )
-from vehanchor.segmentation.prompt import MIN_BOX_PX, Box, Prompt
-from vehanchor.segmentation.shape import mask_bounds, touches_edge
+from vehanchor.segmentation.object_mask import ObjectMask
+from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt
+from vehanchor.segmentation.shape import touches_edge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 MIN_MASK_SCORE = 0.7
 # Default: standard deviation of log(mask area / true area).
 MASK_AREA_LOG_SD = 0.1
+# Default: standard deviation of the log of what fits into a mask over what fits in truth. A dent or
+# a bump changes it more than the area shows (research/results/notes.md).
+MASK_WIDTH_LOG_SD = 0.12
 # research/results/notes.md has the trial behind the numbers for points.
 # Standard deviation of log(mask area / true area) where all masks of the points agree.
 _POINT_AREA_LOG_SD = 0.25
@@ -69,6 +73,8 @@ class SegmenterCard:
         input_px: side of the input, pixels.
         min_score: masks with a lower score need a check of the outline.
         mask_area_log_sd: standard deviation of the log of mask area over true area, for boxes.
+        mask_width_log_sd: least standard deviation of the log of the largest circle or rectangle
+            inside a mask over the true one.
         licence: licence of the weights, from the file.
     """
 
@@ -78,6 +84,7 @@ class SegmenterCard:
     input_px: int
     min_score: float
     mask_area_log_sd: float
+    mask_width_log_sd: float
     licence: str | None
 
     def is_doubtful(self, segmentation: Segmentation) -> bool:
@@ -103,33 +110,18 @@ class SegmenterCard:
 
 
 @dataclass(frozen=True, eq=False)
-class Segmentation:
-    """Mask of an object.
+class Segmentation(ObjectMask):
+    """Mask of an object by a model, which ran on the mask's window.
 
     Attributes:
-        mask: ``[h, w]`` bool, the pixels of ``window``; nothing outside it belongs to the object.
-        window: crop of the image on which the model ran.
         score: IoU of the mask as predicted by the model, 0..1.
         alternatives: other objects that the points may mean, best first; none for a box.
         is_agreed: whether the masks of the points show the same object; true for a box.
     """
 
-    mask: Mask
-    window: Window
     score: float
     alternatives: tuple[Segmentation, ...] = ()
     is_agreed: bool = True
-
-    @property
-    def bounding_box(self) -> Box | None:
-        """Smallest box around the mask, in whole pixels of the image; None for an empty mask."""
-        bounds = mask_bounds(self.mask)
-        if bounds is None:
-            return None
-        x1, y1, x2, y2 = bounds
-        left = self.window.x_px
-        top = self.window.y_px
-        return x1 + left, y1 + top, x2 + left, y2 + top
 
 
 class Segmenter(LoadedModel):
@@ -184,6 +176,7 @@ class Segmenter(LoadedModel):
             input_px=self._contract.input_px,
             min_score=metadata_number(metadata, "min_score", MIN_MASK_SCORE),
             mask_area_log_sd=metadata_number(metadata, "mask_area_log_sd", MASK_AREA_LOG_SD),
+            mask_width_log_sd=metadata_number(metadata, "mask_width_log_sd", MASK_WIDTH_LOG_SD),
             licence=metadata.get("license"),
         )
 

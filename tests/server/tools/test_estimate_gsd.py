@@ -9,7 +9,7 @@ from mcp.server import MCPServer
 
 import vehanchor
 from tests.analyses import make_analysis
-from tests.server.conversation import called, error_of, record_of, text_of
+from tests.server.conversation import by_path, called, error_of, record_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
 from vehanchor.records import GsdEstimate
@@ -186,3 +186,32 @@ def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
     words = answer_of([estimate], (), "short").text
     assert words.endswith(f"; {', or '.join(remedies)}.")
     assert "guess" not in words
+
+
+# --- Resampling for another model
+
+
+async def test_a_target_scale_gives_the_factor(server: MCPServer[object], images: Path) -> None:
+    image = {"image": by_path(images / "cars.png")["image"]}
+    result = await called(server, "estimate_gsd", **image, target_gsd_m_per_px=0.3)
+    gsd = record_of(result)["gsd_m_per_px"]
+    factor = f"resample the image by {gsd / 0.3:.3f}"
+    assert factor[:-1] in text_of(result)
+    assert any("resample the image by" in hint for hint in record_of(result)["warnings"])
+
+
+async def test_a_copy_has_its_own_factor(server: MCPServer[object], images: Path) -> None:
+    arguments = {
+        "image": by_path(images / "cars.png")["image"],
+        "frame": {"width_px": 320, "height_px": 256},
+        "target_gsd_m_per_px": 0.05,
+    }
+    text = text_of(await called(server, "estimate_gsd", **arguments))
+    assert "resample your copy by" in text
+    assert "Enlarging adds no detail." in text
+
+
+async def test_an_unusable_scale_gives_no_factor(server: MCPServer[object], images: Path) -> None:
+    image = {"image": by_path(images / "empty.png")["image"]}
+    result = await called(server, "estimate_gsd", **image, target_gsd_m_per_px=0.3)
+    assert "Do not resample for 0.3 m/px: the scale is not usable." in text_of(result)

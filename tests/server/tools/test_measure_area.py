@@ -172,10 +172,13 @@ async def test_a_mask_that_the_segmenter_doubts_comes_with_a_warning(
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        ({}, "targets.0: give either box or points: "),
+        ({}, "targets.0: give either box, points or polygon: "),
         (..., "targets: it is required"),
         (None, "targets.0: "),
-        ({"box": POOL_BOX, "points": [{"x": 1, "y": 1}]}, "targets.0: give either box or points"),
+        (
+            {"box": POOL_BOX, "points": [{"x": 1, "y": 1}]},
+            "targets.0: give either box, points or polygon",
+        ),
         ({"box": {**POOL_BOX, "x_min": None}}, "targets.0.box.x_min: "),
         ({"box": {"x_min": 1, "y_min": 2, "x_max": 3}}, "targets.0.box.y_max: it is required"),
         ({"box": {**POOL_BOX, "x_max": "inf"}}, "targets.0.box.x_max: give a number"),
@@ -269,3 +272,129 @@ async def test_the_longest_answer_about_an_area_stays_short(
         len(json.dumps(short_record([worst], answer.warnings), separators=(",", ":")))
         <= 4 * AREA_TOKENS[1]
     )
+
+
+# --- Polygons of the caller
+
+
+CORNERS = [300, 330, 348, 330, 348, 426, 300, 426]
+
+
+async def test_a_polygon_is_measured_by_its_corners(
+    server: MCPServer[object], images: Path
+) -> None:
+    targets = [{"polygon": CORNERS}]
+    result = await asked(
+        server, {**by_path(images / "pool.png"), "targets": targets, "detail": "full"}
+    )
+    record = record_of(result)
+    assert record["polygon_area_px"] == 48 * 96
+    assert (record["mask_score"], record["segmenter"], record["status"]) == (None, None, "ok")
+    assert "Mask: x 300 to 348, y 330 to 426 in your image." in text_of(result)
+
+
+async def test_a_polygon_and_a_box_share_a_call(server: MCPServer[object], images: Path) -> None:
+    targets = [{"polygon": CORNERS}, {"box": POOL_BOX}]
+    image = {"image": by_path(images / "pool.png")["image"]}
+    result = await asked(server, {**image, "targets": targets})
+    polygon, box = record_of(result)["measurements"]
+    assert "mask_score" not in polygon
+    assert polygon["area_m2"] == pytest.approx(box["area_m2"], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("polygon", "message"),
+    [
+        (CORNERS[:4], "6 to 400 items"),
+        (CORNERS[:7], "odd number"),
+        ([*CORNERS[:4], *CORNERS[6:], *CORNERS[4:6]], "lines cross"),
+        ([*CORNERS[:4], 9000, 426], "not inside the"),
+        ([0.1, 0.1, 0.2, 0.1, 0.2, 0.2], "all coordinates lie in 0 to 1"),
+        (CORNERS * 51, "6 to 400 items"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+async def test_a_bad_polygon_is_refused(
+    server: MCPServer[object], images: Path, polygon: list[float], message: str
+) -> None:
+    targets = [{"polygon": polygon}]
+    result = await asked(server, {**by_path(images / "pool.png"), "targets": targets})
+    assert result.is_error
+    assert message in text_of(result)
+
+
+# --- What must fit
+
+
+async def test_a_fit_is_stated_in_words_and_fields(server: MCPServer[object], images: Path) -> None:
+    image = {"image": by_path(images / "pool.png")["image"]}
+    must_fit = {"length_m": 5, "width_m": 3}
+    result = await asked(server, {**image, "targets": [{"polygon": CORNERS}], "must_fit": must_fit})
+    record = record_of(result)
+    fit = record["fit"]
+    assert 0.9 < fit["fit_probability"] <= record["scale_confidence"]
+    assert (fit["center"]["x_px"], fit["center"]["y_px"]) == pytest.approx((324, 378), abs=1)
+    assert len(fit["corners"]) == 4
+    assert fit["n_fits_at_least"] >= 2
+    # Other sizes are left out.
+    assert "inscribed_diameter_m" not in record
+    assert "5 x 3 m fits with probability 0.9" in text_of(result)
+    assert "centre x 324, y 378 in your image, heading" in text_of(result)
+
+
+async def test_a_fit_lies_in_the_callers_copy(server: MCPServer[object], images: Path) -> None:
+    half = [number / 2 for number in CORNERS]
+    result = await asked(
+        server,
+        {
+            "image": by_path(images / "pool.png")["image"],
+            "targets": [{"polygon": half}],
+            "must_fit": {"length_m": 5, "width_m": 3},
+            "frame": {"width_px": 320, "height_px": 256},
+        },
+    )
+    record = record_of(result)
+    centre = record["frame"]["fit_center"]
+    assert (centre["x_px"], centre["y_px"]) == pytest.approx((162, 189), abs=1)
+    assert "center" not in record["fit"]
+    assert "centre x 162, y 189 in your copy" in text_of(result)
+
+
+async def test_a_fit_at_an_unusable_scale_is_not_acted_on(
+    server: MCPServer[object], images: Path
+) -> None:
+    image = {"image": by_path(images / "pool_two.png")["image"]}
+    result = await asked(
+        server,
+        {**image, "targets": [{"polygon": CORNERS}], "must_fit": {"diameter_m": 0.5}},
+    )
+    record = record_of(result)
+    assert record["status"] == "low_confidence"
+    assert record["fit"]["fit_probability"] <= record["scale_confidence"]
+    assert ": do not act on it." in text_of(result)
+
+
+@pytest.mark.parametrize(
+    "must_fit",
+    [{}, {"length_m": 5}, {"diameter_m": 3, "length_m": 5, "width_m": 2}, {"diameter_m": 0}],
+    ids=str,
+)
+async def test_a_bad_shape_to_fit_is_refused(
+    server: MCPServer[object], images: Path, must_fit: dict[str, float]
+) -> None:
+    targets = [{"polygon": CORNERS}]
+    result = await asked(
+        server, {**by_path(images / "pool.png"), "targets": targets, "must_fit": must_fit}
+    )
+    assert result.is_error
+    assert "must_fit" in text_of(result)
+
+
+async def test_a_picture_shows_what_must_fit(server: MCPServer[object], images: Path) -> None:
+    arguments = {
+        "image": by_path(images / "pool.png")["image"],
+        "targets": [{"polygon": CORNERS}],
+        "must_fit": {"diameter_m": 3},
+    }
+    result = await called(server, "view_image", of={"tool": "measure_area", "arguments": arguments})
+    assert not result.is_error

@@ -326,7 +326,7 @@ async def test_too_many_values_are_refused_without_validation(
     many = {f"a{i}": 0 for i in range(100_000)}
     async with Client(server) as client:
         result = await client.call_tool("estimate_gsd", {"image": many} if deep else many)
-    assert text_of(result).startswith("invalid_arguments: more than 1000 values.")
+    assert text_of(result).startswith("invalid_arguments: more than 7000 values.")
     assert validated == []
 
 

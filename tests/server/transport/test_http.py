@@ -15,6 +15,7 @@ from typing import Any
 
 import anyio
 import httpx2 as httpx
+import numpy as np
 import pytest
 from mcp import Client
 
@@ -23,12 +24,14 @@ from tests.server.conversation import by_path, error_of, listening, serving, tex
 from tests.server_process import http_server
 from tests.tiles import Tiles
 from vehanchor_server.settings import Settings, SettingsError
+from vehanchor_server.tools.target import MAX_POLYGON_NUMBERS, MAX_TARGETS
 from vehanchor_server.transport.http import _auth, create_app
 
 pytestmark = pytest.mark.anyio
 
 TOKEN = "a-long-enough-token-1234"
 ERAS = ("auto", "legacy")
+KNOWN = {"gsd_m_per_px": 0.1, "gsd_basis": "measured"}
 
 
 @contextlib.contextmanager
@@ -102,6 +105,19 @@ async def test_tools_can_be_called(base: str, images: Path, era: str) -> None:
     assert result.structured_content["status"] == "ok"
     assert 3 <= len(reports) <= 5
     assert error_of(refused) == "path_not_allowed"
+
+
+async def test_sixteen_polygons_pass_the_guard(base: str, images: Path) -> None:
+    angles = np.linspace(0, 2 * np.pi, MAX_POLYGON_NUMBERS // 2, endpoint=False)
+    circle = 100 + 60 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    targets = [{"polygon": circle.ravel().tolist()}] * MAX_TARGETS
+    arguments = {**by_path(images / "pool.png"), "targets": targets, **KNOWN}
+    async with Client(f"{base}/mcp") as client:
+        result = await client.call_tool("measure_area", arguments)
+    assert not result.is_error, result.content
+    assert result.structured_content is not None
+    areas = [record["area_m2"] for record in result.structured_content["measurements"]]
+    assert areas == pytest.approx([np.pi * 36] * MAX_TARGETS, rel=0.01)
 
 
 async def test_requests_need_no_session(base: str) -> None:

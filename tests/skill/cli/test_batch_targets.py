@@ -119,6 +119,76 @@ def test_an_existing_table_is_replaced_only_with_overwrite(measured: Measured, p
     assert "--overwrite" in again.stderr
 
 
+# --- Shapes of the caller's own
+
+
+@pytest.fixture(scope="module")
+def own_shapes(place: Path) -> list[dict[str, str]]:
+    """Rows of a table with a polygon and a file of shapes, beside a box."""
+    polygon = [100, 200, 200, 200, 200, 250, 100, 250]
+    coco = {
+        "images": [{"id": 1, "file_name": "cars.png"}],
+        "annotations": [
+            {"id": 4, "image_id": 1, "segmentation": [polygon]},
+            {"id": 5, "image_id": 1, "segmentation": [[10, 10, 60, 10, 60, 60]]},
+        ],
+    }
+    (place / "coco.json").write_text(json.dumps(coco))
+    (place / "own.csv").write_text(
+        "file,polygon,shapes,x1,y1,x2,y2,name\n"
+        f"photos/cars.png,{' '.join(map(str, polygon))},,,,,,mine\n"
+        "photos/cars.png,,coco.json,,,,,annotation\n"
+        "photos/cars.png,,none.json,,,,,missing\n"
+        "photos/cars.png,,,96,196,204,254,box\n"
+    )
+    result = _batch(place, place / "own_out.csv", table="own.csv")
+    assert result.exit_code == 0, result.output
+    with (place / "own_out.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_each_shape_of_a_file_has_a_row(own_shapes: list[dict[str, str]]) -> None:
+    names = [(row["name"], row["kind"]) for row in own_shapes]
+    assert names == [
+        ("mine", "polygon"),
+        ("annotation 4", "shapes"),
+        ("annotation 5", "shapes"),
+        ("missing", "shapes"),
+        ("box", "box"),
+    ]
+
+
+def test_shapes_have_areas_and_no_score(own_shapes: list[dict[str, str]]) -> None:
+    mine, same, other, _, _ = own_shapes
+    gsd = float(mine["gsd_m_per_px"])
+    assert float(mine["area_m2"]) == pytest.approx(5000 * gsd**2)
+    assert same["area_m2"] == mine["area_m2"]
+    assert float(other["area_m2"]) == pytest.approx(1250 * gsd**2)
+    assert {row["mask_score"] for row in (mine, same, other)} == {""}
+
+
+def test_a_missing_file_of_shapes_concerns_its_own_row(own_shapes: list[dict[str, str]]) -> None:
+    assert own_shapes[3]["error_code"] == "invalid_prompt"
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("1 2 3,,,", "line 2: the polygon has an odd number"),
+        ("1 2 x,,,", "line 2: polygon is '1 2 x'"),
+        ("1 2 3 4 5 6,coco.json,,", "line 2: polygon and shapes are given"),
+        ("1 2 3 4 5 6,,7,", "line 2: polygon and x1 are given"),
+        (",coco.json,,line", "line 2: kind is 'line' beside a shapes"),
+    ],
+)
+def test_a_bad_shape_names_its_line(place: Path, tmp_path: Path, row: str, message: str) -> None:
+    table = f"file,polygon,shapes,x1,kind\nphotos/cars.png,{row}\n"
+    (place / "bad.csv").write_text(table)
+    result = _batch(place, tmp_path / "out.csv", table="bad.csv")
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
 # --- Maps
 
 

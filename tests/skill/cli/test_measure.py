@@ -165,3 +165,98 @@ def test_bad_input_is_one_line_with_status_2(run: Any, arguments: list[str], cod
     assert result.stderr.startswith(f"error[{code}]: ")
     assert result.stderr.count("\n") == 1
     assert _line(run("cars.png", "--json", *arguments))["error"]["code"] == code
+
+
+# --- Shapes of the caller's own
+
+
+POLYGON = "420,280,468,280,468,376,420,376"
+
+
+def test_a_polygon_is_measured_without_a_segmenter(run: Any) -> None:
+    result = run(
+        "cars.png", "--polygon", POLYGON, "--gsd", 0.1, "--json", "--segmenter", "no", "no"
+    )
+    record = _line(result)
+    assert record["area_m2"] == pytest.approx(48 * 96 * 0.01)
+    assert record["segmenter"] is None
+
+
+def test_facts_name_the_shape(run: Any) -> None:
+    result = run("cars.png", "--polygon", POLYGON, "--gsd", 0.1)
+    assert "your polygon, 4608 px" in result.stdout
+    assert "segmenter" not in result.stdout
+
+
+@pytest.fixture
+def two_shapes(run: Any, tmp_path: Path) -> tuple[Result, Path]:
+    """Two shapes of a file, with their outlines and masks."""
+    ids = np.zeros((600, 800), np.uint8)
+    ids[10:30, 10:30] = 3
+    ids[50:60, 50:60] = 8
+    cv2.imwrite(str(tmp_path / "ids.png"), ids)
+    outputs = ["--outline", tmp_path / "o.geojson", "--mask", tmp_path / "m.png"]
+    outputs += ["--overlay", tmp_path / "overlay.png"]
+    result = run("cars.png", "--shapes", tmp_path / "ids.png", "--gsd", 0.1, "--json", *outputs)
+    return result, tmp_path
+
+
+def test_several_shapes_are_several_measurements(two_shapes: tuple[Result, Path]) -> None:
+    result, _ = two_shapes
+    record = _line(result)
+    areas = [measurement["area_m2"] for measurement in record["measurements"]]
+    assert areas == pytest.approx([4.0, 1.0])
+
+
+def test_several_shapes_are_written_to_one_file(two_shapes: tuple[Result, Path]) -> None:
+    _, folder = two_shapes
+    features = json.loads((folder / "o.geojson").read_text())["features"]
+    assert [feature["properties"]["name"] for feature in features] == ["3", "8"]
+    mask = cv2.imread(str(folder / "m.png"), cv2.IMREAD_GRAYSCALE)
+    assert mask is not None
+    assert cv2.countNonZero(mask) == 500
+    assert (folder / "overlay.png").stat().st_size > 0
+
+
+def test_several_shapes_are_listed_with_their_names(run: Any, two_shapes: Any) -> None:
+    _, folder = two_shapes
+    result = run("cars.png", "--shapes", folder / "o.geojson", "--gsd", 0.1)
+    assert result.exit_code == 0, result.stderr
+    assert "1: 3" in result.stdout
+    assert "2: 8" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--polygon", "1,2,x"], "--polygon is '1,2,x': use numbers with commas"),
+        (["--polygon", "1,2,3,4"], "--polygon: the polygon has fewer than 3"),
+        (["--polygon", POLYGON, "--box", *BOX], "a box or points, or your own --polygon"),
+        (["--box", *BOX, "--edge", "2"], "--edge and --orientation are about"),
+        (["--polygon", POLYGON, "--orientation", "up"], "use oriented or stored"),
+    ],
+)
+def test_bad_shapes_end_the_command(run: Any, arguments: list[str], message: str) -> None:
+    result = run("cars.png", "--gsd", 0.1, *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
+# --- What must fit
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [("4", "a circle of 4 m fits with probability"), ("9x4", "9 x 4 m fits with probability")],
+)
+def test_a_shape_that_must_fit_is_stated(run: Any, size: str, words: str) -> None:
+    result = run("cars.png", "--polygon", POLYGON, "--gsd", 0.1, "--must-fit", size)
+    assert words in result.stdout
+    assert "best at x 444, y 3" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("size", ["wide", "1x2x3", "0", "-1x2"])
+def test_a_bad_shape_to_fit_ends_the_command(run: Any, size: str) -> None:
+    result = run("cars.png", "--polygon", POLYGON, "--gsd", 0.1, f"--must-fit={size}")
+    assert result.exit_code == 2
+    assert "must" in result.stderr

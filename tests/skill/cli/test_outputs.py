@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import vehanchor
 from tests.models import blank_image, write_detector
 from vehanchor.cli.app import app
-from vehanchor.cli.outputs import refusal
+from vehanchor.export.resample import why_not_resampled
 from vehanchor.records import GsdEstimate, KnownPlane
 
 LINE = ("--known-length", "100 100 500 100 40 measured")  # 0.1 m/px
@@ -69,7 +69,7 @@ def usable(image: Path) -> GsdEstimate:
 
 
 def test_a_single_usable_scale_is_not_refused(usable: GsdEstimate) -> None:
-    assert refusal(usable) is None
+    assert why_not_resampled(usable) is None
 
 
 def test_a_scale_that_varies_is_refused_with_the_tilt(usable: GsdEstimate) -> None:
@@ -77,12 +77,12 @@ def test_a_scale_that_varies_is_refused_with_the_tilt(usable: GsdEstimate) -> No
     plane = KnownPlane(tilt_deg=35.0, roll_deg=0.0, focal_length_px=800.0)
     scale = usable.scale.model_copy(update={"plane": plane})
     tilted = usable.model_copy(update={"scale": scale})
-    assert refusal(tilted) == "the camera was tilted by 35 degrees, and the scale varies"
+    assert why_not_resampled(tilted) == "the camera was tilted by 35 degrees, and the scale varies"
 
 
 def test_a_scale_of_low_confidence_is_refused(usable: GsdEstimate) -> None:
     unsure = usable.model_copy(update={"status": "low_confidence"})
-    assert refusal(unsure) == "the scale is not usable"
+    assert why_not_resampled(unsure) == "the scale is not usable"
 
 
 def test_a_geotiff_has_all_pixels_in_local_metres(image: Path) -> None:

@@ -195,9 +195,15 @@ def test_an_empty_mask_has_no_size(tmp_path: Path) -> None:
     assert _codes(record) == ["mask_empty"]
 
 
-def _measure_with_error(folder: Path, mask_log_sd: float, **options: Any) -> AreaMeasurement:
-    """Measure with a segmenter whose areas have a known error."""
-    files = write_sam(folder, metadata={"vehanchor.mask_area_log_sd": str(mask_log_sd)})
+def _measure_with_error(
+    folder: Path, mask_log_sd: float, *, width_log_sd: float = 0, **options: Any
+) -> AreaMeasurement:
+    """Measure with a segmenter whose areas and widths have a known error."""
+    metadata = {
+        "vehanchor.mask_area_log_sd": str(mask_log_sd),
+        "vehanchor.mask_width_log_sd": str(width_log_sd),
+    }
+    files = write_sam(folder, metadata=metadata)
     return measure_area(pool_among_cars(), box=BOX, segmenter=files, **options)
 
 
@@ -221,6 +227,12 @@ def test_the_circle_has_the_interval_of_the_masks_outline(tmp_path: Path) -> Non
     reach = _log_reach(record.inscribed_diameter_m, record.inscribed_diameter_ci95_high_m)
     # The circle in a rectangle of 48 x 96 px: 2 * 0.08 * 4608 / (288 * 48).
     assert reach == pytest.approx(1.96 * 0.0533, rel=0.03)
+
+
+def test_the_circle_has_at_least_the_error_of_what_fits_into_masks(tmp_path: Path) -> None:
+    record = _measure_with_error(tmp_path, 0.08, width_log_sd=0.15, gsd_m_per_px=GSD)
+    reach = _log_reach(record.inscribed_diameter_m, record.inscribed_diameter_ci95_high_m)
+    assert reach == pytest.approx(1.96 * 0.15, rel=0.01)
 
 
 def test_with_an_exact_mask_the_interval_is_twice_the_scales(

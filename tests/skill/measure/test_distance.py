@@ -235,7 +235,8 @@ def test_a_distance_has_the_skewed_interval_of_its_scale(skewed: KnownScale) -> 
 
 
 def test_an_area_has_the_skewed_interval_of_its_scale(skewed: KnownScale, tmp_path: Path) -> None:
-    exact = write_sam(tmp_path, metadata={"vehanchor.mask_area_log_sd": "0"})
+    exactness = {"vehanchor.mask_area_log_sd": "0", "vehanchor.mask_width_log_sd": "0"}
+    exact = write_sam(tmp_path, metadata=exactness)
     roof = vehanchor.measure_area(pool_among_cars(), box=BOX, segmenter=exact, scale=skewed)
     assert roof.area_m2 is not None
     assert roof.area_ci95_low_m2 == pytest.approx(roof.area_m2 * (121 / 136) ** 2)

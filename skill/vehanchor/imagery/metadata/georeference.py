@@ -8,13 +8,26 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 AffineCoefficients = tuple[float, float, float, float, float, float]
 """(a, b, c, d, e, f), as in ``affine.Affine``.
 
 x = a*column + b*row + c, and y = d*column + e*row + f.
 """
+
+
+PIXELS_WKT = (
+    'LOCAL_CS["Pixels of the image, y down",LOCAL_DATUM["Image",0],UNIT["pixel",1],'
+    'AXIS["x",EAST],AXIS["y",SOUTH]]'
+)
+"""Reference system of an image without a georeference; readers take its unit for pixels."""
 
 
 class GroundPixel(NamedTuple):
@@ -193,3 +206,30 @@ def _metric_transform(
         return _MetricTransform(transform_in_degrees, longitude_m, latitude_m)
     unit_m = float(crs.linear_units_factor[1])
     return _MetricTransform(transform, unit_m, unit_m)
+
+
+def is_in_pixels(collection: Mapping[str, Any]) -> bool:
+    """Test whether a collection of features states that it is in pixels, as written here."""
+    crs = collection.get("crs")
+    if not isinstance(crs, dict):
+        return False
+    properties = crs.get("properties")
+    return isinstance(properties, dict) and properties.get("name") == PIXELS_WKT
+
+
+def to_pixels(points: NDArray[np.float64], ground: Ground) -> NDArray[np.float64]:
+    """Convert points ``[n, 2]``, longitude and latitude of WGS 84, to pixels of an image.
+
+    Args:
+        points: the points.
+        ground: position of the image on the ground.
+    """
+    from rasterio.warp import transform
+
+    longitudes, latitudes = points.T.tolist()
+    eastings, northings = transform("EPSG:4326", ground.crs, longitudes, latitudes)
+    a, b, c, d, e, f = ground.transform[:6]
+    # The inverse of the file's affine transform.
+    matrix = np.array([(a, b), (d, e)])
+    offsets = np.array([np.subtract(eastings, c), np.subtract(northings, f)])
+    return np.linalg.solve(matrix, offsets).T

@@ -42,7 +42,12 @@ from vehanchor.imagery.metadata.density import density_aspect
 from vehanchor.imagery.raster import Raster, RasterNote, oriented
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size, without_mask
 from vehanchor.imagery.sources.files import spelled_as_stored
-from vehanchor.imagery.sources.pillow import PillowImage, is_pillow, pillow_pixels
+from vehanchor.imagery.sources.pillow import (
+    PillowImage,
+    is_pillow,
+    pillow_orientation,
+    pillow_pixels,
+)
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.imagery.sources.sidecars import Sidecars, unreadable_mask
 from vehanchor.imagery.square_raster import in_square_pixels
@@ -137,7 +142,9 @@ def _open_in_file_pixels(image: ImageSource, reading: Reading) -> Raster:
         return _open_bytes(bytes(image), "bytes", reading)
     if is_pillow(image):
         pixels = pillow_pixels(image, reading.limits)
-        return ArrayRaster(pixels, "image", reading.bands, alpha=True)
+        raster = ArrayRaster(pixels, "image", reading.bands, alpha=True)
+        raster.file_orientation = pillow_orientation(image)
+        return raster
     if is_dataset(image):
         return open_dataset(image, reading.bands, reading.limits)
     if hasattr(image, "read"):
@@ -235,6 +242,7 @@ def _open_bytes(
     raster.warnings = (*raster.warnings, *notes)
     raster.camera = read_camera(read_at, header)
     raster.density_aspect = density_aspect(read_at)
+    raster.file_orientation = header.orientation
     return raster
 
 

@@ -41,6 +41,12 @@ def is_pillow(image: Any) -> TypeGuard[PillowImage]:
     )
 
 
+def pillow_orientation(image: Any) -> int:
+    """Read the EXIF orientation of an image, 1 to 8; 1 without a valid one."""
+    orientation = image.getexif().get(_TAG_ORIENTATION, 1)
+    return orientation if orientation in range(1, 9) else 1
+
+
 def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
     """Decode an image and apply its EXIF orientation.
 
@@ -66,7 +72,7 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
     try:
         upright = image
         # exif_transpose copies the image even if there is nothing to turn.
-        if image.getexif().get(_TAG_ORIENTATION, 1) != 1:
+        if pillow_orientation(image) != 1:
             upright = ImageOps.exif_transpose(image)
         if upright.mode not in _ARRAY_MODES:
             upright = upright.convert(colour_mode)
