@@ -52,6 +52,8 @@ def _remedies(estimate: GsdEstimate) -> list[str]:
     # The original helps if this image was reduced too far, or stretched in one direction.
     if reason == "too_coarse" or (reason == "disagree" and "stretched" in codes):
         return ["image", "line"]
+    if reason == "no_photograph":
+        return ["image", "line"]
     if reason in ("not_cars", "disagree"):
         return ["drop", "line"] if has_vehicles else ["line"]
     # The region helps if the length of the cars is the model's or the looks' estimate.

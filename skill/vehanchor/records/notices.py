@@ -16,6 +16,7 @@ class NoticeCode(StrEnum):
 
     # About the image.
     PIXELS_STRETCHED = "pixels_stretched"
+    NO_PHOTOGRAPH = "no_photograph"
     BANDS_SELECTED = "bands_selected"
     DETAIL_MISSING = "detail_missing"
     GEOREFERENCE_DIFFERS = "georeference_differs"

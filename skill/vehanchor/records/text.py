@@ -109,6 +109,9 @@ ADVICE: Mapping[Reason, Advice] = {
     "too_coarse": Advice(
         "the vehicles have too little detail", "fly lower, or send the full-resolution image"
     ),
+    "no_photograph": Advice(
+        "the image is drawn, not photographed", f"send a photograph from above, or {_DRAW_LINE}"
+    ),
     "not_cars": Advice("the vehicles may not be cars", _CHECK_OR_DRAW_LINE),
     "disagree": Advice(
         "the evidence contradicts itself", f"check what contradicts it, or {_DRAW_LINE}"
