@@ -53,8 +53,9 @@ class DrawingWeights(NamedTuple):
 
 
 # Fitted to 1,214 photographs and rendered scenes, and 210 drawings (research.scenes.pages), in
-# equal parts; 6 is then taken from the offset, because few pictures are drawings. Of the
-# photographs the highest chance is 0.3 (boats on dark water).
+# equal parts; 6 is then taken from the offset, because few pictures are drawings. Of 1,905
+# photographs of known scale the highest chance is 0.43 (boats on dark water), and 23 have more than
+# 0.01.
 _WEIGHTS = DrawingWeights(flat=14.9, sharp=6.4, both=12.0, offset=-12.6)
 
 
