@@ -156,6 +156,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fonts", choices=("all", "own", "held-out"), default="all")
+    parser.add_argument("--part", choices=("pages", "captions"))
     parser.add_argument("--pages", type=int, default=140)
     parser.add_argument("--captions", type=int, default=160)
     parser.add_argument("--keep", type=Path, help="folder for pictures whose answer is wrong")
@@ -170,6 +171,8 @@ def main() -> None:
         ),
     )
     for key, pictures, report in parts:
+        if options.part and key != f"text_{options.part}":
+            continue
         answered = []
         for answer in answers(pictures):
             answered.append(answer)

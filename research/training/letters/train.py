@@ -3,7 +3,8 @@
 ``FEATURES`` has the files of ``research.training.letters.features``. The head has one hidden layer
 on the frozen features. It is trained with equal weights of drawn and photographed candidates;
 within these, of each layout and each place. ``--without PLACE`` leaves places out. The run
-continues from ``OUT/checkpoint.pt`` and writes ``OUT/head.npz``; ``research.training.letters.export`` puts it into the chip network.
+continues from ``OUT/checkpoint.pt`` and writes ``OUT/head.npz``, which
+``research.training.letters.export`` puts into the chip network.
 """
 
 from __future__ import annotations

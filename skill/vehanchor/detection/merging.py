@@ -75,15 +75,3 @@ def distinct_by_class(objects: Objects, nms_iou: float) -> Objects:
     merged = Objects.joined(parts)
     best_first = np.argsort(-merged.scores, kind="stable")
     return merged.take(best_first)
-
-
-def lie_on(boxes: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Test which boxes ``[n, 5]`` have their centre in one of other boxes ``[m, 5]``."""
-    # Offsets of all centres along and across the axes of the other boxes.
-    offsets = boxes[:, None, :2] - others[None, :, :2]
-    cosine = np.cos(others[:, 4])
-    sine = np.sin(others[:, 4])
-    along = offsets[..., 0] * cosine + offsets[..., 1] * sine
-    across = offsets[..., 1] * cosine - offsets[..., 0] * sine
-    is_inside = (np.abs(along) <= others[:, 2] / 2) & (np.abs(across) <= others[:, 3] / 2)
-    return np.asarray(is_inside.any(axis=1))

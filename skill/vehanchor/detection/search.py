@@ -26,10 +26,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.detection.boxes import oriented_iou
 from vehanchor.detection.chips import with_appearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import level_chances, level_shares, search_levels
-from vehanchor.detection.merging import distinct_by_class, distinct_vehicles, lie_on
+from vehanchor.detection.merging import distinct_by_class, distinct_vehicles
 from vehanchor.detection.proportions import stretch, stretch_of_few
 from vehanchor.detection.scheduler import (
     LARGE_PIXELS,
@@ -445,10 +446,13 @@ class ImageSearch:
         # Letters take the places of cars: without them, the network examines the next candidates.
         for _ in range(_MAX_ROUNDS):
             is_drawn = examined.drawn_chances >= _DRAWN_CHANCE
+            first = kept[: len(is_drawn)]
+            # A weak candidate takes no place.
+            is_drawn &= candidates.scores[first] >= self._min_scores.vehicle
             if not is_drawn.any():
                 break
-            drawn_boxes = candidates.boxes[kept[: len(is_drawn)][is_drawn]]
-            photographed = np.flatnonzero(~lie_on(candidates.boxes, drawn_boxes))
+            overlaps = oriented_iou(candidates.boxes, candidates.boxes[first[is_drawn]])
+            photographed = np.flatnonzero((overlaps <= self._nms_iou).all(axis=1))
             candidates = candidates.take(photographed)
             factors = factors[photographed]
             kept = distinct_vehicles(candidates, self._min_scores.vehicle, self._nms_iou)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from research.scenes import render_scene
+from research.scenes import Layout, render_scene
 from research.scenes.lettering import own_fonts
 from research.scenes.pages import PAGES
 from vehanchor.imagery.drawing import measure_drawing_chance
@@ -27,7 +27,7 @@ def test_a_drawing_is_probably_no_photograph(kind: str) -> None:
 
 @pytest.mark.parametrize("blur_px", [0, 9])
 @pytest.mark.parametrize("layout", ["parking", "countryside"])
-def test_a_scene_is_no_drawing(layout: str, blur_px: int) -> None:
+def test_a_scene_is_no_drawing(layout: Layout, blur_px: int) -> None:
     picture = render_scene(0.1, width_px=400, height_px=400, seed=4, layout=layout).image
     if blur_px:
         picture = np.asarray(cv2.GaussianBlur(picture, (blur_px, blur_px), 0), np.uint8)
