@@ -1,4 +1,7 @@
-"""Compute what the chip network's encoder sees in stored chips, in several views each.
+"""Compute what the chip network's encoder sees: ``python -m research.training.letters.features``.
+
+``DRAWN`` is a folder of ``research.training.letters.mine``, and ``OUT`` a file named
+``features_NAME.npz``. Each stored chip is seen in several views.
 
 The encoder is frozen: its features are computed once, by the bundled file, and a head is trained on
 them within minutes.
@@ -6,6 +9,7 @@ them within minutes.
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -112,3 +116,32 @@ def view(chip: Chips, rng: Generator | None) -> Chips:
     toned = cut * gain + rng.uniform(-_OFFSET, _OFFSET)
     mirrored = toned[:: rng.choice([-1, 1]), :: rng.choice([-1, 1])]
     return np.clip(np.rint(mirrored), 0, 255).astype(np.uint8)
+
+
+def features_of(chips: Chips, encoder: Encoder, n_views: int) -> Features:
+    """Compute the features ``[n, v, f]`` of stored chips: as they are, then of random views."""
+    rng = np.random.default_rng(0)
+    views = [encoder(np.stack([view(chip, None) for chip in chips]))]
+    for _ in range(n_views - 1):
+        views.append(encoder(np.stack([view(chip, rng) for chip in chips])))
+    return np.stack(views, axis=1)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("network", type=Path)
+    parser.add_argument("drawn", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--views", type=int, default=4)
+    options = parser.parse_args()
+    stored = read_drawn(options.drawn)
+    views = features_of(stored.chips, Encoder(options.network), options.views)
+    pairs = zip(stored.layouts, stored.drawn, strict=True)
+    groups = np.array([f"{layout} {drawn}" for layout, drawn in pairs])
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(options.out, views=views, drawn=stored.drawn, groups=groups)
+
+
+if __name__ == "__main__":
+    main()

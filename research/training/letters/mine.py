@@ -311,11 +311,15 @@ def main() -> None:
     parser.add_argument("--fonts", type=Path, help="folder of fonts instead of this machine's")
     parser.add_argument("--pages", type=int, default=900)
     parser.add_argument("--captions", type=int, default=600)
+    parser.add_argument("--bare", type=Path, help="folder of photographs to search as they are")
     parser.add_argument("--scenes", type=int, default=300)
     parser.add_argument("--most", type=int, default=100_000, help="candidates to keep")
     parser.add_argument("--seconds", type=float, default=math.inf, help="when to end")
     options = parser.parse_args()
     listed = tasks(options.photographs, options.pages, options.captions, options.scenes)
+    if options.bare:
+        files = sorted(options.bare.rglob("*.jpg"))
+        listed += [Task(_FIRST_SEED + k, _BARE, path) for k, path in enumerate(files)]
     found: list[Candidate] = []
     end = time.monotonic() + options.seconds
     with ProcessPoolExecutor(os.cpu_count(), initializer=_start, initargs=(options.fonts,)) as pool:
