@@ -59,6 +59,9 @@ _MAX_SIZE = (1.6, 0.9)
 # Standard deviation of the log of a length or width that the image border cuts: a choice, so large
 # that it counts nothing.
 _CUT_LOG_SD = 1.0
+# Chance of something drawn below which it does not count: 99 of 100 vehicles in photographs have
+# less. A choice.
+_NEGLIGIBLE_CHANCE = 0.05
 
 
 class Examined(NamedTuple):
@@ -118,8 +121,10 @@ class ChipAnswers(NamedTuple):
 
     @property
     def drawn_chances(self) -> Answers:
-        """``[n]`` chances, 0..1, of something drawn."""
-        return np.asarray(expit(self.drawn))
+        """``[n]`` chances, 0..1, of something drawn; negligible ones are 0."""
+        chances = expit(self.drawn)
+        excess = (chances - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE)
+        return np.asarray(np.maximum(excess, 0.0))
 
 
 def bodies(boxes: Boxes, answers: ChipAnswers) -> Boxes:
