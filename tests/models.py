@@ -43,12 +43,15 @@ _OPSET = 17
 _IR_VERSION = 8
 
 
-_NOISE = 4
+def blank_image(
+    width_px: int, height_px: int, level: int = 70, noise_levels: int = 4
+) -> NDArray[np.uint8]:
+    """Make a picture ``[h, w, 3]`` uint8 of one grey level, with a photograph's noise.
 
-
-def blank_image(width_px: int, height_px: int, level: int = 70) -> NDArray[np.uint8]:
-    """Make a picture ``[h, w, 3]`` uint8 of one grey level, with a photograph's noise."""
-    noise = np.random.default_rng(0).integers(-_NOISE, _NOISE + 1, size=(height_px, width_px, 1))
+    Without noise, painted vehicles make a drawing of it, which has no scale.
+    """
+    rng = np.random.default_rng(0)
+    noise = rng.integers(-noise_levels, noise_levels + 1, size=(height_px, width_px, 1))
     grey = np.clip(level + noise, 0, 255).astype(np.uint8)
     return np.repeat(grey, 3, axis=2)
 
