@@ -72,20 +72,22 @@ def measure_drawing_chance(raster: Raster) -> float:
         return 0.0
     columns = _starts(raster.width_px)
     rows = _starts(raster.height_px)
-    shares = []
-    n_shown = 0
+    flat_shares = []
+    edged_shares = []
     for y in rows:
         for x in columns:
             patch = raster.read(Window(x, y, width_px=PATCH_PX, height_px=PATCH_PX))
             uniform, flat, sharp = _difference_shares(patch)
             if uniform >= _EMPTY_SHARE:
                 continue
-            n_shown += 1
+            flat_shares.append(flat)
             if sharp > _EDGE_SHARE:
-                shares.append((flat, sharp / (1 - uniform + _MARGIN)))
-    if len(shares) < max(1.0, _EDGED_PATCHES * n_shown):
+                edged_shares.append((flat, sharp / (1 - uniform + _MARGIN)))
+    if len(edged_shares) < max(1.0, _EDGED_PATCHES * len(flat_shares)):
         return 0.0
-    flat, sharp = np.median(shares, axis=0)
+    flat_beside_edges, sharp = np.median(edged_shares, axis=0)
+    # A flat thing with sharp edges, such as a pool, does not make a drawing of a photograph.
+    flat = min(flat_beside_edges, np.median(flat_shares))
     log_odds = (
         _WEIGHTS.flat * flat
         + _WEIGHTS.sharp * sharp
