@@ -36,6 +36,7 @@ except ModuleNotFoundError as missing:
 REMEDIES = {
     "too_coarse": "fly lower",
     "too_few": "climb, or fly to a street, and take another image",
+    "no_photograph": "take a photograph from above",
     "not_cars": "use another ruler",
     "disagree": "use another ruler",
     "imprecise": "give the region or a known length",

@@ -43,9 +43,17 @@ _OPSET = 17
 _IR_VERSION = 8
 
 
-def blank_image(width_px: int, height_px: int, level: int = 70) -> NDArray[np.uint8]:
-    """Make a picture ``[h, w, 3]`` uint8 of one grey level."""
-    return np.full((height_px, width_px, 3), level, np.uint8)
+def blank_image(
+    width_px: int, height_px: int, level: int = 70, noise_levels: int = 4
+) -> NDArray[np.uint8]:
+    """Make a picture ``[h, w, 3]`` uint8 of one grey level, with a photograph's noise.
+
+    Without noise, painted vehicles make a drawing of it, which has no scale.
+    """
+    rng = np.random.default_rng(0)
+    noise = rng.integers(-noise_levels, noise_levels + 1, size=(height_px, width_px, 1))
+    grey = np.clip(level + noise, 0, 255).astype(np.uint8)
+    return np.repeat(grey, 3, axis=2)
 
 
 def paint_vehicles(
@@ -285,6 +293,7 @@ _CHIP_OUTPUTS = {
     "turn": 1,
     "log_metres": 2,
     "metres_log_sd": 2,
+    "drawn": 1,
 }
 """Outputs of a chip network, and the numbers of each."""
 
@@ -297,6 +306,7 @@ def write_chip_network(
     edges: Sequence[float] = (-0.5, 0.5, -0.2, 0.2),
     length_m: float = 4.3,
     brightness: float = 0.0,
+    drawn: float = -20.0,
     metadata: Mapping[str, str | None] | None = None,
 ) -> Path:
     """Write a linear chip network beside a detector.
@@ -309,12 +319,14 @@ def write_chip_network(
             place.
         length_m: of each car by its appearance.
         brightness: addition to the log of this length for a white chip.
+        drawn: log odds that a candidate is drawn.
         metadata: entries to add or replace; None as a value removes one.
 
     Returns:
         The path.
     """
     weight, offset = _chip_layer(gain=gain, edges=edges, length_m=length_m, brightness=brightness)
+    offset[-1] = drawn
     graph = Graph()
     flat = graph.add("Flatten", ["chips"])
     joined = graph.add("Gemm", [flat, graph.constant(weight), graph.constant(offset)])
@@ -374,7 +386,7 @@ def _chip_layer(
     offset[edge : edge + 4] = edges
     offset[edge_sd : edge_sd + 4] = np.log(0.02)
     offset[metres : metres + 2] = np.log([length_m, width_m])
-    offset[first["metres_log_sd"] :] = np.log(0.07)
+    offset[first["metres_log_sd"] : first["drawn"]] = np.log(0.07)
     return weight.reshape(-1, n_outputs), offset
 
 

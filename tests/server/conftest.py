@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mcp.server import MCPServer
 
-from tests.models import paint_vehicles, write_detector
+from tests.models import blank_image, paint_vehicles, write_detector
 from tests.sam_models import SamFiles, write_sam
 from tests.server.calls.working import TESTS, ready
 from tests.server.conversation import ERAS
@@ -49,7 +49,9 @@ def _no_operator_variables(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> np.ndarray:
     """An RGB image with vehicles of nearly one length on textured ground."""
-    image = _ground(width_px, height_px)
+    # Without noise it is a drawing, which has no scale.
+    noise = blank_image(width_px, height_px, level=4)
+    image = np.clip(_ground(width_px, height_px).astype(int) + noise - 4, 0, 255).astype(np.uint8)
     generator = np.random.default_rng(7)
     columns = max(1, (width_px - 100) // 70)
     boxes = []

@@ -57,7 +57,7 @@ def _count(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
     return int(_near(picture, colour).sum())
 
 
-_grey = partial(blank_image, level=100)
+_grey = partial(blank_image, level=100, noise_levels=0)
 
 
 def _judged(analysis: ScaleAnalysis, status: str, reason: str | None) -> ScaleAnalysis:

@@ -37,6 +37,7 @@ _IN_WORDS: Mapping[Remedy, str] = {
     "vehicles": "also use the ruler vehicles (rulers)",
     "visible": "send the original image",
     "perspective": "send one photograph that was taken straight down",
+    "photograph": "send a photograph from above",
     "apart": "send each picture alone, as it was taken",
 }
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"

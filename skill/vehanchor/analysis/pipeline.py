@@ -23,6 +23,7 @@ from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
 from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError
 from vehanchor.imagery.detail import measure_detail_share
+from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.reading import CoordinateFrame
@@ -47,7 +48,13 @@ from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.several_scales import several_scales_notice
 from vehanchor.rulers.stated_scale import StatedScale
 from vehanchor.rulers.vehicles import vehicle_witness
-from vehanchor.rulers.witnesses import disagreements, measure_all, with_doubts
+from vehanchor.rulers.witnesses import (
+    NO_PHOTOGRAPH,
+    disagreements,
+    doubted_as_drawing,
+    measure_all,
+    with_doubts,
+)
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import quantile
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
@@ -197,6 +204,7 @@ def search_raster(
         runtime=detector.runtime,
         prior=prior,
         tilt=tilt,
+        drawing_chance=measure_drawing_chance(raster),
     )
     if not any(ruler.needs_search for ruler in rulers):
         if options.by_hand.given:
@@ -263,6 +271,7 @@ def conclude(
         measured: witnesses of all rulers.
         notices: notices of the tilt.
     """
+    measured = doubted_as_drawing(measured, view.drawing_chance)
     doubts: tuple[Remark, ...] = (*view.image.notices, *notices)
     witnesses = with_doubts(_without_repetition(measured), doubts)
     is_paper = view.options.method.preset == "paper"
@@ -277,6 +286,10 @@ def conclude(
         decision = _decision(decided, witnesses)
 
     warnings = [*notices_of(view.image.notices)]
+    if view.drawing_chance >= PROBABLY_RIGHT:
+        warnings.append(NO_PHOTOGRAPH)
+        if decision.gsd_m_per_px is None:
+            decision = decision._replace(reason="no_photograph")
     warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
     warnings += notices
     if decided is not None:

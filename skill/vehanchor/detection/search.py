@@ -12,7 +12,8 @@
 5. *Merging*: overlapping tiles and neighbouring levels show the same vehicle. Non-maximum
    suppression keeps its best box.
 6. *Appearance*: at the end the chip network scores the best vehicles again and replaces their boxes
-   by those of their bodies. If they are few, it examines weaker candidates, too.
+   by those of their bodies. If they are few, it examines weaker candidates, too. In the place of
+   drawn things, such as letters, it examines the next vehicles.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.detection.boxes import oriented_iou
 from vehanchor.detection.chips import with_appearance
 from vehanchor.detection.detections import Detections, Objects
 from vehanchor.detection.levels import level_chances, level_shares, search_levels
@@ -49,7 +51,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.detection.chips import ChipNetwork
+    from vehanchor.detection.chips import ChipNetwork, Examined
     from vehanchor.detection.detections import Appearance
     from vehanchor.detection.detector import Detector, PreparedTile, TileDetections
     from vehanchor.detection.scene_scale import SceneScalePrior
@@ -83,6 +85,11 @@ _MAX_WITH_APPEARANCE = 64
 # Up to this number of vehicles, it also examines weaker candidates, and mirrored chips.
 _FEW_VEHICLES = 12
 _MAX_CANDIDATES = 24
+# Chance from which a candidate counts as drawn. A choice: few have chances of 0.1 to 0.9.
+_DRAWN_CHANCE = 0.5
+# Times that the network examines other candidates in the places of drawn ones; a page of text has
+# hundreds. A choice.
+_MAX_ROUNDS = 4
 
 
 class _FinalVehicles(NamedTuple):
@@ -438,28 +445,56 @@ class ImageSearch:
         Returns:
             The distinct vehicles, those with an appearance first.
         """
+        kept, examined = self._examined(network, candidates, kept)
+        # Letters take the places of cars: without them, the network examines the next candidates.
+        for _ in range(_MAX_ROUNDS):
+            is_drawn = examined.drawn_chances >= _DRAWN_CHANCE
+            first = kept[: len(is_drawn)]
+            # A weak candidate takes no place.
+            is_drawn &= candidates.scores[first] >= self._min_scores.vehicle
+            if not is_drawn.any():
+                break
+            overlaps = oriented_iou(candidates.boxes, candidates.boxes[first[is_drawn]])
+            photographed = np.flatnonzero((overlaps <= self._nms_iou).all(axis=1))
+            candidates = candidates.take(photographed)
+            factors = factors[photographed]
+            kept = distinct_vehicles(candidates, self._min_scores.vehicle, self._nms_iou)
+            kept, examined = self._examined(network, candidates, kept)
+        vehicles = examined.candidates
+        appearance = examined.appearance
+        # New boxes may overlap, and new scores may be too low.
+        best = distinct_vehicles(vehicles, self._min_scores.vehicle, self._nms_iou)
+        has_appearance = best < len(appearance)
+        with_one = best[has_appearance]
+        others = best[~has_appearance]
+        best = np.concatenate([with_one, others])
+        return _FinalVehicles(
+            vehicles.take(best),
+            factors[kept][best],
+            appearance.take(with_one),
+        )
+
+    def _examined(
+        self, network: ChipNetwork, candidates: Objects, kept: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], Examined]:
+        """Let the chip network examine the distinct vehicles; weaker ones, too, if they are few.
+
+        Returns:
+            Indices of the examined candidates and of further vehicles, best first; their boxes and
+            scores by the network.
+        """
         are_few = len(kept) <= _FEW_VEHICLES
         if are_few:
             kept = distinct_vehicles(candidates, self._min_scores.candidate, self._nms_iou)
             kept = kept[:_MAX_CANDIDATES]
-        vehicles, appearance = with_appearance(
+        examined = with_appearance(
             network,
             self._raster,
             candidates.take(kept),
             most=_MAX_WITH_APPEARANCE,
             mirrored=are_few,
         )
-        # New boxes may overlap, and new scores may be too low.
-        best = distinct_vehicles(vehicles, self._min_scores.vehicle, self._nms_iou)
-        has_appearance = best < len(appearance)
-        examined = best[has_appearance]
-        others = best[~has_appearance]
-        best = np.concatenate([examined, others])
-        return _FinalVehicles(
-            vehicles.take(best),
-            factors[kept][best],
-            appearance.take(examined),
-        )
+        return kept, examined
 
     def _stretch(self, boxes: NDArray[np.float64], *, are_few: bool) -> float | None:
         """Ask a network that scored the vehicles whether the image is stretched."""

@@ -33,6 +33,7 @@ Remedy: TypeAlias = Literal[
     "visible",
     "perspective",
     "apart",
+    "photograph",
 ]
 
 IN_WORDS: Mapping[Remedy, str] = {
@@ -54,6 +55,7 @@ IN_WORDS: Mapping[Remedy, str] = {
     "perspective": "send a photograph taken straight down, or a perspective view made from this "
     "image",
     "apart": "send each picture alone",
+    "photograph": "send a photograph from above",
 }
 """Remedies for people, as clauses in the imperative."""
 
@@ -198,6 +200,7 @@ rest of it."""
 
 _ADVICE: Mapping[Reason, Advice] = {
     "not_cars": Advice("the vehicles may not be cars", ("drop", "line")),
+    "no_photograph": Advice("the image is drawn, not photographed", ("photograph", "line")),
     "assumed": Advice("it rests on assumed facts alone", ("measured", "elsewhere")),
 }
 _CAUSES: Mapping[Reason, Callable[[GsdEstimate], Advice]] = {

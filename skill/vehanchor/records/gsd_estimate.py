@@ -274,10 +274,10 @@ class GsdEstimate(Record):
     gsd_ci95_high_m_per_px: Annotated[float | None, Short()] = Field(description=CI95_HIGH)
     reason: Annotated[Reason | None, Short()] = Field(
         description="Why the scale is not usable; null for a usable scale. too_coarse: the "
-        "vehicles have too few pixels. too_few: there is too little evidence. not_cars: the "
-        "vehicles may not be cars. disagree: rulers, or the directions of the image, contradict "
-        "each other. assumed: it rests on assumed facts alone. imprecise: the fleet or the known "
-        "fact is too uncertain."
+        "vehicles have too few pixels. too_few: there is too little evidence. no_photograph: the "
+        "image is a page, chart, map or program. not_cars: the vehicles may not be cars. disagree: "
+        "rulers, or the directions of the image, contradict each other. assumed: it rests on "
+        "assumed facts alone. imprecise: the fleet or the known fact is too uncertain."
     )
     leading_ruler: Annotated[RulerKind | None, Short()] = Field(
         description="Of the rulers that are probably right, the one without which the interval "

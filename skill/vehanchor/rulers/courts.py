@@ -32,6 +32,7 @@ class Courts(Ruler):
     plural = True
     help = "a whole tennis or basketball court"
     colour = "#D55E00"
+    reads_scene = True
 
     def measure(self, view: View) -> Witness | None:
         """Find courts, and weigh them by how well each was fitted; None without pixels."""

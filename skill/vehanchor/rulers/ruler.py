@@ -56,6 +56,8 @@ class View:
         runtime: runtime of a ruler's own model.
         prior: the scene-scale prior; None without one.
         tilt: tilt of the camera; None for an image taken at nadir, or of unknown tilt.
+        drawing_chance: 0..1, chance that the image is drawn and no photograph
+            (``vehanchor.imagery.drawing``).
         expected: ``[g]`` density of the scale in a tilted view, from rulers that do not depend on
             vehicles; None without any.
     """
@@ -69,6 +71,7 @@ class View:
     runtime: Runtime | None = None
     prior: SceneScalePrior | None = None
     tilt: CameraTilt | None = None
+    drawing_chance: float = 0.0
     expected: Density | None = None
 
     @cached_property
@@ -102,6 +105,8 @@ class Ruler:
         reads_metadata: whether it is left out if the caller forbids metadata.
         fact: field of ``vehanchor.options.Rulers`` that it measures with, and without which it is
             left out; None for a ruler that needs no fact from the caller.
+        reads_scene: whether it measures what the photograph shows, so that a picture that is no
+            photograph misleads it.
         uses_plane: whether it measures on ``View.plane``; if not, it is left out in a tilted view.
         sets_scale: whether it can set the scale by itself; if not, it is a prior, which only weighs
             other rulers.
@@ -116,6 +121,7 @@ class Ruler:
     needs_search: ClassVar[bool] = False
     reads_metadata: ClassVar[bool] = False
     fact: ClassVar[str | None] = None
+    reads_scene: ClassVar[bool] = False
     uses_plane: ClassVar[bool] = False
     sets_scale: ClassVar[bool] = True
 

@@ -20,6 +20,7 @@ class SceneScale(Ruler):
     help = "nothing; a prior, which never sets the scale"
     colour = "#999999"
     pooling_gain = 0.0  # photographs of one place: one error
+    reads_scene = True
     uses_plane = True  # it measures nothing in tilted views, which its training data lack
     sets_scale = False
 

@@ -387,6 +387,7 @@ class Vehicles(Ruler):
     colour = "#0072B2"
     pooling_gain = None
     needs_search = True
+    reads_scene = True
     uses_plane = True
 
     def measure(self, view: View) -> VehicleWitness:

@@ -15,11 +15,11 @@ from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, ruler_class
 from vehanchor.rulers.ruler import unusable
-from vehanchor.rulers.vehicles import Vehicles, vehicle_witness
+from vehanchor.rulers.vehicles import Vehicles, VehicleWitness, vehicle_witness
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
 from vehanchor.scale.posterior import with_shared_error
-from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE, chance_of_stretch
+from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE, Shared, chance_of_stretch
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -31,6 +31,17 @@ if TYPE_CHECKING:
 # Log ratio of a length in centimetres that is stated as metres, and how exactly rulers show it.
 _UNIT_LOG_RATIO = math.log(100.0)
 _UNIT_LOG_TOLERANCE = math.log(2.0)
+# Chance of a drawing below which it is not counted: 99 of 100 photographs have less.
+_NEGLIGIBLE_CHANCE = 0.01
+
+NO_PHOTOGRAPH = Notice(
+    code=NoticeCode.NO_PHOTOGRAPH,
+    message=(
+        "The image is drawn, such as a page, a chart, a map or a program: most of it is flat, with "
+        "sharp edges. What looks like cars, courts or ground in it shows no scale."
+    ),
+)
+"""Warning about an image that is probably no photograph."""
 
 NO_ONE_SCALE_CODES = frozenset(
     {
@@ -107,6 +118,37 @@ def _witness(ruler: Ruler, view: View) -> Witness | None:
     )
     notice = Notice(code=NoticeCode.CAMERA_TILTED, message=message)
     return unusable(ruler.kind, notice)
+
+
+def doubted_as_drawing(witnesses: Sequence[Witness], chance: float) -> tuple[Witness, ...]:
+    """Doubt what rulers see in an image that may be drawn: a page, a chart, a map or a program.
+
+    If it is probably drawn, what they see is no evidence, unless the caller stated that the
+    vehicles are cars. If not, the chance of that is an error that they have in common.
+
+    Args:
+        witnesses: witnesses of an image.
+        chance: 0..1, chance that it is drawn.
+    """
+    if chance < _NEGLIGIBLE_CHANCE:
+        return tuple(witnesses)
+    doubted = []
+    for witness in witnesses:
+        if not _sees_scene(witness):
+            doubted.append(witness)
+        elif chance >= PROBABLY_RIGHT:
+            doubted.append(replace(witness, gsd_m_per_px=None, right=None, lacks=()))
+        else:
+            error = Shared("drawing", 0.0, chance)
+            doubted.append(with_shared_error(witness, error, removes="no_photograph"))
+    return tuple(doubted)
+
+
+def _sees_scene(witness: Witness) -> bool:
+    """Test whether a witness rests on the image, and not on what the caller states."""
+    if not witness.found or not ruler_class(witness.kind).reads_scene:
+        return False
+    return not (isinstance(witness, VehicleWitness) and witness.fleet.is_stated)
 
 
 def with_doubts(

@@ -17,7 +17,9 @@ USABLE_CHANCE = 0.9
 """Least chance of an error below 20 % for a usable scale: a planner acts if nine of ten cases are
 right. A choice."""
 
-Reason = Literal["too_few", "too_coarse", "not_cars", "disagree", "assumed", "imprecise"]
+Reason = Literal[
+    "too_few", "too_coarse", "no_photograph", "not_cars", "disagree", "assumed", "imprecise"
+]
 """Why a scale is not usable."""
 
 PROBABLY_RIGHT = 0.5

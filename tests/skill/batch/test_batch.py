@@ -98,7 +98,7 @@ def test_images_whose_names_look_alike_have_their_own_rows(
     run_batch([str(images)], table, detector=detector, workers=1, engine=engine)
     rows = read_rows(table)
     assert len({row["file"] for row in rows}) == 1
-    assert sorted(row["status"] for row in rows) == ["low_confidence", "no_scale"]
+    assert sorted(row["status"] for row in rows) == ["no_scale", "ok"]
 
 
 def test_a_key_is_the_name_with_the_path_and_the_state_of_the_file(folder: Path) -> None:

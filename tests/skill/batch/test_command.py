@@ -31,14 +31,12 @@ def test_the_command_reports_progress_causes_and_numbers(
     *lines, last = result.stderr.splitlines()
     assert lines == [
         *(f"{n} of 5 images" for n in range(6)),
-        "2 x disagree, as in cars.png: the scene suggests a scale of about 1.1 m/px; check what "
-        "was taken for cars, or draw a line over something of known size",
         f"1 x image_undecodable, as in broken.jpg: {read_rows(table)[0]['error']}",
         "1 x too_few, as in empty.png: nothing can be seen in the image; send a file that shows "
         "the picture in other programs",
         f"1 x image_not_found, as in no such.png: {read_rows(table)[-1]['error']}",
     ]
-    assert last.startswith(f"{table}: 5 rows (2 low_confidence, 1 no_scale, 2 error); 5 images in ")
+    assert last.startswith(f"{table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")
     assert read_rows(table)[-1]["error_code"] == "image_not_found"
 
 

@@ -60,7 +60,7 @@ def test_a_resumed_run_computes_only_missing_rows(analysed: list[str], resumed: 
 
 def test_a_resumed_run_counts_all_rows(resumed: Resumed) -> None:
     assert (resumed.summary.n_rows, resumed.summary.n_resumed) == (4, 2)
-    assert resumed.summary.statuses == {"low_confidence": 2, "no_scale": 1, "error": 1}
+    assert resumed.summary.statuses == {"ok": 2, "no_scale": 1, "error": 1}
 
 
 @pytest.mark.usefixtures("resumed")

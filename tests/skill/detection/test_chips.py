@@ -73,6 +73,7 @@ def _made_answers(n: int, **numbers: Any) -> ChipAnswers:
         turn=np.zeros(n),
         log_metres=np.tile(np.log([4.3, 1.72]), (n, 1)),
         metres_sd=np.full((n, 2), 0.07),
+        drawn=np.full(n, -20.0),
     )
     return answers._replace(**numbers)
 
@@ -243,6 +244,17 @@ def _searched(
         return ImageSearch(raster, detector, options).searched()
 
 
+def test_drawn_things_are_no_vehicles(tmp_path: Path, four_vehicles: Painted) -> None:
+    pixels, _ = four_vehicles
+    found = []
+    for drawn in (-20.0, 20.0):
+        path = write_detector(tmp_path / f"m{drawn}.onnx", metadata=_PAINTED)
+        write_chip_network(path, drawn=drawn)
+        found.append(len(_searched(Detector(path), pixels).boxes))
+    assert found[0] > 0
+    assert found[1] == 0
+
+
 _EDGES = (-0.45, 0.45, -0.18, 0.18)
 """Edges of bodies that are a tenth shorter than their boxes."""
 
@@ -316,7 +328,7 @@ def _car_park(levels: list[int], length: float = 30.0) -> NDArray[np.uint8]:
     image = blank_image(90 + 70 * len(levels), 100, 100)
     boxes = []
     for k, level in enumerate(levels):
-        image[:, 15 + 70 * k : 85 + 70 * k] = level
+        image[:, 15 + 70 * k : 85 + 70 * k] = blank_image(70, 100, level)
         boxes.append([50 + 70 * k, 50, length * (1 + 0.01 * (k % 3)), 12, 0.4])
     paint_vehicles(image, boxes)
     return image

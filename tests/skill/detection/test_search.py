@@ -52,10 +52,15 @@ def _painted(factor: int, lengths: list[float], columns: int = 6, **kinds: Any) 
     for k, length in enumerate(lengths):
         row, column = divmod(k, columns)
         boxes.append([40 + 70 * column, 50 + 60 * row, length, 12, 0.4])
+    bare = small.copy()
     painted = paint_vehicles(small, boxes, **kinds)
     painted[:, :4] *= factor
     block = np.ones((factor, factor, 1), np.uint8)
-    return np.kron(small, block), painted
+    image = np.kron(small, block)
+    # The ground has a photograph's noise in its own resolution.
+    is_ground = np.kron((small == bare).all(axis=2, keepdims=True), block) == 1
+    noisy = blank_image(image.shape[1], image.shape[0])
+    return np.where(is_ground, noisy, image), painted
 
 
 def _fleet(mean: float, n: int = 30) -> list[float]:

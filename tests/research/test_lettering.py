@@ -1,0 +1,29 @@
+"""Lettering: pages and captions that the generator draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from research.scenes import render_scene
+from research.scenes.captions import CAPTIONS
+from research.scenes.lettering import own_fonts
+from research.scenes.pages import PAGES
+
+
+@pytest.mark.parametrize("kind", sorted(PAGES))
+def test_a_seed_draws_the_same_page_again(kind: str) -> None:
+    first, again = (PAGES[kind](np.random.default_rng(5), own_fonts()) for _ in range(2))
+    assert first.std() > 0
+    assert np.array_equal(first, again)
+
+
+@pytest.mark.parametrize("kind", sorted(CAPTIONS))
+def test_lettering_leaves_most_of_the_photograph_as_it_is(kind: str) -> None:
+    scene = render_scene(0.1, width_px=400, height_px=300, seed=3).image
+    before = scene.copy()
+    lettered = CAPTIONS[kind](scene, np.random.default_rng(5), own_fonts())
+    assert np.array_equal(scene, before)
+    changed = (lettered[:300] != scene).any(axis=2).mean()
+    assert changed < 0.4
+    assert lettered.shape != scene.shape or changed > 0
