@@ -16,6 +16,7 @@ from vehanchor.imagery.facts import ImageFacts
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera_tilt import metadata_tilt
 from vehanchor.rulers.ruler import Ruler, View
+from vehanchor.scale.calibration import Calibration
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.posterior import Witness
@@ -30,6 +31,23 @@ def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> 
         reference_length_m=reference_length_m,
         reference_length_sd_m=0.2,
         min_length_px=min_length_px,
+    )
+
+
+def measured_fleet(length_m: float) -> Calibration:
+    """Make the calibration of a fleet of this length, which a caller has measured."""
+    return Calibration(
+        reference_length_m=length_m,
+        reference_length_ci95_low_m=0.98 * length_m,
+        reference_length_ci95_high_m=1.02 * length_m,
+        reference_length_sd_m=0.02 * length_m,
+        source="labels",
+        n_vehicles=1000,
+        n_images=20,
+        mode_length_px=30.0,
+        median_gsd_m_per_px=length_m / 30.0,
+        detector=None,
+        detector_sha256=None,
     )
 
 

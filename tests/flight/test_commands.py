@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from tests.analyses import measured_fleet
 from tests.flight.ground import write_flight
 from tests.flight.reconstruction.flights import Pose, write_opensfm
 from tests.models import write_detector
 from vehanchor.cli import app as cli
+from vehanchor.storage.atomic import write_record
 from vehanchor_flight.reconstruction.files import read_model
 from vehanchor_flight.records import LiveScale
 
@@ -124,7 +126,7 @@ def folder_of_one_scale(run: Any, tmp_path: Path) -> Result:
 
 def test_one_scale_is_printed_for_all(folder_of_one_scale: Result) -> None:
     assert "scale of all" in folder_of_one_scale.stdout
-    assert "0.169" in folder_of_one_scale.stdout
+    assert "0.168" in folder_of_one_scale.stdout
     assert _progress(folder_of_one_scale)[-1] == "pooling the evidence of 5 of 5 images"
 
 
@@ -133,8 +135,7 @@ def test_each_row_of_a_table_has_the_scale_of_all(tmp_path: Path) -> None:
     rows = [json.loads(line) for line in (tmp_path / "scales.jsonl").read_text().splitlines()]
     readable = rows[:4]
     assert len({row["gsd_m_per_px"] for row in readable}) == 1
-    # Few cars, and the scene-scale prior prefers another scale.
-    assert [row["status"] for row in readable] == ["low_confidence"] * 4
+    assert [row["status"] for row in readable] == ["ok"] * 4
     assert [row["n_vehicles"] for row in readable] == [3, 3, 0, 3]
     assert rows[4]["error_code"] == "image_undecodable"
     assert not (tmp_path / "scales.jsonl.journal").exists()
@@ -203,6 +204,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     photographs = [pose.painted(cars) for pose in poses]
     write_opensfm(folder / "project", photographs, poses=poses, metres_per_unit=1 / 0.92)
     write_detector(folder / "detector.onnx")
+    write_record(folder / "fleet.json", measured_fleet(4.8))
     return folder
 
 
@@ -215,7 +217,7 @@ def rescale(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> A
     monkeypatch.setenv("NO_COLOR", "1")
 
     def invoke(*arguments: object) -> Result:
-        return _invoke("flight", "rescale", *arguments, "--reference-length", "4.8")
+        return _invoke("flight", "rescale", *arguments, "--calibration", "fleet.json")
 
     return invoke
 

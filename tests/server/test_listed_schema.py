@@ -36,6 +36,7 @@ _VALUES = {  # pydantic's errors about a value, not the shape of a call
     "less_than_equal",
     "string_pattern_mismatch",
     "value_error",
+    "must_fit_form",  # a diameter beside a length: hosts do not all know a choice of objects
 }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.analyses import measured_fleet
 from tests.flight.reconstruction.flights import Pose, write_opensfm
 from tests.models import write_detector
 from vehanchor.detection.detector import Detector
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
     from vehanchor_flight.records import ModelScale
 
 LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
-OPTIONS = ScaleOptions.of({"reference_length_m": 4.8, "rulers": ("vehicles", "known_length")})
+OPTIONS = ScaleOptions.of(
+    {"calibration": measured_fleet(4.8), "rulers": ("vehicles", "known_length")}
+)
 GRID = [Pose(80, 80, 70), Pose(110, 85, 70, 8, 100), Pose(95, 105, 70, 30, 250)]
 NO_CARS = np.zeros((0, 4))
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.analyses import measured_fleet
 from tests.flight.reconstruction.flights import HEIGHT_PX, WIDTH_PX, Pose, write_opensfm
 from tests.models import write_detector
 from tests.skill.imagery.files import after_head, encoded, exif, png_chunk
@@ -22,7 +23,9 @@ from vehanchor_flight.verbs import rescale
 
 METRES_PER_UNIT = 12.5
 LENGTHS = 4.8 * (1 + 0.06 * np.linspace(-1, 1, 12) ** 3)
-BY_CARS = ScaleOptions.of({"reference_length_m": 4.8, "rulers": ("vehicles", "known_length")})
+BY_CARS = ScaleOptions.of(
+    {"calibration": measured_fleet(4.8), "rulers": ("vehicles", "known_length")}
+)
 OBLIQUE = [Pose(98, 125, 70, 30)]
 FLIGHT = [Pose(60, 60, 70), Pose(100, 62, 72, 8, 100), Pose(95, 105, 70, 20, 250)]
 METRES_A_DEGREE = 111_195.0
@@ -131,7 +134,7 @@ def test_positions_that_made_the_size_do_not_confirm_it(
     tmp_path: Path, on_earth: bool, kinds: set[str]
 ) -> None:
     _project(tmp_path, FLIGHT, POSITIONS, on_earth=on_earth)
-    record = _rescaled(tmp_path, ScaleOptions.of({"reference_length_m": 4.8}))
+    record = _rescaled(tmp_path, ScaleOptions.of({"calibration": measured_fleet(4.8)}))
     assert {ruler.kind for ruler in record.rulers} == kinds
     assert record.factor == pytest.approx(METRES_PER_UNIT, rel=0.02)
 
