@@ -19,7 +19,8 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.rulers.courts import witness_of
 from vehanchor.scale.density import Votes, blurred, vehicle_likelihood
-from vehanchor.scale.posterior import Witness, answer
+from vehanchor.scale.posterior import answer
+from vehanchor.scale.witness import Witness
 
 
 def _measured(

@@ -20,8 +20,9 @@ from vehanchor.scale.density import (
     product,
     vehicle_likelihood,
 )
-from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judge
+from vehanchor.scale.posterior import Answer, answer, judge
 from vehanchor.scale.reliability import CALLER, Shared
+from vehanchor.scale.witness import Lack, Witness
 
 VOTES = Votes(-13.76, 17.4)
 LENS = Shared("lens", 0.03)
