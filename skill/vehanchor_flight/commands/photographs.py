@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -37,6 +37,14 @@ if TYPE_CHECKING:
 _MAX_SIZES = 12  # Of components, in one line.
 _MAX_NAMES = 3  # Of photographs with the same advice.
 _STATUS_WORDS = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
+
+Every: TypeAlias = Annotated[
+    float, typer.Option(metavar="S", help="For a video: seconds between photographs.")
+]
+First: TypeAlias = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="For a video: use its first seconds alone. Default: all of it."),
+]
 
 
 @scale_command(without=OF_ONE_IMAGE)
@@ -76,15 +84,8 @@ def photographs(
         ),
     ] = None,
     known_lengths: KnownLengthsFile = None,
-    every: Annotated[
-        float, typer.Option(metavar="S", help="For a video: seconds between photographs.")
-    ] = 2.0,
-    first: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="For a video: use its first seconds alone. Default: all of it."
-        ),
-    ] = None,
+    every: Every = 2.0,
+    first: First = None,
     *,
     chosen: ParsedOptions,
 ) -> None:
