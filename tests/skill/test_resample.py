@@ -171,6 +171,21 @@ def test_a_geotiff_keeps_its_bands(tmp_path: Path) -> None:
     assert halved[100, 150] == pytest.approx(four[200, 300, 3], rel=0.02)
 
 
+def test_a_grey_geotiff_stays_grey(tmp_path: Path) -> None:
+    source = geotiff(tmp_path / "photo.tif", IMAGE[:, :, :1])
+    (tmp_path / "out").mkdir()
+    path = _resample(source, 0.2).write(tmp_path / "out")
+    with rasterio.open(path) as file:
+        assert (file.count, set(file.dtypes)) == (1, {"uint8"})
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "L"])
+def test_eight_bit_colours_become_png(tmp_path: Path, mode: str) -> None:
+    Image.fromarray(IMAGE).convert(mode).save(tmp_path / "photo.tif")
+    (tmp_path / "out").mkdir()
+    assert _resample(tmp_path / "photo.tif", 0.2).write(tmp_path / "out").name == "photo.png"
+
+
 def test_a_geotiff_of_oblong_pixels_keeps_its_place(tmp_path: Path) -> None:
     transform = rasterio.Affine(0.2, 0, 500_000, 0, -0.1, 5_000_000)
     source = geotiff(tmp_path / "photo.tif", IMAGE, transform=transform)

@@ -131,7 +131,7 @@ class Resampled:
         if not is_read_here or not Path(self.source).is_file() or find_spec("rasterio") is None:
             return None
         import rasterio
-        from rasterio.enums import ColorInterp, Resampling
+        from rasterio.enums import Resampling
 
         height_px, width_px = self.pixels.shape[:2]
         shape = (height_px, width_px)
@@ -144,20 +144,30 @@ class Resampled:
                 _without_a_warning(),
                 rasterio.open(self.source) as file,
             ):
-                colours = [band for band in file.colorinterp if band != ColorInterp.alpha]
-                is_plain = len(colours) in (1, 3) and set(file.dtypes) == {"uint8"}
                 has_other_size = (file.width, file.height) != self.stored_size_px
                 n_bytes = file.count * width_px * height_px * np.dtype(file.dtypes[0]).itemsize
-                if is_plain or has_other_size or n_bytes > _MAX_BAND_BYTES:
+                if self._is_plain(file) or has_other_size or n_bytes > _MAX_BAND_BYTES:
                     return None
                 stored = file.read(out_shape=(file.count, *shape), resampling=method)
                 profile: dict[str, Any] = {"nodata": file.nodata}
-                if file.colorinterp[:3] == (ColorInterp.red, ColorInterp.green, ColorInterp.blue):
+                if [band.name for band in file.colorinterp[:3]] == ["red", "green", "blue"]:
                     profile["photometric"] = "RGB"
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"cannot read the bands of {self.source!r}: {error}") from error
         upright = oriented(np.moveaxis(stored, 0, -1), self.orientation)
         return _Bands(np.moveaxis(upright, -1, 0), profile)
+
+    def _is_plain(self, file: Any) -> bool:
+        """Test whether the pixels hold all bands of an open rasterio dataset.
+
+        Without a georeference, a grey picture is plain, too, and transparency is no band.
+        """
+        if set(file.dtypes) != {"uint8"}:
+            return False
+        if self.ground is not None:
+            return bool(file.count == 3)
+        colours = [band for band in file.colorinterp if band.name != "alpha"]
+        return len(colours) in (1, 3)
 
     def _encoded(self, suffix: str) -> bytes:
         bgr = np.ascontiguousarray(self.pixels[:, :, ::-1])
