@@ -201,7 +201,11 @@ def journal_key(photograph: InputPhotograph) -> Key | None:
     file = photograph.image if photograph.film is None else photograph.film
     if not isinstance(file, str | os.PathLike):
         return None
-    return (photograph.name, *Source.of(file))
+    name = photograph.name
+    # Subtitles that change, or that are found later, make another result.
+    if photograph.camera is not None:
+        name = f"{name} with {photograph.camera}"
+    return (name, *Source.of(file))
 
 
 @contextmanager

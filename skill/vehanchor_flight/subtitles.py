@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 # An hour of film at 30 frames per second has 108,000 entries of some 400 bytes. Choices.
 _MAX_BYTES = 64 << 20
 _MAX_LINE_CHARS = 2000
+_MAX_LINES_OF_ENTRY = 20
+_MAX_ENTRIES = 200_000
 _SUFFIXES = (".SRT", ".srt")
 # A film without an entry for so long is beyond its subtitles. A choice.
 _MAX_GAP_S = 2.0
@@ -39,15 +41,17 @@ _LEAST_ZOOM_IN_UNITS = 1000.0
 
 _TIME = re.compile(r"(\d{1,3}):(\d{2}):(\d{2})[,.](\d{3}) *-->")
 _NUMBER = r"([-+]?\d{1,9}(?:\.\d{1,9})?)"
+# A bounded number of blanks keeps the time of a search proportional to the text.
+_COLON = r" {0,3}: {0,3}"
 _HEIGHTS = {
-    "rel_alt": re.compile(rf"\brel_alt *: *{_NUMBER}(?![\d.])"),
-    "BAROMETER": re.compile(rf"\bBAROMETER *: *{_NUMBER}(?![\d.])"),
-    "H": re.compile(rf"(?:^|[ ,])H *:? *{_NUMBER} *m\b(?!/)"),
+    "rel_alt": re.compile(rf"\brel_alt{_COLON}{_NUMBER}(?![\d.])"),
+    "BAROMETER": re.compile(rf"\bBAROMETER{_COLON}{_NUMBER}(?![\d.])"),
+    "H": re.compile(rf"(?:^|[ ,])H[ :]{{0,3}}{_NUMBER} ?m\b(?!/)"),
 }
-_FOCAL = re.compile(r"\bfocal_len *: *(\d{1,5}(?:\.\d{1,3})?)(?![\d.])")
-_ZOOM = re.compile(rf"\bdzoom_ratio *: *{_NUMBER}(?![\d.])")
-_PITCH = re.compile(rf"\b(?:gb|gimbal)_pitch *: *{_NUMBER}(?![\d.])")
-_ROLL = re.compile(rf"\b(?:gb|gimbal)_roll *: *{_NUMBER}(?![\d.])")
+_FOCAL = re.compile(rf"\bfocal_len{_COLON}(\d{{1,5}}(?:\.\d{{1,3}})?)(?![\d.])")
+_ZOOM = re.compile(rf"\bdzoom_ratio{_COLON}{_NUMBER}(?![\d.])")
+_PITCH = re.compile(rf"\b(?:gb|gimbal)_pitch{_COLON}{_NUMBER}(?![\d.])")
+_ROLL = re.compile(rf"\b(?:gb|gimbal)_roll{_COLON}{_NUMBER}(?![\d.])")
 
 
 @dataclass(frozen=True)
@@ -70,10 +74,14 @@ class FilmFacts:
         return self.cameras[index]
 
 
-def read_film_facts(film: str) -> FilmFacts | None:
+def read_film_facts(film: str, last_s: float = math.inf) -> FilmFacts | None:
     """Read the subtitles beside a film, ``film.SRT`` beside ``film.MP4``.
 
-    Time and memory are bounded: at most 64 MiB are read, and 2,000 characters of a line.
+    Time and memory are bounded: at most 64 MiB and 200,000 entries are read.
+
+    Args:
+        film: path of the film.
+        last_s: seconds from the beginning after which nothing is read.
 
     Returns:
         None without subtitles, and without a camera fact in them.
@@ -81,7 +89,7 @@ def read_film_facts(film: str) -> FilmFacts | None:
     for suffix in _SUFFIXES:
         path = Path(film).with_suffix(suffix)
         if path.is_file():
-            return _film_facts(_lines(path))
+            return _film_facts(_lines(path), last_s)
     return None
 
 
@@ -100,11 +108,13 @@ def _lines(path: Path) -> Iterator[str]:
         return
 
 
-def _film_facts(lines: Iterable[str]) -> FilmFacts | None:
+def _film_facts(lines: Iterable[str], last_s: float) -> FilmFacts | None:
     """Collect the facts of all entries whose times rise."""
     times_s: list[float] = []
     cameras: list[CameraMetadata] = []
     for time_s, text in _entries(lines):
+        if time_s > last_s or len(times_s) >= _MAX_ENTRIES:
+            break
         camera = read_camera_facts(text)
         if camera is None or (times_s and time_s <= times_s[-1]):
             continue
@@ -124,8 +134,8 @@ def _entries(lines: Iterable[str]) -> Iterator[tuple[float, str]]:
     for line in lines:
         match = _TIME.match(line)
         if match is None:
-            # Entries end with an empty line; the text of a damaged one is bounded.
-            if time_s is not None and len(text) < _MAX_LINE_CHARS:
+            # The text of a damaged entry is bounded.
+            if time_s is not None and len(text) < _MAX_LINES_OF_ENTRY:
                 text.append(line)
             continue
         if time_s is not None:

@@ -102,7 +102,7 @@ def sample_video(
     last_s = math.inf if first_s is None else Limits(above=0).check("first", first_s)
     if not Path(path).is_file():
         raise ImageNotFoundError(f"cannot open the video {path!r}: there is no such file")
-    facts = read_film_facts(path)
+    facts = read_film_facts(path, last_s)
     with opened_video(path) as film:
         rate = float(film.get(cv2.CAP_PROP_FPS))
         if not 0 < rate < 1e4:

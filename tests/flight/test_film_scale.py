@@ -14,6 +14,7 @@ from vehanchor.cli import app as cli
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.plane import GroundPlane
+from vehanchor_flight.estimate import journal_key
 from vehanchor_flight.verbs import estimate_flight
 from vehanchor_flight.video import sample_video
 
@@ -85,6 +86,14 @@ def test_the_subtitles_are_facts_of_the_camera(film: Path, detector: Detector) -
     record = _scale(film, detector)
     kinds = {ruler.kind for ruler in record.components[0].pooled.rulers}
     assert "camera" in kinds
+
+
+def test_subtitles_that_are_added_later_make_another_result(film: Path) -> None:
+    before, _ = sample_video(str(film), 1.0, first_s=2.0)
+    _write_subtitles(film, "[focal_len: 24.00] [rel_alt: 40.000 abs_alt: 145.2]")
+    after, _ = sample_video(str(film), 1.0, first_s=2.0)
+    assert before.name == after.name
+    assert journal_key(before) != journal_key(after)
 
 
 def test_the_subtitles_alone_make_no_film_usable(tmp_path: Path, detector: Detector) -> None:

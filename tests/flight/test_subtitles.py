@@ -114,6 +114,22 @@ def test_damaged_subtitles_have_no_facts(tmp_path: Path, content: bytes) -> None
     assert read_film_facts(str(tmp_path / "film.mp4")) is None
 
 
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("word", ["H", "rel_alt", "focal_len :", "gb_pitch"])
+def test_many_blanks_cost_no_time(tmp_path: Path, word: str) -> None:
+    line = f"1\n00:00:00,000 --> 00:00:00,033\n {word}{' ' * 1900}x\n\n"
+    (tmp_path / "film.srt").write_text(line * 5000)
+    assert read_film_facts(str(tmp_path / "film.mp4")) is None
+
+
+def test_nothing_is_read_after_the_last_second(tmp_path: Path) -> None:
+    entries = [_entry(k + 1, k, f"[rel_alt: {k}.5 abs_alt: 9]") for k in range(9)]
+    (tmp_path / "film.srt").write_text("".join(entries))
+    facts = read_film_facts(str(tmp_path / "film.mp4"), last_s=3.0)
+    assert facts is not None
+    assert facts.times_s == (0.0, 1.0, 2.0, 3.0)
+
+
 def test_a_folder_of_the_name_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "film.srt").mkdir()
     assert read_film_facts(str(tmp_path / "film.mp4")) is None
