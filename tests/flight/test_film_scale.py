@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from research.scenes.render import render_scene
 from tests.flight.ground import write_film
 from tests.models import blank_image, car_park, fleet, paint_vehicles, write_detector
 from vehanchor.cli import app as cli
@@ -150,3 +152,62 @@ def test_first_seconds_of_photographs_are_refused(tmp_path: Path) -> None:
     done = _run("flight", tmp_path, "--first", "2")
     assert done.exit_code == 2
     assert "--first is about a video" in done.stderr
+
+
+FRAME = (1280, 720)
+RENDERED_GSD = 0.1
+
+
+@pytest.fixture(scope="module")
+def scene() -> Any:
+    """Render a car park of known scale, BGR."""
+    rendered = render_scene(RENDERED_GSD, width_px=2200, height_px=1900, seed=1, layout="parking")
+    return np.ascontiguousarray(rendered.image[:, :, ::-1])
+
+
+def _film_of(scene: Any, folder: Path, tilt_deg: float) -> Path:
+    """Film the scene for a second while the drone flies on, with a camera tilted by an angle."""
+    frames = [
+        cv2.warpPerspective(scene, _view(scene, tilt_deg, 6.0 * k), FRAME, flags=cv2.INTER_AREA)
+        for k in range(10)
+    ]
+    return _written(folder, frames)
+
+
+def _view(scene: Any, tilt_deg: float, moved_px: float) -> Any:
+    """Make the homography from the ground to a frame with the scene's scale in its centre."""
+    width, height = FRAME
+    focal_px = 0.69 * width
+    tilt = np.radians(tilt_deg)
+    camera = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+    across = (1.0, 0.0, 0.0)
+    down = (0.0, np.cos(tilt), np.sin(tilt))
+    # At this distance, a pixel of the ground is a pixel of the frame.
+    centre = (0.0, 0.0, focal_px)
+    to_centre = np.eye(3)
+    to_centre[:2, 2] = (-scene.shape[1] / 2 - moved_px, -scene.shape[0] / 2)
+    return camera @ np.column_stack([across, down, centre]) @ to_centre
+
+
+def _rendered_scale(film: Path) -> FlightEstimate:
+    return estimate_flight(sample_video(str(film), 0.5, first_s=1.0), same_scale=True)
+
+
+@pytest.mark.slow
+def test_a_rendered_film_has_its_scale(scene: Any, tmp_path: Path) -> None:
+    record = _rendered_scale(_film_of(scene, tmp_path, 0.0))
+    assert record.status == "ok"
+    assert record.pixels_per_meter == pytest.approx(1 / RENDERED_GSD, rel=0.1)
+
+
+@pytest.mark.slow
+def test_its_oblique_twin_is_refused(scene: Any, tmp_path: Path) -> None:
+    film = _film_of(scene, tmp_path, 30.0)
+    with pytest.raises(InvalidParameterError, match="grow to one side"):
+        _rendered_scale(film)
+
+
+@pytest.mark.slow
+def test_an_oblique_twin_with_few_cars_is_not_usable(scene: Any, tmp_path: Path) -> None:
+    film = _film_of(scene, tmp_path, 45.0)
+    assert _rendered_scale(film).status != "ok"
