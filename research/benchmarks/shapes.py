@@ -73,7 +73,8 @@ class Room:
 
 def measure_image(engine: Engine, entries: list[AreaEntry]) -> tuple[list[Area], list[Room]]:
     """Measure all objects of an image."""
-    options = ScaleOptions()
+    # The file's own scale may be the truth that the cars are compared with.
+    options = ScaleOptions.of({"file_scale": False})
     with open_raster(entries[0].image, options.reading) as raster:
         analysis = analyse_raster(engine.detector, raster, options)
 

@@ -31,7 +31,7 @@ from vehanchor_flight.photograph import (
     reference_member,
 )
 from vehanchor_flight.record import Failure, conclude_flight
-from vehanchor_flight.same_scale import check_same_scale
+from vehanchor_flight.same_scale import check_same_scale, check_straight_down
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -59,6 +59,7 @@ def conclude(results: Results, card: DetectorCard, *, same_scale: bool) -> Fligh
     features = [member.features for member in members if member.features is not None]
     linked, links = link_photographs(members, features)
     if same_scale:
+        check_straight_down(members)
         check_same_scale(members, linked)
         # One scale is stated, but pictures of the same ground are one witness of it.
         component = single_component(
@@ -138,6 +139,8 @@ def search_flight(
         ):
             journal.add(key, result)
         searched = Photograph.of(photograph.name, result, detector.card, own_options, features)
+        if photograph.film is not None:
+            searched = replace(searched, is_frame=True)
         results.append(searched)
     report_progress(len(results), len(results))
     if not results:
@@ -164,6 +167,8 @@ def _search(
         # The option ``bgr`` describes the caller's arrays; frames of a video are RGB.
         reading = replace(reading, bgr=False)
     with open_raster(photograph.image, reading) as raster:
+        if photograph.camera is not None:
+            raster.camera = photograph.camera
         features = None
         if featured:
             features = find_features(raster)
@@ -196,7 +201,11 @@ def journal_key(photograph: InputPhotograph) -> Key | None:
     file = photograph.image if photograph.film is None else photograph.film
     if not isinstance(file, str | os.PathLike):
         return None
-    return (photograph.name, *Source.of(file))
+    name = photograph.name
+    # Subtitles that change, or that are found later, make another result.
+    if photograph.camera is not None:
+        name = f"{name} with {photograph.camera}"
+    return (name, *Source.of(file))
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from vehanchor.errors import InvalidParameterError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from vehanchor.imagery.metadata.camera import CameraMetadata
     from vehanchor.imagery.sources.opening import ImageSource
 
 
@@ -21,11 +22,13 @@ class InputPhotograph(NamedTuple):
         name: name in the record.
         image: as in ``estimate_gsd``.
         film: path of the video, if it is a frame of one: its key in a journal; None otherwise.
+        camera: camera facts of a frame; None without any.
     """
 
     name: str
     image: ImageSource
     film: str | None = None
+    camera: CameraMetadata | None = None
 
 
 def check_many(images: Any) -> None:

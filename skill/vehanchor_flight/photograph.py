@@ -86,6 +86,7 @@ class Photograph:
         analysis: result of the rulers.
         features: for overlaps with other photographs; None if they are not needed.
         reduced: as in ``StoredPhotograph``.
+        is_frame: whether it is a frame of a video.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Photograph:
     analysis: ScaleAnalysis
     features: Features | None = None
     reduced: NDArray[np.uint8] | None = None
+    is_frame: bool = False
 
     @property
     def rectified_detections(self) -> Detections:

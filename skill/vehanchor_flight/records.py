@@ -134,6 +134,13 @@ class FlightEstimate(Record):
     )
     schema_version: SchemaVersion = SCHEMA_VERSION
 
+    @property
+    def pixels_per_meter(self) -> float | None:
+        """Pixels per metre with same_scale; None without a common scale."""
+        if self.gsd_m_per_px is None:
+            return None
+        return 1 / self.gsd_m_per_px
+
 
 class LiveScale(Record):
     """Scale of one frame by all frames so far; advisory, and not for a flight controller."""

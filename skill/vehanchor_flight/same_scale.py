@@ -9,18 +9,19 @@ usable scale.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.metadata.lens import lens
+from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import significant
 from vehanchor.rulers.camera import coarsening
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES, Z95
-from vehanchor.scale.reliability import LEVEL_SD_M
+from vehanchor.scale.reliability import GEOREFERENCE_LOG_SD, LEVEL_SD_M
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 _CONTRADICTING_SDS = 3.0
 # Two scales within a usable scale's tolerance are one.
 _MAX_LOG_RATIO = math.log1p(TOLERANCE)
-_EXACT_LOG_SD = 0.01  # Of a georeference. A choice.
 _MAX_NAMES = 3  # Of a group, in the message.
 
 
@@ -85,7 +85,7 @@ def _by_georeference(photograph: Photograph) -> Claim | None:
     gsd = photograph.view.image.georeference_gsd_m_per_px
     if gsd is None or gsd <= 0:
         return None
-    return Claim(photograph.name, gsd, _EXACT_LOG_SD)
+    return Claim(photograph.name, gsd, GEOREFERENCE_LOG_SD)
 
 
 def _by_lens(photograph: Photograph) -> Claim | None:
@@ -144,6 +144,38 @@ def _by_itself(photograph: Photograph) -> Claim | None:
         return None
     log_sd = math.log(high / low) / (2 * Z95)
     return Claim(photograph.name, own.gsd_m_per_px, log_sd)
+
+
+def check_straight_down(members: Sequence[Photograph]) -> None:
+    """Refuse the claim that an oblique film has one scale, because no view of it has.
+
+    Raises:
+        InvalidParameterError: a frame of a video was taken with a tilted camera; or half of the
+            frames with vehicles show by these that the camera was tilted.
+    """
+    frames = [member for member in members if member.is_frame]
+    for frame in frames:
+        tilt = frame.analysis.estimate.tilt
+        if tilt is not None:
+            _refuse_oblique(f"the camera was tilted by {tilt.tilt_deg:.0f} degrees in {frame.name}")
+    with_vehicles = [frame for frame in frames if frame.analysis.estimate.n_vehicles]
+    suspected = [frame for frame in with_vehicles if _seems_tilted(frame)]
+    if suspected and 2 * len(suspected) >= len(with_vehicles):
+        _refuse_oblique(
+            f"the vehicles grow to one side in {suspected[0].name}, so the camera was tilted"
+        )
+
+
+def _seems_tilted(photograph: Photograph) -> bool:
+    warnings = photograph.analysis.estimate.warnings
+    return any(notice.code == NoticeCode.TILT_SUSPECTED for notice in warnings)
+
+
+def _refuse_oblique(why: str) -> NoReturn:
+    raise InvalidParameterError(
+        f"same_scale: {why}, and an oblique picture has another scale at each place. Use a part of "
+        "the film that looks straight down, or leave out same_scale"
+    )
 
 
 def _check(source: str, claims: Sequence[Claim], *, is_relative: bool = False) -> None:

@@ -19,11 +19,14 @@ from vehanchor.options.option import Limits
 from vehanchor.options.pixel_grid import MAX_ASPECT, PixelGrid, usable_aspect
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.interlaced import RAW, returns_no_frames
+from vehanchor_flight.subtitles import read_film_facts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
+
+    from vehanchor_flight.subtitles import FilmFacts
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm"})
 _N_TRIALS = 5  # Frames that are compared for one photograph.
@@ -67,6 +70,8 @@ def sample_video(
     path: str,
     every_s: float,
     limits: ImageLimits | None = None,
+    *,
+    first_s: float | None = None,
 ) -> Iterator[InputPhotograph]:
     """Sample a video at regular intervals.
 
@@ -80,9 +85,11 @@ def sample_video(
         every_s: seconds from one photograph to the next.
         limits: ``max_pixels`` bounds the declared frame; None for the defaults. A later, larger
             frame is reduced.
+        first_s: seconds from the beginning that are used; None for the whole video.
 
     Yields:
-        Photographs, named by the video and their time in seconds.
+        Photographs, named by the video and their time in seconds, with the camera facts of DJI's
+        subtitles beside the video.
 
     Raises:
         ImageNotFoundError: the file does not exist.
@@ -92,8 +99,10 @@ def sample_video(
         InvalidParameterError: the seconds are not a number above zero.
     """
     step_s = Limits(above=0).check("every", every_s)
+    last_s = math.inf if first_s is None else Limits(above=0).check("first", first_s)
     if not Path(path).is_file():
         raise ImageNotFoundError(f"cannot open the video {path!r}: there is no such file")
+    facts = read_film_facts(path, last_s)
     with opened_video(path) as film:
         rate = float(film.get(cv2.CAP_PROP_FPS))
         if not 0 < rate < 1e4:
@@ -109,11 +118,11 @@ def sample_video(
         number = 0
         n_photographs = 0
         # All frames are grabbed one after the other; only the trials are converted to pixels.
-        while film.grab():
+        while number / rate < last_s and film.grab():
             position = number % interval
             if position == 0 and sharpest is not None:
                 n_photographs += 1
-                yield _photograph(path, sharpest, rate)
+                yield _photograph(path, sharpest, rate, facts)
                 sharpest = None
             if position in trials:
                 candidate = _retrieve(film, number, grid)
@@ -121,7 +130,7 @@ def sample_video(
             number += 1
         if sharpest is not None:
             n_photographs += 1
-            yield _photograph(path, sharpest, rate)
+            yield _photograph(path, sharpest, rate, facts)
         if number == 0:
             raise ImageDecodeError(f"the video {path!r} has no readable frame")
         if n_photographs == 0:
@@ -162,7 +171,9 @@ def _retrieve(film: cv2.VideoCapture, number: int, grid: PixelGrid) -> _SharpFra
     return _SharpFrame(sharpness(pixels), number, pixels)
 
 
-def _photograph(path: str, frame: _SharpFrame, rate: float) -> InputPhotograph:
+def _photograph(
+    path: str, frame: _SharpFrame, rate: float, facts: FilmFacts | None
+) -> InputPhotograph:
     """Make a photograph of a frame, in RGB, named by the video and its time."""
     # As many digits as give each frame another name.
     magnitude = math.log10(max(rate, 1.0))
@@ -171,7 +182,8 @@ def _photograph(path: str, frame: _SharpFrame, rate: float) -> InputPhotograph:
     name = f"{path} at {seconds:.{digits}f} s"
     # OpenCV gives blue first.
     rgb = np.ascontiguousarray(frame.pixels[:, :, ::-1])
-    return InputPhotograph(name, rgb, film=path)
+    camera = None if facts is None else facts.at(seconds)
+    return InputPhotograph(name, rgb, film=path, camera=camera)
 
 
 def _is_unreadable_interlaced(path: str) -> bool:

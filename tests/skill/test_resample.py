@@ -21,6 +21,7 @@ from vehanchor.cli.app import app
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.export.resample import Resampled
 from vehanchor.imagery.metadata.resized import metadata_of_copy
+from vehanchor.imagery.raster import oriented
 
 # 400 px are 40 m.
 LINE: dict[str, Any] = {
@@ -168,6 +169,58 @@ def test_a_geotiff_keeps_its_bands(tmp_path: Path) -> None:
         assert (file.count, set(file.dtypes)) == (4, {"uint16"})
         halved = file.read(4)
     assert halved[100, 150] == pytest.approx(four[200, 300, 3], rel=0.02)
+
+
+def test_a_grey_geotiff_stays_grey(tmp_path: Path) -> None:
+    source = geotiff(tmp_path / "photo.tif", IMAGE[:, :, :1])
+    (tmp_path / "out").mkdir()
+    path = _resample(source, 0.2).write(tmp_path / "out")
+    with rasterio.open(path) as file:
+        assert (file.count, set(file.dtypes)) == (1, {"uint8"})
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "L"])
+def test_eight_bit_colours_become_png(tmp_path: Path, mode: str) -> None:
+    Image.fromarray(IMAGE).convert(mode).save(tmp_path / "photo.tif")
+    (tmp_path / "out").mkdir()
+    assert _resample(tmp_path / "photo.tif", 0.2).write(tmp_path / "out").name == "photo.png"
+
+
+def test_a_geotiff_of_oblong_pixels_keeps_its_place(tmp_path: Path) -> None:
+    transform = rasterio.Affine(0.2, 0, 500_000, 0, -0.1, 5_000_000)
+    source = geotiff(tmp_path / "photo.tif", IMAGE, transform=transform)
+    (tmp_path / "out").mkdir()
+    path = _resample(source, 0.2).write(tmp_path / "out")
+    with rasterio.open(source) as old, rasterio.open(path) as new:
+        assert new.bounds == pytest.approx(old.bounds)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".png"])
+def test_sixteen_bits_stay_without_a_georeference(tmp_path: Path, suffix: str) -> None:
+    deep = IMAGE.astype(np.uint16) * 200
+    cv2.imwrite(str(tmp_path / f"photo{suffix}"), deep[:, :, ::-1])
+    (tmp_path / "out").mkdir()
+    path = _resample(tmp_path / f"photo{suffix}", 0.2).write(tmp_path / "out")
+    assert path.name == "photo.tif"
+    written = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert written is not None
+    assert written.dtype == np.uint16
+    assert written[100, 150, ::-1] == pytest.approx(deep[200, 300], rel=0.02)
+
+
+@pytest.mark.parametrize("orientation", [1, 2, 3, 6, 8])
+def test_bands_of_a_turned_file_become_upright(tmp_path: Path, orientation: int) -> None:
+    deep = smooth_rgb(600, 600)[:, :, 0].astype(np.uint16) * 200
+    image = Image.fromarray(deep)
+    image.save(tmp_path / "photo.tif", tiffinfo={274: orientation})
+    (tmp_path / "out").mkdir()
+    path = _resample(tmp_path / "photo.tif", 0.2).write(tmp_path / "out")
+    written = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert written is not None
+    upright = np.ascontiguousarray(oriented(deep, orientation)).astype(float)
+    expected = cv2.resize(upright, written.shape[::-1], interpolation=cv2.INTER_AREA)
+    assert written.dtype == np.uint16
+    assert np.abs(written - expected).max() <= 0.02 * expected.max()
 
 
 def test_other_formats_become_png(tmp_path: Path) -> None:

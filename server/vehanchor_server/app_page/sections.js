@@ -56,7 +56,7 @@ function readings(record) {
     tiles.push(reading("Length × width", `${number(record.length_m)} × ${number(record.width_m)}`, "m", around));
   }
   const scale = scaleOf(record);
-  tiles.push(scale ? scaleReading(scale) : reading("Scale", round(record.gsd_m_per_px), "m/px", "given by the caller"));
+  tiles.push(scale ? scaleReading(scale) : reading("Scale", round(record.gsd_m_per_px), "m/px", record.scale_source === "file" ? "the file's own" : "given by the caller"));
   return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)), scale && confidenceReading(scale, "Scale confidence"));
 }
 

@@ -8,6 +8,7 @@ from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
 from vehanchor.records.text import (
     by_hand_text,
+    contradiction_text,
     fit_in_words,
     pixel_text,
     ruler_names,
@@ -74,6 +75,9 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
         numbered = [f"{number}. {sentence}" for number, sentence in enumerate(words, 1)]
         words = ["\n".join(numbered)]
     first = records[0]
+    contradiction = contradiction_text(first)
+    if contradiction:
+        words = [f"{contradiction}.", *words]
     if isinstance(first, GsdEstimate):
         max_chars = _ESTIMATE_CHARS
         if detail == "full":
@@ -268,5 +272,7 @@ def _scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     source = "as stated"
     if measured.estimate is not None:
         source = f"from {ruler_names(measured.estimate)}"
+    elif measured.scale_source == "file":
+        source = "by the file's georeference, not compared with cars"
     confidence = f"scale confidence {measured.scale_confidence or 0.0:.2f}"
     return f"scale {significant(measured.gsd_m_per_px)} m/px {source}, {confidence}"

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict
 from vehanchor.records import GsdEstimate
 from vehanchor.records.advice import Advice, advice_for
 from vehanchor.records.flat import flat_columns, flat_row
+from vehanchor.records.text import contradiction_text
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
@@ -16,20 +17,20 @@ if TYPE_CHECKING:
 # A frame belongs to one image, so a batch has none.
 _NOT_IN_TABLES = ("frame",)
 _ONLY_WITH_DETAILS = ("rulers", "tilt", "scale", "details")
-_ERROR_COLUMNS = {"error_code": str, "error": str}
+_ADDED_COLUMNS = {"contradiction": str, "error_code": str, "error": str}
 
 COLUMNS: dict[str, type] = {
     "file": str,
     **flat_columns(GsdEstimate, without=(*_NOT_IN_TABLES, *_ONLY_WITH_DETAILS)),
     "tilt_deg": float,
-    **_ERROR_COLUMNS,
+    **_ADDED_COLUMNS,
 }
 """Columns of a table and the types of their values, in order; see ``vehanchor.records.flat``."""
 
 ALL_COLUMNS: dict[str, type] = {
     "file": str,
     **flat_columns(GsdEstimate, without=_NOT_IN_TABLES),
-    **_ERROR_COLUMNS,
+    **_ADDED_COLUMNS,
 }
 """Columns of a table with details."""
 
@@ -78,6 +79,7 @@ class BatchRow(BaseModel):
         values: dict[str, Any] = dict.fromkeys(ALL_COLUMNS)
         if self.estimate is not None:
             values |= flat_row(self.estimate, without=_NOT_IN_TABLES)
+            values["contradiction"] = contradiction_text(self.estimate) or None
         values["file"] = self.file
         values["error_code"] = self.error_code
         values["error"] = self.error

@@ -10,7 +10,13 @@ import typer
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.measurement import show_measurement
 from vehanchor.cli.multi_value import parse_point
-from vehanchor.cli.scale_option import GivenGsd, ObjectHeight, ScaleFile, read_scale
+from vehanchor.cli.scale_option import (
+    GivenGsd,
+    ObjectHeight,
+    ScaleFile,
+    SearchAnyway,
+    read_scale,
+)
 from vehanchor.cli.terminal import Strict
 from vehanchor.records.text import with_interval
 
@@ -31,6 +37,7 @@ def distance(
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     object_height: ObjectHeight = None,
+    search: SearchAnyway = False,
     line: Annotated[
         Path | None,
         typer.Option(
@@ -55,7 +62,8 @@ def distance(
 ) -> None:
     """Measure the distance (metres) between two points, or along a line through several.
 
-    The scale comes from cars in the image, unless you give one.
+    The scale comes from the file if it is georeferenced, else from cars in the image, unless you
+    give one.
     """
 
     def analyse(progress: Progress) -> DistanceAnalysis:
@@ -67,6 +75,7 @@ def distance(
             gsd_m_per_px=gsd,
             scale=known_scale,
             object_height_m=object_height,
+            file_scale=not search,
             progress=progress,
         )
 

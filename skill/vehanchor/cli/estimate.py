@@ -17,6 +17,7 @@ from vehanchor.cli.terminal import (
     NOT_OK,
     STATUS_TEXTS,
     Strict,
+    contradiction_fact,
     exit_strictly,
     failures_as_json,
     print_facts,
@@ -33,7 +34,14 @@ from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAncho
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.records.advice import advice_for
-from vehanchor.records.text import count, pixel_text, scale_text, significant
+from vehanchor.records.text import (
+    contradiction_text,
+    count,
+    file_scale_text,
+    pixel_text,
+    scale_text,
+    significant,
+)
 
 if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
@@ -219,6 +227,10 @@ def _estimate_all(
 def _print_records(records: Records, *, several: bool) -> None:
     """Print the facts of one image, or a table of several; the warnings follow on stderr."""
     if several:
+        for source, record in records:
+            contradiction = contradiction_text(record)
+            if contradiction:
+                print(printable(f"{source}: {contradiction}"))
         _print_table(records)
     else:
         [(source, record)] = records
@@ -235,6 +247,7 @@ def _facts(record: GsdEstimate) -> Facts:
     if record.details.resolution_guard and not other_rulers:
         confidence += "; the vehicles are too coarse"
     facts = [
+        *contradiction_fact(record),
         ("scale", scale_text(record)),
         ("confidence", confidence),
         ("vehicles", vehicles_text(record)),
@@ -258,10 +271,9 @@ def _facts(record: GsdEstimate) -> Facts:
     if frame is not None:
         text = f"{frame.width_px} x {frame.height_px} px: {scale_text(frame)}"
         facts.append(("your frame", text))
-    georeference_gsd = record.georeference_gsd_m_per_px
-    if georeference_gsd is not None:
-        gsd = significant(georeference_gsd, 4)
-        facts.append(("file's own scale", f"{gsd} m/px"))
+    file_scale = file_scale_text(record)
+    if file_scale:
+        facts.append(("file's own scale", file_scale))
     sha256 = record.details.model_sha256[:_SHORT_SHA]
     facts.append(("model", f"{record.model} ({sha256})"))
     return facts

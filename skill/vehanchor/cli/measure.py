@@ -11,7 +11,13 @@ from vehanchor.analysis.measurement_analysis import AreaAnalysis, AreaCollection
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.measurement import show_measurement
 from vehanchor.cli.multi_value import parse_point
-from vehanchor.cli.scale_option import GivenGsd, ObjectHeight, ScaleFile, read_scale
+from vehanchor.cli.scale_option import (
+    GivenGsd,
+    ObjectHeight,
+    ScaleFile,
+    SearchAnyway,
+    read_scale,
+)
 from vehanchor.cli.terminal import Strict
 from vehanchor.errors import PromptError
 from vehanchor.measure.shape_file import read_shape_file
@@ -109,6 +115,7 @@ def measure(
     gsd: GivenGsd = None,
     scale: ScaleFile = None,
     object_height: ObjectHeight = None,
+    search: SearchAnyway = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object and nothing else.")
     ] = False,
@@ -127,7 +134,8 @@ def measure(
 ) -> None:
     """Measure the area (square metres) of the object in a box or at a point, or of your shapes.
 
-    The scale comes from cars in the image, unless you give one.
+    The scale comes from the file if it is georeferenced, else from cars in the image, unless you
+    give one.
     """
 
     def analyse(progress: Progress) -> AreaAnalysis | AreaCollection:
@@ -138,6 +146,7 @@ def measure(
             "scale": known_scale,
             "object_height_m": object_height,
             "must_fit": _read_must_fit(must_fit),
+            "file_scale": not search,
             "progress": progress,
         }
         points = _read_points(point, negative)

@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
+    contradiction_fact,
     exit_strictly,
     failures_as_json,
     print_facts,
     print_json,
     print_warnings,
+    printable,
     vehicles_text,
     work_progress,
 )
-from vehanchor.records.text import scale_text
+from vehanchor.records.text import file_scale_text, scale_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +28,14 @@ if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
     from vehanchor.models.runtime import Progress
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
+
+SCALE_SOURCES = {
+    "estimated": "estimated",
+    "given": "given",
+    "reused": "reused",
+    "file": "the file's own, not checked: --search compares it with cars",
+}
+"""Texts of the sources of a scale."""
 
 
 def show_measurement(
@@ -66,7 +76,9 @@ def show_measurement(
     elif len(records) == 1:
         record = records[0]
         status = ("status", record.status)
-        print_facts(image, [*facts(record), *_scale_facts(record), status])
+        print_facts(
+            image, [*contradiction_fact(record), *facts(record), *_scale_facts(record), status]
+        )
         print_warnings(record.warnings)
     else:
         _print_several(image, analyses, facts)
@@ -78,6 +90,8 @@ def _print_several(
     image: str, analyses: Sequence[AreaAnalysis], facts: Callable[[Any], Facts]
 ) -> None:
     """Print several areas of an image, then their common scale."""
+    for _, text in contradiction_fact(analyses[0].measurement):
+        print(printable(text))
     for number, analysis in enumerate(analyses, 1):
         record = analysis.measurement
         title = f"{number}: {analysis.name}" if analysis.name else f"{number}"
@@ -99,8 +113,12 @@ def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> Facts:
         ]
     else:
         status = record.status
-        facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {record.scale_source}")]
+        source = SCALE_SOURCES[record.scale_source]
+        facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {source}")]
     if record.scale_confidence is not None:
         text = f"{record.scale_confidence:.2f}   {STATUS_TEXTS[status]}"
         facts.append(("scale confidence", text))
+    file_scale = file_scale_text(record)
+    if file_scale:
+        facts.append(("file's own scale", file_scale))
     return facts

@@ -44,6 +44,14 @@ ScaleFile: TypeAlias = Annotated[
     ),
 ]
 
+SearchAnyway: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--search",
+        help="Estimate the scale of a georeferenced file, too, and compare it with the file's own.",
+    ),
+]
+
 
 def read_scale(path: Path | None, image: str) -> KnownScale | None:
     """Read the scale from a record's file; None without a file.

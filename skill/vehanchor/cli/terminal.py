@@ -14,10 +14,10 @@ import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
 from vehanchor.records.escaping import as_json, on_one_line
-from vehanchor.records.text import by_hand_text
+from vehanchor.records.text import by_hand_text, contradiction_text
 
 if TYPE_CHECKING:
-    from vehanchor.records import GsdEstimate, Notice
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, Notice
 
     Facts: TypeAlias = list[tuple[str, str]]
     """Values of a record with their names, as text for people."""
@@ -305,6 +305,12 @@ def under_one_folder(names: Sequence[str]) -> tuple[str, list[str]]:
     if folder in ("", "."):
         return "", list(names)
     return folder, [os.path.relpath(name, folder) for name in names]
+
+
+def contradiction_fact(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> Facts:
+    """Begin the facts of a record with what contradicts the file's own scale; empty without."""
+    text = contradiction_text(record)
+    return [("check first", text)] if text else []
 
 
 def vehicles_text(record: GsdEstimate) -> str:

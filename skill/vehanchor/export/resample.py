@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.metadata.resized import metadata_of_copy, with_metadata
-from vehanchor.imagery.raster import Window
+from vehanchor.imagery.raster import Window, oriented, stored_size, swaps_sides
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -31,6 +34,10 @@ _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _JPEG_QUALITY = 95
 # Copies with more bytes in all their bands are written as 8-bit RGB.
 _MAX_BAND_BYTES = 1 << 30
+# Files whose bands are kept without a georeference, too.
+_SUFFIXES_OF_BANDS = (".tif", ".tiff", ".png")
+# Files beside the photograph could replace what it holds.
+_ISOLATION = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,6 +51,8 @@ class Resampled:
         estimate: the estimate of the photograph.
         source: path of the photograph; empty without one.
         ground: position of the copy on the ground; None without a georeference.
+        stored_size_px: columns and rows of the photograph, as its file stores them.
+        orientation: EXIF orientation of the photograph's file, 1 to 8.
     """
 
     pixels: RgbImage
@@ -52,6 +61,8 @@ class Resampled:
     estimate: GsdEstimate
     source: str = ""
     ground: Ground | None = None
+    stored_size_px: tuple[int, int] = (0, 0)
+    orientation: int = 1
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -74,8 +85,9 @@ class Resampled:
     def write(self, folder: str | Path) -> Path:
         """Write the copy, and its facts as JSON beside it.
 
-        A georeferenced photograph becomes a GeoTIFF, with all bands and the type of its values; a
-        JPEG stays one with its position and camera; any other becomes a PNG.
+        A georeferenced photograph becomes a GeoTIFF, with all bands and the type of its values. So
+        does a TIFF or PNG without a georeference that has more than 8-bit colours (extra ``geo``).
+        A JPEG stays one with its position and camera; any other becomes a PNG.
 
         Args:
             folder: folder of the copy, which exists; the name is that of the photograph.
@@ -87,8 +99,9 @@ class Resampled:
             OutputError: the file cannot be written, or would replace the photograph.
         """
         source = Path(self.source)
+        bands = self._own_bands()
         suffix = ".png"
-        if self.ground is not None:
+        if self.ground is not None or bands is not None:
             suffix = ".tif"
         elif source.suffix.lower() in _JPEG_SUFFIXES:
             suffix = source.suffix
@@ -96,40 +109,65 @@ class Resampled:
         if self.source and path.resolve() == source.resolve():
             raise OutputError(f"{str(path)!r} is the photograph itself: choose another folder")
         with whole_file(path) as partial:
-            if self.ground is not None:
-                bands, profile = self._bands()
-                _write_geotiff(partial, bands, self.ground, profile)
+            if suffix == ".tif":
+                _write_tiff(partial, bands or _Bands.of_rgb(self.pixels), self.ground)
             else:
                 partial.write_bytes(self._encoded(suffix))
         with whole_file(path.with_name(f"{path.name}.json")) as partial:
             partial.write_text(json.dumps(self.facts, indent=1), encoding="utf-8")
         return path
 
-    def _bands(self) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Resample the bands of the file itself; the pixels if it has none but red, green, blue.
+    def _own_bands(self) -> _Bands | None:
+        """Resample the bands of the file itself.
 
         Returns:
-            ``[bands, h, w]`` and the fields of a profile that describe them.
+            None if it has only red, green, blue and transparency of 8 bits, or is too large; and
+            for a file that rasterio does not read here.
+
+        Raises:
+            OutputError: the bands cannot be read.
         """
+        is_read_here = self.ground is not None or _suffix(self.source) in _SUFFIXES_OF_BANDS
+        if not is_read_here or not Path(self.source).is_file() or find_spec("rasterio") is None:
+            return None
         import rasterio
         from rasterio.enums import Resampling
 
-        rgb = np.moveaxis(self.pixels, 2, 0)
-        plain = {"photometric": "RGB"}
-        if not Path(self.source).is_file():
-            return rgb, plain
         height_px, width_px = self.pixels.shape[:2]
+        shape = (height_px, width_px)
+        if swaps_sides(self.orientation):
+            shape = (width_px, height_px)
         method = Resampling.average if self.factor < 1 else Resampling.cubic
-        with rasterio.open(self.source) as file:
-            is_rgb = file.count == 3 and set(file.dtypes) == {"uint8"}
-            # A file that is stored turned has other sides.
-            is_upright = round(file.width * self.factor) == width_px
-            n_bytes = file.count * width_px * height_px * np.dtype(file.dtypes[0]).itemsize
-            if is_rgb or not is_upright or n_bytes > _MAX_BAND_BYTES:
-                return rgb, plain
-            shape = (file.count, height_px, width_px)
-            bands = file.read(out_shape=shape, resampling=method)
-            return bands, {"nodata": file.nodata}
+        try:
+            with (
+                rasterio.Env(**_ISOLATION),
+                _without_a_warning(),
+                rasterio.open(self.source) as file,
+            ):
+                has_other_size = (file.width, file.height) != self.stored_size_px
+                n_bytes = file.count * width_px * height_px * np.dtype(file.dtypes[0]).itemsize
+                if self._is_plain(file) or has_other_size or n_bytes > _MAX_BAND_BYTES:
+                    return None
+                stored = file.read(out_shape=(file.count, *shape), resampling=method)
+                profile: dict[str, Any] = {"nodata": file.nodata}
+                if [band.name for band in file.colorinterp[:3]] == ["red", "green", "blue"]:
+                    profile["photometric"] = "RGB"
+        except rasterio.errors.RasterioError as error:
+            raise OutputError(f"cannot read the bands of {self.source!r}: {error}") from error
+        upright = oriented(np.moveaxis(stored, 0, -1), self.orientation)
+        return _Bands(np.moveaxis(upright, -1, 0), profile)
+
+    def _is_plain(self, file: Any) -> bool:
+        """Test whether the pixels hold all bands of an open rasterio dataset.
+
+        Without a georeference, a grey picture is plain, too, and transparency is no band.
+        """
+        if set(file.dtypes) != {"uint8"}:
+            return False
+        if self.ground is not None:
+            return bool(file.count == 3)
+        colours = [band for band in file.colorinterp if band.name != "alpha"]
+        return len(colours) in (1, 3)
 
     def _encoded(self, suffix: str) -> bytes:
         bgr = np.ascontiguousarray(self.pixels[:, :, ::-1])
@@ -214,6 +252,8 @@ def resample_raster(
         estimate=estimate,
         source=raster.source,
         ground=_ground_of_copy(raster, width, height),
+        stored_size_px=stored_size(raster.in_file),
+        orientation=raster.in_file.file_orientation,
     )
 
 
@@ -221,31 +261,62 @@ def _ground_of_copy(raster: Raster, width_px: int, height_px: int) -> Ground | N
     ground = raster.ground
     if ground is None:
         return None
-    across = raster.width_px / width_px
-    down = raster.height_px / height_px
+    # The georeference is that of the file's pixels, which may not be square.
+    across = raster.grid.width_px / width_px
+    down = raster.grid.height_px / height_px
     a, b, c, d, e, f = ground.transform[:6]
     affine = type(ground.transform)
     transform = affine(a * across, b * down, c, d * across, e * down, f)
     return ground._replace(transform=transform)
 
 
-def _write_geotiff(
-    path: Path, bands: NDArray[Any], ground: Ground, more: Mapping[str, Any]
-) -> None:
-    """Write bands ``[n, h, w]`` with a georeference."""
+class _Bands(NamedTuple):
+    """Bands of a copy.
+
+    Attributes:
+        values: ``[bands, h, w]``.
+        profile: fields of a profile of rasterio that describe them.
+    """
+
+    values: NDArray[Any]
+    profile: Mapping[str, Any]
+
+    @classmethod
+    def of_rgb(cls, pixels: RgbImage) -> _Bands:
+        """Make bands of pixels ``[h, w, 3]``."""
+        return cls(np.moveaxis(pixels, 2, 0), {"photometric": "RGB"})
+
+
+def _suffix(source: str) -> str:
+    return Path(source).suffix.lower()
+
+
+@contextmanager
+def _without_a_warning() -> Iterator[None]:
+    """Read and write files without a georeference, which are meant here, without a warning."""
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
+def _write_tiff(path: Path, bands: _Bands, ground: Ground | None) -> None:
+    """Write bands, with a georeference if there is one."""
     import rasterio
 
-    n_bands, height, width = bands.shape
+    n_bands, height, width = bands.values.shape
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "width": width,
         "height": height,
         "count": n_bands,
-        "dtype": bands.dtype,
+        "dtype": bands.values.dtype,
         "compress": "deflate",
-        "crs": ground.crs,
-        "transform": ground.transform,
-        **more,
+        **bands.profile,
     }
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(bands)
+    if ground is not None:
+        profile["crs"] = ground.crs
+        profile["transform"] = ground.transform
+    with _without_a_warning(), rasterio.open(path, "w", **profile) as file:
+        file.write(bands.values)

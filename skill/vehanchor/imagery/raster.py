@@ -344,6 +344,11 @@ def oriented(stored: NDArray[_Value], orientation: int) -> NDArray[_Value]:
     return upright
 
 
+def swaps_sides(orientation: int) -> bool:
+    """Test whether an EXIF orientation swaps rows and columns."""
+    return _TURNS[orientation].swap
+
+
 def oriented_points(
     stored: NDArray[np.float64], orientation: int, *, width_px: int, height_px: int
 ) -> NDArray[np.float64]:

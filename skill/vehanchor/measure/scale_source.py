@@ -12,17 +12,17 @@ from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliq
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import lens
-from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M
+from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M, StatedScale
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.gsd_estimate import read_known_scale
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.camera_tilt import ground_plane, metadata_tilt
 from vehanchor.rulers.stated_scale import stated_witness
-from vehanchor.scale.defaults import USABLE_CHANCE
-from vehanchor.scale.lengths import Spread
+from vehanchor.scale.defaults import MAX_GSD_M_PER_PX, MIN_GSD_M_PER_PX, USABLE_CHANCE
+from vehanchor.scale.lengths import Z95, Spread
 from vehanchor.scale.posterior import answer
-from vehanchor.scale.reliability import RELIABILITY
+from vehanchor.scale.reliability import GEOREFERENCE_LOG_SD, RELIABILITY
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.options.pixel_grid import PixelGrid
-    from vehanchor.options.rulers import StatedScale
     from vehanchor.records import GsdEstimate, ScaleSource, Status
     from vehanchor.scale.density import Density
     from vehanchor.scale.plane import GroundPlane
@@ -43,6 +42,9 @@ if TYPE_CHECKING:
 _MIN_COARSE_M_PER_PX = 3.0
 # A number this close to the file's own scale, as a factor either way, is in the right unit.
 _SAME_UNIT_FACTOR = 10
+# The camera in a georeferenced file contradicts its scale beyond this many standard deviations of
+# the camera's own. A choice, as for photographs of one scale.
+_CONTRADICTING_SDS = 3.0
 
 ScaleInput: TypeAlias = "Callable[[Raster, ScaleOptions], ScaleAnalysis] | float | KnownScale"
 """The known scale, or the analysis that finds it."""
@@ -56,7 +58,7 @@ class MeasurementScale:
         gsd_m_per_px: metres per pixel of the full image; None without a scale.
         spread: uncertainty of its log; 0 for a number from the caller.
         confidence: 0..1; None for a number from the caller.
-        source: origin of the scale: ``estimated``, ``given`` or ``reused``.
+        source: origin of the scale: ``estimated``, ``given``, ``reused`` or ``file``.
         analysis: the analysis behind it; None without a search.
         notices: warnings about the image and the scale.
         plane: ground plane of a tilted camera, with the scale of the image's centre; None if one
@@ -65,6 +67,7 @@ class MeasurementScale:
             without a scale.
         posterior: ``[g]`` whole posterior of the scale; None for a number, a scale that was given
             back, and the preset ``paper``.
+        file_gsd_m_per_px: the file's own scale, whether used or not; None without one.
     """
 
     gsd_m_per_px: float | None
@@ -76,6 +79,7 @@ class MeasurementScale:
     plane: GroundPlane | None = None
     known: KnownScale | None = None
     posterior: Density | None = None
+    file_gsd_m_per_px: float | None = None
 
     def gsd_over(self, mask: Mask, left: int, top: int) -> float | None:
         """Compute metres per pixel over a mask: the square root of the mean area of its pixels.
@@ -111,6 +115,7 @@ class MeasurementScale:
             "gsd_m_per_px": self.gsd_m_per_px,
             "n_vehicles": None if estimate is None else estimate.n_vehicles,
             "scale_source": self.source,
+            "georeference_gsd_m_per_px": self.file_gsd_m_per_px,
             "image_width_px": grid.width_px,
             "image_height_px": grid.height_px,
             "pixel_aspect": grid.stated_aspect,
@@ -192,11 +197,17 @@ def find_measurement_scale(
         VehAnchorError: see ``Engine.estimate``.
     """
     if object_height_m is None:
-        return _ground_scale(raster, scale, options)
+        return _ground_scale_of(raster, scale, options)
     # Before the search, because an unknown height of the camera ends the call.
     camera = _camera_above_ground(raster, options, object_height_m)
-    ground_scale = _ground_scale(raster, scale, options)
+    ground_scale = _ground_scale_of(raster, scale, options)
     return _scale_at_height(ground_scale, object_height_m, camera)
+
+
+def _ground_scale_of(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> MeasurementScale:
+    """Resolve the scale of the ground, beside the one that the file states."""
+    ground_scale = _ground_scale(raster, scale, options)
+    return replace(ground_scale, file_gsd_m_per_px=raster.georeference_gsd_m_per_px)
 
 
 def _ground_scale(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> MeasurementScale:
@@ -206,11 +217,64 @@ def _ground_scale(raster: Raster, scale: ScaleInput, options: ScaleOptions) -> M
     if stated is not None and stated.basis == "measured":
         return _use_stated_scale(raster, stated, options)
     if callable(scale):
+        file_scale = _file_scale(raster, options)
+        if file_scale is not None:
+            return _use_file_scale(raster, file_scale, options)
         return _estimate_scale(raster, scale(raster, options))
     if isinstance(scale, KnownScale):
         return _reuse_scale(raster, scale, options)
     number = MeasurementScale(gsd_m_per_px=scale, spread=Spread(), confidence=None, source="given")
     return _with_metadata(raster, options, number, "the given scale is")
+
+
+def _file_scale(raster: Raster, options: ScaleOptions) -> StatedScale | None:
+    """Take the scale of a georeferenced file, judged like one that the caller measured.
+
+    Returns:
+        None without a georeference, if the caller asks for an estimate, or if the camera's metadata
+        contradict it: then the image is searched.
+    """
+    gsd = raster.georeference_gsd_m_per_px
+    if gsd is None or _asks_for_estimate(options):
+        return None
+    is_possible = MIN_GSD_M_PER_PX <= gsd <= MAX_GSD_M_PER_PX
+    if not is_possible or _camera_contradicts(raster, gsd, options):
+        return None
+    return StatedScale(gsd, "measured", tolerance=Z95 * GEOREFERENCE_LOG_SD * gsd)
+
+
+def _asks_for_estimate(options: ScaleOptions) -> bool:
+    """Test whether the caller asks for an estimate, or states what only an estimate can use."""
+    rulers = options.rulers
+    if not rulers.file_scale or rulers.rulers is not None:
+        return True
+    has_facts = rulers.height_m is not None or rulers.stated_scale is not None
+    by_hand = bool(rulers.known_lengths) or options.by_hand.given is not None
+    return has_facts or by_hand or options.method.preset is not None
+
+
+def _camera_contradicts(raster: Raster, gsd_m_per_px: float, options: ScaleOptions) -> bool:
+    """Test whether the camera in the file contradicts its georeference.
+
+    A tilted camera has no single scale, so its picture is no map.
+    """
+    if raster.camera is None or not options.rulers.metadata:
+        return False
+    image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
+    if metadata_tilt(image, options) is not None:
+        return True
+    height_m = raster.camera.height_m
+    camera_lens = lens(image, raster.camera, options.rulers.focal_35mm)
+    if height_m is None or camera_lens is None:
+        return False
+    log_ratio = math.log(height_m / camera_lens.pixels / gsd_m_per_px)
+    log_sd = math.hypot(height_log_sd(height_m), camera_lens.log_sd)
+    return abs(log_ratio) > _CONTRADICTING_SDS * log_sd
+
+
+def _use_file_scale(raster: Raster, stated: StatedScale, options: ScaleOptions) -> MeasurementScale:
+    scale = _use_stated_scale(raster, stated, options)
+    return replace(scale, source="file")
 
 
 def _use_stated_scale(

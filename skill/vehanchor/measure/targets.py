@@ -15,6 +15,7 @@ from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.shape_file import read_shape_file
 from vehanchor.measure.shapes import read_polygon
+from vehanchor.records.text import contradiction_text
 from vehanchor.rulers.image_table import read_image_table
 from vehanchor.segmentation.prompt import read_prompt
 
@@ -55,6 +56,7 @@ _NUMBER_FIELDS = (
     *_AREA_FIELDS,
     *_DISTANCE_FIELDS,
     "gsd_m_per_px",
+    "georeference_gsd_m_per_px",
     "scale_confidence",
     "mask_score",
 )
@@ -65,6 +67,8 @@ TARGET_COLUMNS: dict[str, type] = {
     **dict.fromkeys(_COORDINATES, float),
     "status": str,
     **dict.fromkeys(_NUMBER_FIELDS, float),
+    "scale_source": str,
+    "contradiction": str,
     "warnings": str,
     "error_code": str,
     "error": str,
@@ -120,6 +124,8 @@ class TargetRow(NamedTuple):
         if self.record is not None:
             for name in ("status", *_NUMBER_FIELDS):
                 values[name] = getattr(self.record, name, None)
+            values["scale_source"] = self.record.scale_source
+            values["contradiction"] = contradiction_text(self.record) or None
             codes = [notice.code for notice in self.record.warnings]
             values["warnings"] = " ".join(codes)
         if self.error is not None:

@@ -10,7 +10,7 @@ from vehanchor.records.gsd_estimate import GsdEstimate, KnownScale, PixelAspect,
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion, Short
 
-ScaleSource = Literal["estimated", "given", "reused"]
+ScaleSource = Literal["estimated", "given", "reused", "file"]
 
 # Fields that the records of areas and of distances share.
 ScaleConfidence = Annotated[
@@ -38,14 +38,22 @@ ScaleSourceField = Annotated[
     ScaleSource,
     Field(
         description="estimated: from this image, by the rulers in estimate. given: a number from "
-        "the caller. reused: an earlier estimate of this image, which the caller gave back."
+        "the caller. reused: an earlier estimate of this image, which the caller gave back. file: "
+        "the georeference of the file, without a search."
+    ),
+]
+FileGsd = Annotated[
+    float | None,
+    Field(
+        description="The file's own scale by its georeference, metres per pixel, used or not; null "
+        "without one."
     ),
 ]
 ScaleField = Annotated[
     KnownScale | None,
     Field(
-        description="The scale to give back for more measurements in this image; null for a number "
-        "or no scale."
+        description="The scale to give back for more measurements in this image; null for a "
+        "number, the file's own scale, or no scale."
     ),
 ]
 EstimateField = Annotated[
@@ -202,6 +210,7 @@ class AreaMeasurement(Record):
         description="P_mode: modal vehicle length, pixels; null without an estimate."
     )
     scale_source: ScaleSourceField
+    georeference_gsd_m_per_px: FileGsd = None
     mask_area_px: int = Field(
         ge=0,
         description="N_px: pixels of the mask in the full image, square ones of the side "
@@ -301,6 +310,7 @@ class DistanceMeasurement(Record):
     gsd_m_per_px: MeasuredGsd
     n_vehicles: MeasuredVehicles
     scale_source: ScaleSourceField
+    georeference_gsd_m_per_px: FileGsd = None
     length_px: float = Field(
         gt=0, description="Length of the line, square pixels of the full image."
     )

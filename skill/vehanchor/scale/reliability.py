@@ -234,6 +234,10 @@ MEASURING = Shared("caller's measurements", 0.0, 0.03)
 """All measured facts of one caller are wrong together: one tape, one plan, one mistaken unit. A
 choice."""
 
+GEOREFERENCE_LOG_SD = 0.01
+"""Error of a georeference that is right: the grid scale of projections, relief in orthophotos. A
+choice."""
+
 FILE = Shared("file", 0.0)
 """A guess has the error of what the file states: the caller has the file, and may have read the
 guess off it. The ruler ``camera`` gives this error its size; without that ruler it is none."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -37,6 +37,14 @@ if TYPE_CHECKING:
 _MAX_SIZES = 12  # Of components, in one line.
 _MAX_NAMES = 3  # Of photographs with the same advice.
 _STATUS_WORDS = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
+
+Every: TypeAlias = Annotated[
+    float, typer.Option(metavar="S", help="For a video: seconds between photographs.")
+]
+First: TypeAlias = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="For a video: use its first seconds alone. Default: all of it."),
+]
 
 
 @scale_command(without=OF_ONE_IMAGE)
@@ -76,9 +84,8 @@ def photographs(
         ),
     ] = None,
     known_lengths: KnownLengthsFile = None,
-    every: Annotated[
-        float, typer.Option(metavar="S", help="For a video: seconds between photographs.")
-    ] = 2.0,
+    every: Every = 2.0,
+    first: First = None,
     *,
     chosen: ParsedOptions,
 ) -> None:
@@ -91,7 +98,7 @@ def photographs(
     if table is not None:
         table = check_table_path(table)
     journal = _journal_beside(out or table)
-    images = _images(inputs, every, chosen.options().reading.limits)
+    images = _images(inputs, every, first, chosen.options().reading.limits)
     last_step = "pooling the evidence of" if same_scale else "linking"
     # The length of a video is unknown: its number of photographs is never complete.
     is_counted = isinstance(images, Sequence)
@@ -132,6 +139,7 @@ def _journal_beside(result_file: Path | None) -> Path | None:
 def _images(
     inputs: list[str],
     every_s: float,
+    first_s: float | None,
     limits: ImageLimits,
 ) -> Sequence[str] | Iterator[InputPhotograph]:
     """List the files, or the frames of one video."""
@@ -139,10 +147,12 @@ def _images(
     from vehanchor_flight.video import is_video, sample_video
 
     if not any(is_video(name) for name in inputs):
+        if first_s is not None:
+            raise InvalidParameterError("--first is about a video: leave it out for photographs")
         return find_images(inputs)
     if len(inputs) > 1:
         raise InvalidParameterError("a video is a flight of its own: give it alone")
-    return sample_video(inputs[0], every_s, limits)
+    return sample_video(inputs[0], every_s, limits, first_s=first_s)
 
 
 def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
@@ -179,6 +189,8 @@ def _facts(record: FlightEstimate, short_names: Mapping[str, str]) -> list[tuple
     facts = []
     if record.same_scale:
         facts.append(("scale of all", _common_scale_text(record)))
+        if record.pixels_per_meter is not None:
+            facts.append(("pixels per metre", significant(record.pixels_per_meter, 4)))
     status_text = STATUS_TEXTS[record.status]
     facts.append(("confidence", f"{record.confidence:.2f}   {status_text}"))
     facts.append(("vehicles", str(record.n_vehicles)))

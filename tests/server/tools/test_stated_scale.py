@@ -7,11 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from mcp.server import MCPServer
+from rasterio import Affine
 
 from tests.server.conftest import POOL_BOX
 from tests.server.conversation import called, error_of, record_of, text_of
+from tests.skill.imagery.files import geotiff
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
@@ -255,3 +259,31 @@ async def test_a_search_that_the_clock_may_end_is_not_remembered(
     for _ in range(2):
         await estimated(server, images / "cars.png", max_seconds=60)
     assert searches() == 2
+
+
+@pytest.fixture
+def orthophoto(images: Path) -> Path:
+    """Write the picture as a GeoTIFF of 0.2 m/px."""
+    picture = cv2.imread(str(images / "pool.png"))
+    assert picture is not None
+    return geotiff(
+        images / "ortho.tif",
+        np.ascontiguousarray(picture[:, :, ::-1]),
+        transform=Affine(0.2, 0, 500_000, 0, -0.2, 5_000_000),
+    )
+
+
+@pytest.mark.usefixtures("never_searches")
+async def test_a_georeferenced_file_is_measured_with_its_own_scale(
+    settings: Settings, orthophoto: Path
+) -> None:
+    server = create_server(create_services(settings))
+    record = await measured(server, orthophoto, "measure_distance")
+    assert (record["status"], record["scale_source"]) == ("ok", "file")
+    assert record["distance_m"] == pytest.approx(100)
+
+
+async def test_who_asks_for_the_estimate_gets_it(settings: Settings, orthophoto: Path) -> None:
+    server = create_server(create_services(settings))
+    record = await measured(server, orthophoto, "measure_distance", file_scale=False)
+    assert record["scale_source"] == "estimated"

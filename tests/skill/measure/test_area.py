@@ -165,7 +165,7 @@ def test_without_vehicles_there_are_no_metres(without_scale: AreaMeasurement) ->
         for name, value in without_scale.model_dump().items()
         if name.endswith(("_m2", "_m", "_per_px"))
     }
-    assert len(metric) == 10
+    assert len(metric) == 11
     assert set(metric.values()) == {None}
     assert "NaN" not in without_scale.model_dump_json()
 

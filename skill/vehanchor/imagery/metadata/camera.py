@@ -86,6 +86,7 @@ class CameraMetadata:
         projection: what the file states of a picture that is not one perspective view, such as
             "ProjectionType equirectangular"; empty for a perspective view.
         refused: why metadata were not used, as clauses with semicolons; empty if all was read.
+        is_film: whether the facts are those of a film, whose mode may use a part of the sensor.
     """
 
     make: str = ""
@@ -107,6 +108,7 @@ class CameraMetadata:
     taken_at: str = ""
     projection: str = ""
     refused: str = ""
+    is_film: bool = False
 
 
 def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:

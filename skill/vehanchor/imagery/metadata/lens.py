@@ -49,6 +49,13 @@ Programs that resize a picture keep its pitch and change its sizes. A choice: su
 makes no scale usable.
 """
 
+_FILM_CHANCE_WRONG = 0.3
+"""Chance that the focal length of a film is not that of its frames.
+
+Some modes and the stabiliser use a part of the sensor, and the subtitles state the whole lens. A
+choice: such a lens alone makes no scale usable.
+"""
+
 _MAX_CONTRADICTION = 0.15
 """Largest log ratio of two sources that describe one lens: three errors of two equivalents."""
 
@@ -201,7 +208,10 @@ def _lenses_of_metadata(image: ImageFacts, camera: CameraMetadata, ratio: float)
             )
         )
     if camera.focal_35mm and camera.focal_35mm > 0:
-        lenses.append(equivalent_lens(image.width_px, image.height_px, camera.focal_35mm))
+        of_camera = equivalent_lens(image.width_px, image.height_px, camera.focal_35mm)
+        if camera.is_film:
+            of_camera = of_camera._replace(chance_wrong=_FILM_CHANCE_WRONG)
+        lenses.append(of_camera)
     return lenses
 
 

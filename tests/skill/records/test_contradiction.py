@@ -1,0 +1,135 @@
+"""Test the line that states a contradiction between the file's scale and the cars."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from typer.testing import CliRunner
+
+import vehanchor
+from tests.models import pool_among_cars, write_detector
+from vehanchor.batch.row import BatchRow
+from vehanchor.cli import app as cli
+from vehanchor.records import GsdEstimate, Notice, RulerScale
+from vehanchor.records.text import contradiction_text
+from vehanchor_server.tools.messages import answer_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+FILE_GSD = 0.25
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a detector that finds the cars."""
+    path: Path = write_detector(tmp_path_factory.mktemp("contradiction") / "m.onnx")
+    return path
+
+
+@pytest.fixture(scope="module")
+def wrong_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a GeoTIFF whose scale is nearly twice that of its cars."""
+    rasterio = pytest.importorskip("rasterio")
+    path: Path = tmp_path_factory.mktemp("wrong_map") / "ortho.tif"
+    profile = {
+        "driver": "GTiff",
+        "width": 800,
+        "height": 600,
+        "count": 3,
+        "dtype": "uint8",
+        "crs": "EPSG:32631",
+        "transform": rasterio.Affine(FILE_GSD, 0, 500_000, 0, -FILE_GSD, 5_000_000),
+    }
+    with rasterio.open(path, "w", **profile) as dataset:
+        dataset.write(pool_among_cars().transpose(2, 0, 1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def estimate(wrong_map: Path, detector: Path) -> GsdEstimate:
+    """Estimate the scale of the GeoTIFF."""
+    return vehanchor.estimate_gsd(wrong_map, detector=detector)
+
+
+def _printed(*arguments: object) -> list[str]:
+    result = CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    return [line for line in result.stdout.splitlines() if line.strip()]
+
+
+def test_the_text_has_both_numbers(estimate: GsdEstimate) -> None:
+    assert estimate.gsd_m_per_px is not None
+    text = contradiction_text(estimate)
+    assert f"{FILE_GSD} m/px" in text
+    assert f"{estimate.gsd_m_per_px:.4g} m/px" in text
+
+
+def test_the_terminal_begins_with_it(wrong_map: Path, detector: Path) -> None:
+    title, first, *_ = _printed("estimate", wrong_map, "--detector", detector)
+    assert "ortho.tif" in title
+    assert "The file's own scale is 0.25 m/px" in first
+
+
+def test_the_table_of_several_images_begins_with_it(wrong_map: Path, detector: Path) -> None:
+    first, *_ = _printed("estimate", wrong_map, wrong_map, "--detector", detector)
+    assert "ortho.tif: The file's own scale is 0.25 m/px" in first
+
+
+def test_a_searched_distance_begins_with_it(wrong_map: Path, detector: Path) -> None:
+    line = ("--point", "100 100", "--point", "400 100")
+    _, first, *_ = _printed("distance", wrong_map, *line, "--search", "--detector", detector)
+    assert "The file's own scale is 0.25 m/px" in first
+
+
+def test_the_answer_of_the_server_begins_with_it(estimate: GsdEstimate) -> None:
+    answer = answer_of([estimate], [], "short")
+    assert answer.text.startswith("The file's own scale is 0.25 m/px, the rulers give")
+
+
+def test_the_batch_table_has_it(estimate: GsdEstimate) -> None:
+    row = BatchRow(file="ortho.tif", estimate=estimate).flat()
+    assert row["contradiction"] == contradiction_text(estimate)
+
+
+def _ruler(kind: str, gsd: float) -> RulerScale:
+    return RulerScale.model_validate(
+        {
+            "kind": kind,
+            "label": kind,
+            "sets_scale": True,
+            "gsd_m_per_px": gsd,
+            "density_median_m_per_px": gsd,
+            "gsd_ci95_low_m_per_px": gsd * 0.8,
+            "gsd_ci95_high_m_per_px": gsd * 1.25,
+            "n": 1,
+            "p_right": 0.5,
+            "probably_right": True,
+            "explanation": None,
+        }
+    )
+
+
+def _with_rulers(estimate: GsdEstimate, rulers: Sequence[RulerScale], *codes: str) -> GsdEstimate:
+    notices = tuple(Notice(code=code, message="Both differ.") for code in codes)
+    changes: dict[str, Any] = {"rulers": tuple(rulers), "warnings": notices}
+    return estimate.model_copy(update=changes)
+
+
+def test_a_camera_that_the_cars_contradict_is_stated(estimate: GsdEstimate) -> None:
+    rulers = [_ruler("camera", 0.1), _ruler("vehicles", 0.2)]
+    record = _with_rulers(estimate, rulers, "rulers_disagree")
+    expected = "The camera in the file gives 0.100 m/px, the vehicles 0.200 m/px"
+    assert contradiction_text(record) == expected
+
+
+@pytest.mark.parametrize(
+    ("gsd", "codes"), [(0.11, ("rulers_disagree",)), (0.2, ())], ids=["they meet", "no warning"]
+)
+def test_a_camera_that_the_cars_may_confirm_is_not(
+    estimate: GsdEstimate, gsd: float, codes: tuple[str, ...]
+) -> None:
+    rulers = [_ruler("camera", 0.1), _ruler("vehicles", gsd)]
+    assert contradiction_text(_with_rulers(estimate, rulers, *codes)) == ""
