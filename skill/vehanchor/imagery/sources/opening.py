@@ -244,9 +244,9 @@ def _open_bytes(
     raster.orientation = header.orientation
     raster.warnings = (*raster.warnings, *notes)
     raster.camera = read_camera(read_at, header)
-    raster.density_aspect = density_aspect(read_at)
     raster.file_orientation = header.orientation
     _georeference_by_sidecars(raster, sidecars)
+    _read_density(raster, read_at, header)
     return raster
 
 
@@ -273,7 +273,14 @@ def _open_by_windows(
     raster.encoded = file
     raster.camera = read_camera(read_at, header)
     _georeference_by_sidecars(raster, sidecars)
+    _read_density(raster, read_at, header)
     return raster
+
+
+def _read_density(raster: Raster, read_at: ReadAt, header: ImageHeader) -> None:
+    """Read the hint at the shape of a pixel, unless a georeference states its shape."""
+    if raster.georeference_gsd_m_per_px is None:
+        raster.density_aspect = density_aspect(read_at, header)
 
 
 def _georeference_by_sidecars(raster: Raster, sidecars: Sidecars | None) -> None:
