@@ -42,6 +42,12 @@ FOCAL_PX = 700.0
 FIRST = (120, 260)
 # Space between pasted vehicles, across and down.
 GAP_PX = (8, 12)
+# Spread of the light among pasted vehicles, and of the dirt among the pixels of one, grey levels.
+LIGHT_SD = 4.0
+DIRT_SD = 14.0
+# Grey level that the yard of pasted vehicles has at least, and the width of its border.
+YARD_GREY = 80.0
+YARD_BORDER_PX = 6.0
 YELLOW = "#FFD400"
 GREEN = "#009E73"
 TRUTH = "#D55E00"
@@ -107,7 +113,10 @@ def _one_car() -> NDArray[np.uint8]:
 
 
 def _pasted(factor: float, *, rows: int, columns: int) -> NDArray[np.uint8]:
-    """Paste one enlarged vehicle in rows into fields of 0.12 m/px; its own scene has 0.06 m/px."""
+    """Paste one enlarged vehicle in rows into fields of 0.12 m/px; its own scene has 0.06 m/px.
+
+    Each pasted vehicle has its own light and dirt, because equal pixels count as one vehicle.
+    """
     parking = render_scene(GSD / 2, width_px=1024, height_px=768, seed=1, layout="parking")
     chip = _chip(parking, factor)
     fields = render_scene(
@@ -115,17 +124,29 @@ def _pasted(factor: float, *, rows: int, columns: int) -> NDArray[np.uint8]:
     )
     image = fields.image.copy()
     height_px, width_px = chip.shape[:2]
+    generator = np.random.default_rng(1)
     left, top = FIRST
     across = width_px + GAP_PX[0]
     down = height_px + GAP_PX[1]
     if rows > 1:
-        # Many vehicles stand on a grey yard.
-        yard = image[top - 10 : top + rows * down, left - 10 : left + columns * across]
-        yard[:] = yard.mean((0, 1)) * 0.3 + 80
+        # Many vehicles stand on a grey yard, whose border fades into the fields.
+        is_yard = np.zeros(image.shape[:2], np.float32)
+        is_yard[top - 10 : top + rows * down, left - 10 : left + columns * across] = 1
+        share = cv2.GaussianBlur(is_yard, (0, 0), YARD_BORDER_PX)[:, :, None]
+        yard = image * 0.3 + YARD_GREY
+        image = np.asarray(image + share * (yard - image), np.uint8)
     for y in range(top, top + rows * down, down):
         for x in range(left, left + columns * across, across):
-            image[y : y + height_px, x : x + width_px] = chip
+            image[y : y + height_px, x : x + width_px] = _weathered(chip, generator)
     return image
+
+
+def _weathered(chip: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
+    """Give a vehicle its own light and dirt."""
+    light = generator.normal(0, LIGHT_SD)
+    dirt = generator.normal(0, DIRT_SD, chip.shape[:2])
+    changed = chip + light + dirt[:, :, None]
+    return np.asarray(changed.clip(0, 255), dtype=np.uint8)
 
 
 def _chip(scene: Scene, factor: float) -> NDArray[np.uint8]:

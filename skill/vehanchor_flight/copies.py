@@ -1,4 +1,4 @@
-"""Copies of one photograph: of another size, or of the same size with other bytes or a shift."""
+"""Copies of one photograph: of another size, mirrored, or with other bytes or a shift."""
 
 from __future__ import annotations
 
@@ -27,6 +27,9 @@ _MIN_READ_PX = 512  # The longer side is read with at least this many pixels.
 # Mean difference of two copies, in grey levels, is at most this: our choice. JPEG and resampling
 # cause about 1.
 _MAX_COPY_DIFFERENCE = 3.0
+# A mirrored copy is recognised in pictures that differ from their own mirror image by this much, in
+# grey levels: our choice, four times the limit above. Water and fields have less.
+_MIN_ASYMMETRY = 12.0
 _ASPECT_TOLERANCE = 0.01  # Relative difference between the aspect ratios of two copies.
 # The cars of two copies have the same pattern, up to this share of their lengths: our choice.
 _MAX_SHIFT = 0.1
@@ -53,18 +56,30 @@ def reduced_picture(raster: Raster) -> NDArray[np.uint8]:
 
 
 def without_copies(results: Results) -> list[Photograph | Failure]:
-    """Keep the largest of several sizes of a photograph; the others become failures."""
+    """Keep the largest of several sizes of a photograph, and the first of it and its mirror images.
+
+    The others become failures.
+    """
     remaining = list(results)
     originals: list[Photograph] = []
     for index, photograph in _widest_first(results):
-        copied = (other for other in originals if _is_smaller_copy(photograph, other))
-        original = next(copied, None)
-        if original is None:
-            originals.append(photograph)
-        else:
-            error = ImageError(f"it is a smaller copy of {original.name!r}, which counts once")
+        reason = _copied_from(photograph, originals)
+        if reason:
+            error = ImageError(f"it is a {reason}, which counts once")
             remaining[index] = Failure(photograph.name, error)
+        else:
+            originals.append(photograph)
     return remaining
+
+
+def _copied_from(photograph: Photograph, originals: list[Photograph]) -> str:
+    """Describe of which photograph this one is a copy; empty if of none."""
+    for original in originals:
+        if _is_smaller_copy(photograph, original):
+            return f"smaller copy of {original.name!r}"
+        if _is_mirrored_copy(photograph, original):
+            return f"mirrored copy of {original.name!r}"
+    return ""
 
 
 def _widest_first(results: Results) -> list[tuple[int, Photograph]]:
@@ -89,8 +104,28 @@ def _is_smaller_copy(small: Photograph, large: Photograph) -> bool:
     return _look_the_same(small, large)
 
 
+def _is_mirrored_copy(photograph: Photograph, original: Photograph) -> bool:
+    """Check whether a photograph is the mirror image of another one, of any size."""
+    if not _have_one_shape(photograph, original):
+        return False
+    assert original.reduced is not None
+    for axis in (0, 1):
+        mirrored = np.flip(original.reduced, axis)
+        is_asymmetric = _difference(mirrored, original.reduced) >= _MIN_ASYMMETRY
+        if is_asymmetric and _difference(photograph.reduced, mirrored) <= _MAX_COPY_DIFFERENCE:
+            return True
+    return False
+
+
 def _look_the_same(first: Photograph, second: Photograph) -> bool:
     """Check whether two photographs have one shape, and the same reduced picture."""
+    if not _have_one_shape(first, second):
+        return False
+    return _difference(first.reduced, second.reduced) <= _MAX_COPY_DIFFERENCE
+
+
+def _have_one_shape(first: Photograph, second: Photograph) -> bool:
+    """Check whether two photographs have reduced pictures and the same aspect ratio."""
     if first.reduced is None or second.reduced is None:
         return False
     first_image = first.view.image
@@ -99,11 +134,14 @@ def _look_the_same(first: Photograph, second: Photograph) -> bool:
     numerator = first_image.width_px * second_image.height_px
     denominator = first_image.height_px * second_image.width_px
     aspect = numerator / denominator
-    if abs(aspect - 1) > _ASPECT_TOLERANCE:
-        return False
-    differences = first.reduced.astype(float) - second.reduced
-    difference = np.abs(differences).mean()
-    return bool(difference <= _MAX_COPY_DIFFERENCE)
+    return abs(aspect - 1) <= _ASPECT_TOLERANCE
+
+
+def _difference(first: NDArray[np.uint8] | None, second: NDArray[np.uint8] | None) -> float:
+    """Compute the mean difference of two reduced pictures, in grey levels."""
+    assert first is not None
+    assert second is not None
+    return float(np.abs(first.astype(float) - second).mean())
 
 
 def shift_of_copy(first: Photograph, second: Photograph) -> Point | None:

@@ -450,8 +450,26 @@ def _reduced(name: str, step: int, scene: NDArray[np.uint8] = SCENE) -> Photogra
 def test_two_sizes_of_a_photograph_are_one() -> None:
     small = _reduced("s", 2)
     whole = _reduced("w", 1)
-    other = _reduced("o", 2, SCENE[::-1])
+    # Half a turn makes no mirror image; features match it.
+    other = _reduced("o", 2, SCENE[::-1, ::-1])
     remaining = without_copies([small, whole, other])
     assert remaining[1:] == [whole, other]
     assert isinstance(remaining[0], Failure)
     assert "smaller copy of 'w'" in str(remaining[0].error)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirror_image_of_a_photograph_is_a_copy(axis: int) -> None:
+    whole = _reduced("w", 1)
+    mirrored = _reduced("m", 1, np.flip(SCENE, axis))
+    remaining = without_copies([whole, mirrored])
+    assert remaining[0] is whole
+    assert isinstance(remaining[1], Failure)
+    assert "mirrored copy of 'w'" in str(remaining[1].error)
+
+
+def test_even_ground_is_no_mirror_image_of_itself() -> None:
+    even = np.full_like(SCENE, 90)
+    first = _reduced("a", 1, even)
+    second = _reduced("b", 1, even + 1)
+    assert without_copies([first, second]) == [first, second]

@@ -21,10 +21,13 @@ from tests.models import car_park
 from vehanchor import analyse_area, analyse_distance, analyse_scale
 from vehanchor.analysis.journal_classes import FORMER_NAMES, STORED_CLASSES
 from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
+from vehanchor.analysis.memory import AnalysisMemory
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.cli.app import app
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError, MissingExtraError
+from vehanchor.imagery.metadata.camera import CameraMetadata
+from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measurement import MEASURED_RGB
 from vehanchor.records import (
@@ -420,3 +423,19 @@ def test_journals_with_the_former_name_of_a_statement_are_read() -> None:
     assert '"statement"' in stored
     witness = codec.load(json.loads(stored.replace('"statement"', '"said"')))
     assert witness.statement == "It gives 0.1 m/px."
+
+
+def test_equal_pixels_with_other_metadata_have_an_analysis_of_their_own(
+    cars: np.ndarray, detector: Detector
+) -> None:
+    memory = AnalysisMemory()
+    options = ScaleOptions()
+    metadata = CameraMetadata(
+        height_m=50.0, height_tag="height", focal_35mm=24.0, off_nadir_deg=0.0, roll_deg=0.0
+    )
+    with open_raster(cars) as without, open_raster(cars) as photograph:
+        photograph.camera = metadata
+        without_camera = memory.analyse(detector, without, options).estimate
+        with_camera = memory.analyse(detector, photograph, options).estimate
+    assert "camera" not in [ruler.kind for ruler in without_camera.rulers]
+    assert "camera" in [ruler.kind for ruler in with_camera.rulers]

@@ -1,7 +1,7 @@
 """Memory of analyses, so that an area after an estimate of the same image costs no second search.
 
-An analysis is a pure function of image, detector and options: the memory changes the time, never
-the result.
+An analysis is a pure function of an image and its facts, the detector and options: the memory
+changes the time, never the result. Two files can have equal pixels and other metadata.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from vehanchor.analysis.pipeline import analyse_raster
-from vehanchor.imagery.identity import image_id
+from vehanchor.imagery.facts import image_facts
 
 if TYPE_CHECKING:
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
@@ -23,7 +23,7 @@ _MAX_ANALYSES = 8
 
 
 class AnalysisMemory:
-    """The last analyses, by image, detector and options."""
+    """The last analyses, by image with its facts, detector and options."""
 
     def __init__(self) -> None:
         # The cache holds a list by key, empty until the analysis is made.
@@ -36,7 +36,8 @@ class AnalysisMemory:
         """
         if options.search.max_seconds is not None:
             return analyse_raster(detector, raster, options)
-        slot = self._slots(image_id(raster), detector.card.sha256, repr(options))
+        facts = repr(image_facts(raster))
+        slot = self._slots(facts, detector.card.sha256, repr(options))
         if not slot:
             slot.append(analyse_raster(detector, raster, options))
         return slot[0]

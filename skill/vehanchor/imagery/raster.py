@@ -17,7 +17,7 @@ from vehanchor.imagery.stretch import (
     find_no_data,
     to_uint8,
 )
-from vehanchor.options.pixel_grid import PixelGrid
+from vehanchor.options.pixel_grid import MAX_ASPECT, PixelGrid, usable_aspect
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.imagery.metadata.camera import CameraMetadata
-    from vehanchor.imagery.metadata.georeference import Ground
+    from vehanchor.imagery.metadata.georeference import Ground, GroundPixel
 
     RgbImage: TypeAlias = NDArray[np.uint8]
     """``[h, w, 3]`` RGB."""
@@ -168,6 +168,21 @@ class Raster(ABC):
         )
         stored = self._read_stored(window_in_file)
         return self._to_rgb(stored)
+
+    def georeference(self, pixel: GroundPixel, ground: Ground) -> None:
+        """Take the place of the image, and the size and shape of a pixel on the ground."""
+        self.ground = ground
+        self.georeference_gsd_m_per_px = pixel.gsd_m_per_px
+        elongation = max(pixel.aspect, 1 / pixel.aspect)
+        if pixel.is_upright and elongation <= MAX_ASPECT:
+            self.pixel_aspect = usable_aspect(pixel.aspect)
+            return
+        message = (
+            f"A pixel of the file is {pixel.across_m:.4g} m along a row and {pixel.down_m:.4g} m "
+            "along a column, and no rectangle or too long: no single scale holds. Reproject the "
+            "image to UTM, with square pixels."
+        )
+        self.warnings = (*self.warnings, RasterNote("stretched", message))
 
     @property
     def grid(self) -> PixelGrid:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
+from vehanchor.imagery.metadata.blocks import metadata_blocks
+from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.options.pixel_grid import MAX_ASPECT
 
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
+    from vehanchor.imagery.formats.image_header import ImageHeader
 
 # Start of image, application segment 0, its length, JFIF; then version, unit, both densities.
 _JFIF_BYTES = 18
@@ -23,25 +26,48 @@ _CHUNK_REST_BYTES = 12
 _MAX_CHUNKS = 32
 
 
-def density_aspect(read_at: ReadAt) -> float:
-    """Read the height of a pixel over its width by JFIF or PNG; 1 if neither states it.
+# EXIF orientations from 5 on swap rows and columns.
+_FIRST_SWAPPED = 5
+
+
+def density_aspect(read_at: ReadAt, header: ImageHeader) -> float:
+    """Read the height of a pixel over its width by the densities that a file states.
+
+    JFIF and PNG have their own, TIFF and EXIF have tags. The first pair of unlike ones counts.
 
     Args:
         read_at: reads bytes of the file.
+        header: its header, whose orientation turns the pixels upright.
+
+    Returns:
+        1 if no pair is unlike, or if one is implausible.
     """
+    for across, down in _densities(read_at, header):
+        # Many pixels per unit are narrow ones.
+        aspect = across / down
+        is_plausible = 1 / MAX_ASPECT <= aspect <= MAX_ASPECT
+        if aspect == 1.0 or not is_plausible:
+            continue
+        return 1 / aspect if header.orientation >= _FIRST_SWAPPED else aspect
+    return 1.0
+
+
+def _densities(read_at: ReadAt, header: ImageHeader) -> list[tuple[float, float]]:
+    """Read the pixels per unit across and down of the stored pixels, above 0."""
+    densities: list[tuple[float, float]] = []
     head = read_at(0, _JFIF_BYTES)
-    across = 0
-    down = 0
     if head[_JFIF_NAME_AT : _JFIF_NAME_AT + len(_JFIF)] == _JFIF and len(head) == _JFIF_BYTES:
         across, down = struct.unpack_from(">HH", head, _JFIF_DENSITIES_AT)
+        densities.append((across, down))
     elif head.startswith(_PNG_SIGNATURE):
-        across, down = _png_densities(read_at)
-    if not across or not down:
-        return 1.0
-    # Many pixels per unit are narrow ones.
-    aspect = across / down
-    is_plausible = 1 / MAX_ASPECT <= aspect <= MAX_ASPECT
-    return aspect if is_plausible else 1.0
+        densities.append(_png_densities(read_at))
+    exif, _ = metadata_blocks(read_at, header)
+    for block in exif:
+        tags = read_exif(block)
+        resolutions = (tags.get("XResolution"), tags.get("YResolution"))
+        if isinstance(resolutions[0], float) and isinstance(resolutions[1], float):
+            densities.append((resolutions[0], resolutions[1]))
+    return [(across, down) for across, down in densities if across > 0 and down > 0]
 
 
 def _png_densities(read_at: ReadAt) -> tuple[int, int]:

@@ -31,6 +31,8 @@ _APPLICATION_NOTES = "ApplicationNotes"
 _NAMES = {
     0x010F: "Make",
     0x0110: "Model",
+    0x011A: "XResolution",
+    0x011B: "YResolution",
     0x02BC: _APPLICATION_NOTES,
     0x9003: "DateTimeOriginal",
     0x920A: "FocalLength",

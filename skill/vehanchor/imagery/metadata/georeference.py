@@ -109,12 +109,7 @@ def gsd_units_per_px(transform: AffineCoefficients) -> float:
 
 
 def ground_pixel(dataset: Any) -> GroundPixel | None:
-    """Measure the pixel at the centre of an open rasterio dataset.
-
-    In projected systems a side is that of the transform times the linear unit in metres. Mercator
-    (EPSG:3857, 3395) stretches metres by 1/cos(latitude), so its pixels are converted to degrees
-    first. The grid scale of other projections is ignored; it is within 0.1 % in UTM and most
-    national grids. In geographic systems, a degree of longitude is shorter than one of latitude.
+    """Measure the pixel at the centre of an open rasterio dataset; see ``pixel_of_transform``.
 
     Args:
         dataset: a ``rasterio.DatasetReader``.
@@ -122,16 +117,42 @@ def ground_pixel(dataset: Any) -> GroundPixel | None:
     Returns:
         None if the coordinate system or the transform is missing or invalid.
     """
-    from rasterio.errors import RasterioError
-
-    affine = dataset.transform
-    transform: AffineCoefficients = (affine.a, affine.b, affine.c, affine.d, affine.e, affine.f)
     try:
         crs = dataset.crs
-        is_finite = all(map(math.isfinite, transform))
-        if not crs or transform == _IDENTITY or not is_finite:
-            return None
-        metric = _metric_transform(transform, crs, column=dataset.width / 2, row=dataset.height / 2)
+    except ValueError:  # PROJ cannot use the system; CRSError is a ValueError.
+        return None
+    return pixel_of_transform(
+        dataset.transform, crs, width_px=dataset.width, height_px=dataset.height
+    )
+
+
+def pixel_of_transform(
+    affine: Any, crs: Any, *, width_px: int, height_px: int
+) -> GroundPixel | None:
+    """Measure the pixel at the centre of an image.
+
+    In projected systems a side is that of the transform times the linear unit in metres. Mercator
+    (EPSG:3857, 3395) stretches metres by 1/cos(latitude), so its pixels are converted to degrees
+    first. The grid scale of other projections is ignored; it is within 0.1 % in UTM and most
+    national grids. In geographic systems, a degree of longitude is shorter than one of latitude.
+
+    Args:
+        affine: from pixels to coordinates, an ``affine.Affine``.
+        crs: a ``rasterio.crs.CRS``, or None.
+        width_px: columns.
+        height_px: rows.
+
+    Returns:
+        None if the coordinate system or the transform is missing or invalid.
+    """
+    from rasterio.errors import RasterioError
+
+    transform: AffineCoefficients = (affine.a, affine.b, affine.c, affine.d, affine.e, affine.f)
+    is_finite = all(map(math.isfinite, transform))
+    if not crs or transform == _IDENTITY or not is_finite:
+        return None
+    try:
+        metric = _metric_transform(transform, crs, column=width_px / 2, row=height_px / 2)
     # PROJ cannot use the system; CRSError is a ValueError.
     except (RasterioError, ValueError, ArithmeticError):
         return None

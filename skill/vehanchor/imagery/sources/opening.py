@@ -39,6 +39,8 @@ from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.limits import check_bytes, check_whole_size
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.metadata.density import density_aspect
+from vehanchor.imagery.metadata.georeference import Ground, pixel_of_transform
+from vehanchor.imagery.metadata.sidecar_georeference import UnusableSidecarError
 from vehanchor.imagery.raster import Raster, RasterNote, oriented
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size, without_mask
 from vehanchor.imagery.sources.files import spelled_as_stored
@@ -49,13 +51,14 @@ from vehanchor.imagery.sources.pillow import (
     pillow_pixels,
 )
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
-from vehanchor.imagery.sources.sidecars import Sidecars, unreadable_mask
+from vehanchor.imagery.sources.sidecars import Sidecars, unreadable_mask, unusable_coordinates
 from vehanchor.imagery.square_raster import in_square_pixels
 from vehanchor.options import Reading
 
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
     from vehanchor.imagery.formats.image_header import ImageHeader
+    from vehanchor.imagery.sources.sidecars import SidecarGeoreference
     from vehanchor.options import ImageLimits
 
 ImageSource: TypeAlias = (
@@ -241,8 +244,9 @@ def _open_bytes(
     raster.orientation = header.orientation
     raster.warnings = (*raster.warnings, *notes)
     raster.camera = read_camera(read_at, header)
-    raster.density_aspect = density_aspect(read_at)
     raster.file_orientation = header.orientation
+    _georeference_by_sidecars(raster, sidecars)
+    _read_density(raster, read_at, header)
     return raster
 
 
@@ -268,7 +272,54 @@ def _open_by_windows(
     raster.warnings = (*raster.warnings, *notes)
     raster.encoded = file
     raster.camera = read_camera(read_at, header)
+    _georeference_by_sidecars(raster, sidecars)
+    _read_density(raster, read_at, header)
     return raster
+
+
+def _read_density(raster: Raster, read_at: ReadAt, header: ImageHeader) -> None:
+    """Read the hint at the shape of a pixel, unless a georeference states its shape."""
+    if raster.georeference_gsd_m_per_px is None:
+        raster.density_aspect = density_aspect(read_at, header)
+
+
+def _georeference_by_sidecars(raster: Raster, sidecars: Sidecars | None) -> None:
+    """Georeference an image by the files beside it, unless its own file does."""
+    if sidecars is None or raster.ground is not None:
+        return
+    try:
+        _georeference(raster, sidecars.georeference())
+    except UnusableSidecarError as error:
+        note = unusable_coordinates(str(error))
+        raster.warnings = (*raster.warnings, note)
+
+
+def _georeference(raster: Raster, stated: SidecarGeoreference | None) -> None:
+    """Georeference an image by a transform of its stored pixels.
+
+    Raises:
+        UnusableSidecarError: the transform does not lead to the Earth.
+    """
+    if stated is None:
+        return
+    from affine import Affine
+
+    # The files state the place of the stored pixels: the turn to the upright frame comes first.
+    origin = np.array(raster.stored_point(0, 0))
+    across = np.array(raster.stored_point(1, 0)) - origin
+    down = np.array(raster.stored_point(0, 1)) - origin
+    to_stored = np.column_stack([across, down, origin])
+    coefficients = np.reshape(stated.transform, (2, 3))
+    placed = coefficients[:, :2] @ to_stored
+    placed[:, 2] += coefficients[:, 2]
+    transform = Affine(*placed.ravel().tolist())
+    ground = Ground(transform, stated.system)
+    pixel = pixel_of_transform(
+        transform, stated.system, width_px=raster.width_px, height_px=raster.height_px
+    )
+    if pixel is None:
+        raise UnusableSidecarError("the coordinates are not those of the stated reference system")
+    raster.georeference(pixel, ground)
 
 
 def _read_sidecars(
@@ -282,7 +333,6 @@ def _read_sidecars(
     notes = _unused_pages(header)
     if sidecars is None:
         return None, notes
-    notes += sidecars.unused()
     data = sidecars.mask(limits.max_bytes)
     if data is None:
         return None, notes

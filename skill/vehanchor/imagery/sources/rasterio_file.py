@@ -22,10 +22,9 @@ from vehanchor.imagery.bands import check_dtype, choose_bands, is_alpha, merge_b
 from vehanchor.imagery.file_check import missing_rasterio
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.imagery.limits import check_block, check_windowed_size
-from vehanchor.imagery.metadata.georeference import Ground, GroundPixel, ground_pixel
-from vehanchor.imagery.raster import Raster, RasterNote, StoredPixels, Window, stored_window
+from vehanchor.imagery.metadata.georeference import Ground, ground_pixel
+from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
 from vehanchor.imagery.stretch import SAMPLE_PX
-from vehanchor.options.pixel_grid import MAX_ASPECT, usable_aspect
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -317,8 +316,7 @@ class DatasetRaster(Raster):
         )
         pixel = ground_pixel(dataset)
         if pixel is not None:
-            self._georeference(pixel)
-            self.ground = Ground(dataset.transform, dataset.crs)
+            self.georeference(pixel, Ground(dataset.transform, dataset.crs))
         else:
             self.ground = _ground_of_control_points(dataset)
         first_index = self._indexes[0]
@@ -334,20 +332,6 @@ class DatasetRaster(Raster):
             sample = self._sample()
             # A coarser sample shows as well whether an image of 8 bits is faint.
             self._choose_stretch(sample[::_FAINT_STEP] if dtype == np.uint8 else sample)
-
-    def _georeference(self, pixel: GroundPixel) -> None:
-        """Take the size and shape of a pixel on the ground."""
-        self.georeference_gsd_m_per_px = pixel.gsd_m_per_px
-        elongation = max(pixel.aspect, 1 / pixel.aspect)
-        if pixel.is_upright and elongation <= MAX_ASPECT:
-            self.pixel_aspect = usable_aspect(pixel.aspect)
-            return
-        message = (
-            f"A pixel of the file is {pixel.across_m:.4g} m along a row and {pixel.down_m:.4g} m "
-            "along a column, and no rectangle or too long: no single scale holds. Reproject the "
-            "image to UTM, with square pixels."
-        )
-        self.warnings = (*self.warnings, RasterNote("stretched", message))
 
     def close(self) -> None:
         """Close the file unless it is the caller's dataset."""

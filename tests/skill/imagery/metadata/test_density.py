@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.scale.reliability import STRETCHED_SHARE, chance_of_stretch, log_odds_by_density
@@ -30,6 +33,20 @@ def _png(across: int, down: int) -> bytes:
     return data[:_PNG_HEADER_BYTES] + chunk + data[_PNG_HEADER_BYTES:]
 
 
+def _with_tags(file_format: str, across: int, down: int, orientation: int = 1) -> bytes:
+    """Encode an image with densities as EXIF or TIFF tags."""
+    exif = Image.Exif()
+    exif[274] = orientation
+    exif[282] = IFDRational(across)
+    exif[283] = IFDRational(down)
+    file = io.BytesIO()
+    if file_format == "TIFF":
+        Image.fromarray(_IMAGE).save(file, "TIFF", dpi=(across, down))
+    else:
+        Image.fromarray(_IMAGE).save(file, file_format, exif=exif)
+    return file.getvalue()
+
+
 @pytest.mark.parametrize(
     ("data", "aspect"),
     [
@@ -38,11 +55,16 @@ def _png(across: int, down: int) -> bytes:
         (_jpeg(0, 72), 1.0),
         (_jpeg(65000, 1), 1.0),
         (_png(2835, 5670), 0.5),
+        (_with_tags("JPEG", 108, 72), 1.5),
+        (_with_tags("JPEG", 108, 72, orientation=6), 1 / 1.5),
+        (_with_tags("WEBP", 72, 108), 1 / 1.5),
+        (_with_tags("TIFF", 144, 72), 2.0),
+        (_with_tags("TIFF", 72, 72), 1.0),
     ],
 )
 def test_a_density_gives_a_hint_but_no_square_pixels(data: bytes, aspect: float) -> None:
     with open_raster(data) as raster:
-        assert raster.density_aspect == aspect
+        assert raster.density_aspect == pytest.approx(aspect)
         assert raster.grid.is_square
 
 

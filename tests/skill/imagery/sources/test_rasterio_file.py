@@ -129,20 +129,19 @@ def test_bands_choose_the_colours_of_a_palette(palette_path: Path) -> None:
 
 @pytest.fixture
 def tiff_with_sidecars(tmp_path: Path) -> Path:
-    """A TIFF beside which other files state a georeference and a mask."""
+    """A TIFF beside which other files state a transform and no-data."""
     five_bands = NOISE[..., [0, 1, 2, 0, 1]]
     path = geotiff(tmp_path / "a.tif", five_bands, crs=None, transform=None)
     (tmp_path / "a.tfw").write_text("0.5\n0\n0\n-0.5\n100\n200\n")
     (tmp_path / "a.tif.aux.xml").write_text(
-        "<PAMDataset><SRS>EPSG:32631</SRS>"
-        "<GeoTransform>0, 0.5, 0, 0, 0, -0.5</GeoTransform></PAMDataset>"
+        "<PAMDataset><GeoTransform>0, 0.5, 0, 0, 0, -0.5</GeoTransform>"
+        f'<PAMRasterBand band="1"><NoDataValue>{NOISE[0, 0, 0]}</NoDataValue></PAMRasterBand>'
+        "</PAMDataset>"
     )
-    empty = np.zeros((90, 130, 1), np.uint8)
-    geotiff(tmp_path / "a.tif.msk", empty, crs=None, transform=None)
     return path
 
 
-def test_files_beside_a_tiff_are_not_read(tiff_with_sidecars: Path) -> None:
+def test_gdal_reads_no_files_beside_a_tiff(tiff_with_sidecars: Path) -> None:
     with open_raster(tiff_with_sidecars) as raster:
         assert raster.georeference_gsd_m_per_px is None
         np.testing.assert_array_equal(raster.read(), NOISE)
