@@ -139,6 +139,7 @@ def test_a_tilted_camera_places_on_the_ground(as_polygon: bool) -> None:
 
 
 @pytest.mark.parametrize("side", [100, 500, 4000])
+@pytest.mark.slow
 def test_a_placement_takes_a_fraction_of_a_second(side: int) -> None:
     y, x = np.mgrid[:side, :side] - side / 2
     pixels = ObjectMask(x**2 + y**2 < side**2 / 4, Window(0, 0, width_px=side, height_px=side))

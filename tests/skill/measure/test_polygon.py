@@ -90,6 +90,7 @@ def test_crossings_are_those_of_shapely(seed: int) -> None:
     assert (find_crossing([ring]) is None) == shapely.Polygon(ring).is_valid
 
 
+@pytest.mark.slow
 def test_many_corners_are_compared_quickly() -> None:
     angles = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
     circle = 1000 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
