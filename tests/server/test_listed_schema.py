@@ -29,13 +29,14 @@ OPERATORS: list[dict[str, Any]] = [
     {"image_hosts": ("images.example",)},
     {},
 ]
-_VALUES = {  # pydantic's errors about a value, not the shape of a call
+_VALUES = {  # errors about a value, or which optional fields belong together
     "greater_than",
     "greater_than_equal",
     "less_than",
     "less_than_equal",
     "string_pattern_mismatch",
     "value_error",
+    "must_fit_form",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import PromptError
+from vehanchor_server.calls.listed_vehicle import list_vehicles
 from vehanchor_server.calls.reply import Reply
 
 if TYPE_CHECKING:
@@ -76,7 +77,12 @@ def draw_picture(
 
 
 def scale_reply(
-    raster: Raster | None, analysis: ScaleEvidence, *, request: PictureRequest, job: Job
+    raster: Raster | None,
+    analysis: ScaleEvidence,
+    *,
+    request: PictureRequest,
+    job: Job,
+    lists_vehicles: bool = False,
 ) -> Reply[GsdEstimate]:
     """Combine the record of a scale with the requested picture.
 
@@ -85,6 +91,7 @@ def scale_reply(
         analysis: the scale with its evidence.
         request: the requested picture.
         job: can stop before the reading.
+        lists_vehicles: whether the caller asks for the vehicles.
     """
     from vehanchor.pictures.scale import draw_overlay
     from vehanchor_server.app_page.panel import drawing_of
@@ -98,7 +105,8 @@ def scale_reply(
     drawing = None
     if request.kind == "plain":
         drawing = drawing_of(analysis)
-    return Reply((analysis.estimate,), picture=picture, drawing=drawing)
+    vehicles = list_vehicles(analysis) if lists_vehicles else None
+    return Reply((analysis.estimate,), picture=picture, drawing=drawing, vehicles=vehicles)
 
 
 def part_window(raster: Raster, request: PictureRequest) -> Window:

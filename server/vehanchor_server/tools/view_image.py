@@ -28,6 +28,7 @@ from vehanchor_server.calls.client import current_client
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
+from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.resources import Resources
@@ -50,7 +51,7 @@ _IMAGES_PER_PAGE = 50
 
 _Part = Annotated[
     Box | None,
-    Field(description="Part of the image to show. Default: all of it.", examples=[_EXAMPLE_PART]),
+    Field(description="Part to show. Default: all of it.", examples=[_EXAMPLE_PART]),
 ]
 _Side = Annotated[int, Limits(_MIN_SIDE_PX, _MAX_SIDE_PX, whole=True)]
 _Page = Annotated[int, Limits(1, whole=True), Field(description="Page of the list.")]
@@ -111,14 +112,14 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         image: ImageArgument | None = None,
         of: Annotated[
             PastCall | None,
-            Field(description="Call of another tool, with its arguments, to show what it saw."),
+            Field(description="Call of another tool to show."),
         ] = None,
         part: _Part = None,
         coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",
         long_side_px: _Side = VIEWED_SIDE_PX,
         page: _Page = 1,
         known_sizes: Annotated[
-            bool, Field(description="List the names for known_lengths with their ends and sizes.")
+            bool, Field(description="List the names for known_lengths.")
         ] = False,
     ) -> CallToolResult:
         if known_sizes:
@@ -210,6 +211,12 @@ class _Listing(NamedTuple):
     page: int
 
     @property
+    def n_pages(self) -> int:
+        """Number of pages, at least one."""
+        full_or_begun = -(-self.total // _IMAGES_PER_PAGE)  # rounded up
+        return max(1, full_or_begun)
+
+    @property
     def next_page(self) -> int | None:
         """Number of the next page; None on the last."""
         is_last = not self.names or self.first + len(self.names) >= self.total
@@ -228,18 +235,22 @@ async def _list_images(services: Services, page: int) -> _Listing:
         return await services.capacity.in_thread(stop, walk)
 
     names, total = await services.capacity.run(call, current_client())
-    return _Listing(names, first, total=total, page=page)
+    listing = _Listing(names, first, total=total, page=page)
+    if page > listing.n_pages:
+        raise CallError(
+            "invalid_arguments",
+            f"page is {page}, but the list of {count(total, 'image')} ends at page "
+            f"{listing.n_pages}.",
+        )
+    return listing
 
 
 def _listing_in_words(listing: _Listing) -> str:
     names = listing.names
     head = count(listing.total, "image")
     if len(names) < listing.total:
-        shown = "none"
-        if names:
-            shown = f"{listing.first + 1} to {listing.first + len(names)}"
-        n_pages = -(-listing.total // _IMAGES_PER_PAGE)  # rounded up
-        head += f", {shown} on page {listing.page} of {n_pages}"
+        shown = f"{listing.first + 1} to {listing.first + len(names)}"
+        head += f", {shown} on page {listing.page} of {listing.n_pages}"
     head += ":" if names else "."
     return "\n".join([head, *_by_folder(names)])
 

@@ -256,7 +256,9 @@ async def test_many_images_come_in_pages(tmp_path: Path) -> None:
     words = text_of(await asked(server, page=1))
     assert words.count(str(tmp_path.resolve())) == 1
     assert words.splitlines()[1:4] == [f"{tmp_path.resolve()}{os.sep}", "  000.jpg", "  001.jpg"]
-    assert text_of(await asked(server, page=9)) == "120 images, none on page 9 of 3."
+    past_the_end = await asked(server, page=9)
+    assert error_of(past_the_end) == "invalid_arguments"
+    assert "page is 9, but the list of 120 images ends at page 3" in text_of(past_the_end)
     assert facts_in(await asked(server, page=3))["images_total"] == 120
 
 
