@@ -35,8 +35,8 @@ def draw_picture(
 ) -> bytes | None:
     """Make the requested picture as JPEG; None if the request is for no picture.
 
-    A strip of enlarged vehicles below the evidence lets the viewer check them, unless the request
-    names a part.
+    A strip of enlarged vehicles below the evidence lets the viewer check them: the first ones, or
+    those in the part that the request names.
 
     Args:
         raster: the image.
@@ -70,8 +70,9 @@ def draw_picture(
     if part is not None:
         cut = Cut(part, request.long_side_px)
     picture = draw(read_reduced(raster, part), cut)
-    if request.part is None and scale is not None:
-        strip = draw_vehicle_strip(raster, scale, picture.shape[1])
+    if scale is not None:
+        within = part if request.part is not None else None
+        strip = draw_vehicle_strip(raster, scale, picture.shape[1], within=within)
         picture = np.concatenate([picture, strip])
     return small_jpeg(picture, side_px=request.long_side_px)
 

@@ -37,6 +37,7 @@ from vehanchor_server.tools.picture import part_window
 from vehanchor_server.tools.target import Box
 
 if TYPE_CHECKING:
+    from vehanchor.imagery.raster import Window
     from vehanchor_server.tools.strict_tool import CallToolResult, StrictTool
 
 _DESCRIPTION = (
@@ -300,7 +301,7 @@ def _view(
             raster,
             window,
             long_side_px=request.long_side_px,
-            max_enlargement=MAX_VIEW_ENLARGEMENT,
+            max_enlargement=_max_enlargement(window, request),
             lines=request.kind == "evidence",
         )
         jpeg = small_jpeg(rgb)
@@ -321,6 +322,16 @@ def _view(
             pixel_aspect=raster.grid.stated_aspect,
         )
     return Reply((viewed,), jpeg)
+
+
+def _max_enlargement(window: "Window", request: PictureRequest) -> float:
+    """Return the largest enlargement: of a small part, as much as it takes to see it."""
+    from vehanchor.pictures.placement import MIN_PART_SIDE_PX
+
+    if request.part is None:
+        return MAX_VIEW_ENLARGEMENT
+    long_side = max(window.width_px, window.height_px)
+    return max(MAX_VIEW_ENLARGEMENT, MIN_PART_SIDE_PX / long_side)
 
 
 def _words(viewed: ViewedImage, long_side_px: int) -> str:
@@ -348,7 +359,7 @@ def _words(viewed: ViewedImage, long_side_px: int) -> str:
     if max(viewed.picture_width_px, viewed.picture_height_px) < long_side_px - 1:
         reason = "as large as a result may be"
         if factor < 1:
-            reason = f"enlarged {MAX_VIEW_ENLARGEMENT:g} times, the most"
+            reason = f"enlarged {1 / factor:.3g} times, the most"
         words += f". It is smaller than the {long_side_px} px asked for: it is {reason}"
     return (
         f"{words}. Grid lines are {viewed.grid_px} image pixels apart and numbered in image pixels."

@@ -207,8 +207,8 @@ async def test_what_cannot_be_shown_is_told(
 async def test_a_limited_enlargement_is_told(server: MCPServer[object], images: Path) -> None:
     part = {"x_min": 10, "y_min": 10, "x_max": 60, "y_max": 40}
     small = await asked(server, images / "pool.png", part=part, long_side_px=1024)
-    assert facts_in(small)["picture_width_px"] == 200
-    assert "smaller than the 1024 px asked for: it is enlarged 4 times, the most" in text_of(small)
+    assert facts_in(small)["picture_width_px"] == 512
+    assert "smaller than the 1024 px asked for: it is enlarged 10.2 times" in text_of(small)
     whole = await asked(server, images / "pool.png", long_side_px=512)
     assert "smaller" not in text_of(whole)
 
