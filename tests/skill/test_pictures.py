@@ -96,7 +96,7 @@ def test_numbers_do_not_hide_vehicles() -> None:
     smaller[:, 2:4] -= 6  # within the lines
     for corners in box_corners(smaller):
         cv2.fillConvexPoly(inside, np.rint(corners).astype(np.int32), 1)
-    is_white = (picture > 240).all(axis=2)
+    is_white = picture.min(axis=2) > 240
     assert is_white.sum() > 500, "there are numbers"
     assert is_white[inside > 0].mean() < 0.02
 

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from vehanchor.pictures.evidence import ScaleEvidence
 
-# More would not be read one by one. A choice.
-_MAX_LISTED = 60
+MAX_LISTED = 60
+"""Most vehicles that are listed: more would not be read one by one. A choice."""
 
 
 class ListedVehicle(FrozenModel):
@@ -30,7 +30,7 @@ class ListedVehicle(FrozenModel):
 def list_vehicles(analysis: ScaleEvidence) -> tuple[ListedVehicle, ...]:
     """List the vehicles of an analysis, best first, at most 60."""
     detections = analysis.detections
-    boxes = detections.boxes[:_MAX_LISTED]
+    boxes = detections.boxes[:MAX_LISTED]
     centres = analysis.grid.to_file(boxes[:, :2]).tolist()
     vehicles = []
     for (x, y), length, number, kept in zip(

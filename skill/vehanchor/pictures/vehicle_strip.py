@@ -69,8 +69,8 @@ def _lie_within(boxes: NDArray[np.float64], part: Window | None) -> NDArray[np.b
     first = (part.x_px, part.y_px)
     last = (part.x_px + part.width_px, part.y_px + part.height_px)
     centres = boxes[:, :2]
-    inside: NDArray[np.bool_] = ((centres >= first) & (centres < last)).all(axis=1)
-    return inside
+    is_inside = (centres >= first) & (centres < last)
+    return np.asarray(is_inside.all(axis=1), dtype=bool)
 
 
 def _draw_vehicle(raster: Raster, box: NDArray[np.float64], colour: Colour) -> RgbImage:
