@@ -41,7 +41,7 @@ def segmenter_method(segmenter: Segmenter) -> Callable[[Target], ScoredMask]:
 
     def method(target: Target) -> ScoredMask:
         with open_raster(target.image) as raster:
-            segmentation = segmenter.segment(raster, Prompt(box=target.box))
+            segmentation = segmenter.segment(raster, Prompt(box=target.box), copy_px=0.0)
         whole = np.zeros(target.mask.shape, bool)
         window = segmentation.window
         rows = slice(window.y_px, window.y_px + window.height_px)

@@ -19,7 +19,7 @@ from vehanchor_server.tools.portable_schema import portable_schema
 from vehanchor_server.tools.registry import create_tools
 from vehanchor_server.tools.strict_tool import StrictTool
 
-PUBLISHED = ("estimate_gsd", "measure_area")
+PUBLISHED = ("estimate_gsd", "measure_area", "measure_distance", "view_image")
 _DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
 _NOT_IN_STRICT_MODE = (
     "default",

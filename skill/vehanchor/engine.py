@@ -35,8 +35,9 @@ from vehanchor.measure.scale_source import read_scale_argument
 from vehanchor.measure.shapes import read_shapes
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
-from vehanchor.options import ScaleOptions
+from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.rulers import GSD_M_PER_PX
+from vehanchor.options.signature import list_keywords, share_keywords
 from vehanchor.rulers.active import check_rulers
 from vehanchor.segmentation.prompt import read_prompt
 from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
@@ -482,6 +483,7 @@ class Engine:
             else:
                 option_values[name] = value
 
+        _check_is_options(options)
         engine = self
         if models or runtime_fields:
             runtime = self.runtime.with_keywords(runtime_fields)
@@ -504,6 +506,21 @@ class Engine:
         return partial(analyse_raster, detector)
 
 
+def _check_is_options(options: object) -> None:
+    """Check that the argument ``options`` is no value that belongs to another argument.
+
+    Raises:
+        InvalidParameterError: it is none of ``ScaleOptions``.
+    """
+    if options is None or isinstance(options, ScaleOptions):
+        return
+    raise InvalidParameterError(
+        f"options is {options!r}: use ScaleOptions, or name the argument that you mean: "
+        "measure_area(image, box=(x1, y1, x2, y2)), measure_distance(image, [(x1, y1), (x2, y2)]), "
+        'estimate_gsd(image, region="europe")'
+    )
+
+
 def _load_once(load: Callable[[], T]) -> Callable[[], T]:
     """Make a function that loads a model on its first call, and returns it on every call."""
     # The lock keeps two threads from loading the same model twice.
@@ -515,6 +532,26 @@ def _load_once(load: Callable[[], T]) -> Callable[[], T]:
             return cached_load()
 
     return get
+
+
+for _name, _like in (
+    ("measure_area", "analyse_area"),
+    ("measure_areas", "analyse_areas"),
+    ("measure_distance", "analyse_distance"),
+):
+    share_keywords(getattr(Engine, _name), getattr(Engine, _like))
+for _name in (
+    "estimate",
+    "analyse_scale",
+    "measure_area",
+    "analyse_area",
+    "measure_areas",
+    "analyse_areas",
+    "measure_distance",
+    "analyse_distance",
+    "resample",
+):
+    list_keywords(getattr(Engine, _name), declared_options(), _RUNTIME_KEYWORDS, _MODEL_KEYWORDS)
 
 
 def open_detector(

@@ -158,7 +158,7 @@ def _segment_image(
             for entry in entries:
                 prompt = Prompt(box=entry.corners)
                 try:
-                    segmentation = segmenter.segment(raster, prompt, limits=limits)
+                    segmentation = segmenter.segment(raster, prompt, limits=limits, copy_px=0.0)
                 except VehAnchorError as error:
                     message = f"{entry.name}: {error}"
                     issues.append(FileIssue(image, error.code, message))

@@ -29,7 +29,7 @@ OPERATORS: list[dict[str, Any]] = [
     {"image_hosts": ("images.example",)},
     {},
 ]
-_VALUES = {  # pydantic's errors about a value, not the shape of a call
+_VALUES = {  # errors about a value, or which optional fields belong together
     "greater_than",
     "greater_than_equal",
     "less_than",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import pydoc
 import threading
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
@@ -24,6 +26,7 @@ from vehanchor.errors import (
     InvalidParameterError,
     VehAnchorError,
 )
+from vehanchor.options import declared_options
 from vehanchor.segmentation.segmenter import Segmenter
 
 BOX = (300.0, 150.0, 371.0, 190.0)
@@ -359,3 +362,23 @@ def test_a_detector_with_classes_is_loaded_once(
     for _ in range(2):
         Engine(path, options=ScaleOptions.of(ALONE), classes=["small vehicle"]).estimate(image)
     assert opened == [Detector]
+
+
+def test_a_box_without_its_name_is_answered_with_the_right_call() -> None:
+    measure: Any = vehanchor.measure_area
+    with pytest.raises(InvalidParameterError, match=r"measure_area\(image, box="):
+        measure("photo.jpg", (1, 2, 3, 4))
+
+
+@pytest.mark.parametrize("name", ["measure_area", "measure_areas", "measure_distance"])
+def test_help_shows_the_keywords_of_the_analysis(name: str) -> None:
+    analysis = inspect.signature(getattr(vehanchor.Engine, name.replace("measure", "analyse")))
+    measurement = inspect.signature(getattr(vehanchor.Engine, name))
+    assert list(measurement.parameters) == list(analysis.parameters)
+
+
+@pytest.mark.parametrize("name", ["estimate_gsd", "measure_area", "measure_distance"])
+def test_help_lists_the_options(name: str) -> None:
+    text = pydoc.render_doc(getattr(vehanchor, name))
+    missing = [option for option in declared_options() if option not in text]
+    assert missing == []

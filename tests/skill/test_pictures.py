@@ -28,10 +28,13 @@ from vehanchor.errors import OutputError
 from vehanchor.export.geojson import check_geojson_path, write_shapes
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.georeference import PIXELS_WKT
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.pictures import scale as scale_picture
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
-from vehanchor.pictures.placement import Placement
+from vehanchor.pictures.measurement import _verdict
+from vehanchor.pictures.placement import Cut, Placement
 from vehanchor.pictures.plot import plot_scale, write_plot
 from vehanchor.pictures.scale import (
     DROPPED_RGB,
@@ -83,6 +86,60 @@ def _drawn(boxes: NDArray[np.float64], width: int, height: int) -> NDArray[np.ui
 )
 def test_a_picture_has_a_display_size(width: int, height: int, drawn_width: int) -> None:
     assert _drawn(_fleet(1), width, height).shape[1] == drawn_width
+
+
+def test_numbers_do_not_hide_vehicles() -> None:
+    boxes = _fleet(30)
+    picture = _drawn(boxes, 800, 600)[:600]
+    inside = np.zeros(picture.shape[:2], np.uint8)
+    smaller = boxes.copy()
+    smaller[:, 2:4] -= 6  # within the lines
+    for corners in box_corners(smaller):
+        cv2.fillConvexPoly(inside, np.rint(corners).astype(np.int32), 1)
+    is_white = picture.min(axis=2) > 240
+    assert is_white.sum() > 500, "there are numbers"
+    assert is_white[inside > 0].mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("status", "reason", "first_words"),
+    [("ok", None, "safe to use"), ("low_confidence", "too_few", "do not use: ")],
+)
+def test_a_caption_begins_with_the_status(
+    monkeypatch: pytest.MonkeyPatch, status: str, reason: str | None, first_words: str
+) -> None:
+    captions: list[list[Any]] = []
+    panel = scale_picture.caption_panel
+
+    def watched(width_px: int, lines: list[Any]) -> NDArray[np.uint8]:
+        captions.append(lines)
+        return panel(width_px, lines)
+
+    monkeypatch.setattr(scale_picture, "caption_panel", watched)
+    analysis = _judged(make_analysis(_fleet(12), 800, 600), status, reason)
+    draw_overlay(_grey(800, 600), analysis)
+    (caption,) = captions
+    _, text = caption[0][0]
+    assert text.startswith(first_words)
+
+
+@pytest.mark.parametrize(
+    ("statuses", "verdict"),
+    [
+        (["ok"], "safe to use"),
+        (["low_confidence"], "do not use: check the outline"),
+        (["ok", "low_confidence"], "safe to use, but not 2: check the outline"),
+        (["no_scale"], "do not use: no"),
+    ],
+)
+def test_a_measurement_begins_with_its_status(statuses: list[Any], verdict: str) -> None:
+    assert _verdict("", statuses).startswith(verdict)
+
+
+@pytest.mark.parametrize(("side_px", "drawn_px"), [(50, 512), (100, 512), (200, 800)])
+def test_a_small_part_is_enlarged_until_it_is_legible(side_px: int, drawn_px: int) -> None:
+    part = Window(0, 0, width_px=side_px, height_px=side_px)
+    assert Cut(part, 1000).sized(_grey(side_px, side_px)).shape[1] == drawn_px
 
 
 def test_kept_vehicles_have_their_colour() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.analyses import make_analysis
+from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.pictures.scale import DROPPED_RGB, KEPT_RGB
 from vehanchor.pictures.vehicle_strip import MAX_SHOWN, draw_vehicle_strip
@@ -50,6 +51,17 @@ def test_no_kept_vehicle_is_drawn_as_dropped(strip: np.ndarray) -> None:
 
 def test_many_vehicles_are_cut_off() -> None:
     assert strip_of(30).shape[0] == MAX_SHOWN // 4 * 128
+
+
+def test_a_part_has_its_own_vehicles_alone() -> None:
+    image = np.full((400, 400, 3), 100, np.uint8)
+    boxes = np.array([[50.0, 50.0, 30.0, 12.0, 0.0], [300.0, 300.0, 30.0, 12.0, 0.0]])
+    analysis = make_analysis(boxes, 400, 400)
+    part = Window(200, 200, width_px=200, height_px=200)
+    with open_raster(image) as raster:
+        strip = draw_vehicle_strip(raster, analysis, 512, within=part)
+    assert is_near(strip[:, :128], KEPT_RGB).any()
+    assert not strip[:, 128:].any()
 
 
 def test_a_strip_without_vehicles_has_no_rows() -> None:

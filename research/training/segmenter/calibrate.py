@@ -88,7 +88,8 @@ def see(contract: SamContract, target: Target) -> MaskLogits:
             prompt, raster.width_px, image_height_px=raster.height_px, side_px=crop_side(prompt)
         )
         size = contract.input_size(window.width_px, window.height_px)
-        return contract.predict(read_resized(raster, window, size), window, prompt)
+        crop = contract.encode(read_resized(raster, window, size), window)
+        return contract.decode(crop, prompt)
 
 
 def finished(

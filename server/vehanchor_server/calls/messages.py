@@ -14,6 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from vehanchor_server.app_page.panel import Drawing
 from vehanchor_server.base_model import FrozenModel
+from vehanchor_server.calls.listed_vehicle import MAX_LISTED, ListedVehicle
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.sandbox.confinement import Confinement
 
@@ -94,12 +95,14 @@ class Replied(FrozenModel):
         n_records: number of records.
         drawing: whether a drawing follows.
         picture: whether a picture follows.
+        vehicles: the listed vehicles; None unless the caller asks for them.
     """
 
     kind: Literal["replied"] = "replied"
     n_records: int = Field(ge=1, le=MAX_RECORDS)
     drawing: bool
     picture: bool
+    vehicles: Annotated[tuple[ListedVehicle, ...] | None, Field(max_length=MAX_LISTED)] = None
 
 
 WorkerMessage: TypeAlias = Loaded | Progressed | Refused | Replied
@@ -119,6 +122,7 @@ def send_reply(connection: Connection, reply: Reply[BaseModel]) -> None:
         n_records=len(reply.records),
         drawing=reply.drawing is not None,
         picture=reply.picture is not None,
+        vehicles=reply.vehicles,
     )
     send(connection, header)
     for record in reply.records:
@@ -162,7 +166,7 @@ def receive_reply(connection: Connection, header: Replied, record: type[BaseMode
     picture = None
     if header.picture:
         picture = connection.recv_bytes(MAX_PICTURE_BYTES)
-    return Reply(tuple(records), picture=picture, drawing=drawing)
+    return Reply(tuple(records), picture=picture, drawing=drawing, vehicles=header.vehicles)
 
 
 def _receive_json(

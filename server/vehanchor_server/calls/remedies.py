@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
+from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ _IN_WORDS: Mapping[Remedy, str] = {
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"
 _ON_MASK = "look at it with view_image, and give a tight box drawn by eye"
+_ON_SMALL = "give its outline (polygon) from an enlarged part of the image (view_image, part)"
 
 
 def advice_on(record: BaseModel) -> str:
@@ -57,5 +59,8 @@ def advice_on(record: BaseModel) -> str:
     if isinstance(record, AreaMeasurement):
         confidence = record.scale_confidence
         if confidence is None or confidence >= USABLE_CHANCE:
+            codes = [notice.code for notice in record.warnings]
+            if NoticeCode.MASK_DEPENDS_ON_BOX in codes:
+                return _ON_SMALL
             return _ON_CHOICES if record.alternatives else _ON_MASK
     return _ON_STATED

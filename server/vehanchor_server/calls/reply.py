@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from vehanchor.options import Frame
 from vehanchor_server.app_page.panel import panel_meta
 from vehanchor_server.calls.compact import short_record
+from vehanchor_server.calls.listed_vehicle import vehicles_in_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from mcp.types import CallToolResult
 
     from vehanchor_server.app_page.panel import Drawing
+    from vehanchor_server.calls.listed_vehicle import ListedVehicle
 
 Record = TypeVar("Record", bound=BaseModel, covariant=True)
 
@@ -51,11 +53,13 @@ class Reply(Generic[Record]):
         records: the results, one per line or target.
         picture: the requested picture as JPEG.
         drawing: shapes that the page draws over the image.
+        vehicles: the vehicles behind a scale, best first; None unless the caller asks for them.
     """
 
     records: tuple[Record, ...]
     picture: bytes | None = None
     drawing: Drawing | None = None
+    vehicles: tuple[ListedVehicle, ...] | None = None
 
     @property
     def record(self) -> Record:
@@ -83,6 +87,8 @@ class Reply(Generic[Record]):
         from mcp.server.mcpserver import Image
         from mcp.types import CallToolResult, TextContent
 
+        if self.vehicles is not None:
+            text = f"{text} {vehicles_in_words(self.vehicles)}"
         words = TextContent(type="text", text=text)
         kind = "" if shown is None else shown.kind
         if kind == "evidence":
@@ -96,6 +102,9 @@ class Reply(Generic[Record]):
         if detail == "short":
             structured = short_record(self.records, warnings)
             hidden = records[0]
+        if self.vehicles is not None:
+            vehicles = [vehicle.model_dump(mode="json") for vehicle in self.vehicles]
+            structured = {**structured, "vehicles": vehicles}
         page = panel_meta()
         if kind:
             page = panel_meta(self.picture, self.drawing, record=hidden, shown=self.record)

@@ -20,7 +20,11 @@ _MAX_COMPLAINTS = 3
 _SHOWN_CHARS = 200  # per complaint
 _MISSING = "missing"
 _UNKNOWN = "extra_forbidden"
-_OWN_WORDS = ("target_form", "value_error")  # errors of our validators, which say what to give
+_OWN_WORDS = (
+    "target_form",
+    "value_error",
+    "unit",
+)  # errors of our validators, which say what to give
 _UNCHANGED = (*_OWN_WORDS, "string_too_long")  # pydantic's message is clear
 
 _Schema: TypeAlias = "Mapping[str, Any]"

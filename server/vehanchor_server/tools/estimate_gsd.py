@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
+from vehanchor.options.option import Flag
 from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page.page import APP_META
 from vehanchor_server.calls.job import Job
@@ -20,6 +21,7 @@ from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.resources import Resources
 from vehanchor_server.services import Services
 from vehanchor_server.tools.flight_question import (
+    EstimateSubject,
     MoreImagesArgument,
     SameScaleArgument,
     check_flight_options,
@@ -86,6 +88,9 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
         detail: DetailArgument = "short",
         more_images: MoreImagesArgument = None,
         same_scale: SameScaleArgument = False,
+        list_vehicles: Annotated[
+            Flag, Field(description="List the vehicles with their numbers for drop.")
+        ] = False,
     ) -> CallToolResult | InputRequiredResult:
         options = with_user_input(ctx, caller_options)
         if more_images:
@@ -95,7 +100,7 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
             ctx,
             image=image,
             work=estimate_with_flight if more_images else _estimate,
-            question=Question(options, picture, subject=same_scale),
+            question=Question(options, picture, subject=EstimateSubject(same_scale, list_vehicles)),
             more=more_images or (),
             target_gsd_m_per_px=target_gsd_m_per_px,
             detail=detail,
@@ -120,7 +125,7 @@ def estimate_gsd_tool(services: Services) -> "StrictTool":
 
 @work(GsdEstimate)
 def _estimate(
-    resources: Resources, job: Job, source: OpenedImage, question: Question[bool]
+    resources: Resources, job: Job, source: OpenedImage, question: Question[EstimateSubject]
 ) -> Reply[GsdEstimate]:
     """Search the image and estimate its scale."""
     from vehanchor.analysis.pipeline import checked_detector
@@ -132,4 +137,10 @@ def _estimate(
     job.stop.check()
     with open_raster(source, options.reading) as raster:
         analysis = resources.models.memory.analyse(detector, raster, options)
-        return scale_reply(raster, analysis, request=question.picture, job=job)
+        return scale_reply(
+            raster,
+            analysis,
+            request=question.picture,
+            job=job,
+            lists_vehicles=question.subject.lists_vehicles,
+        )

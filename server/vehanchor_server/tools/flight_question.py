@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import Field
@@ -49,6 +50,19 @@ SameScaleArgument: TypeAlias = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class EstimateSubject:
+    """Subject of a call of ``estimate_gsd``.
+
+    Attributes:
+        same_scale: whether all images have one scale.
+        lists_vehicles: whether the answer lists the vehicles.
+    """
+
+    same_scale: bool
+    lists_vehicles: bool
+
+
 def check_flight_options(options: CallerOptions) -> None:
     """Refuse options that belong to a single image.
 
@@ -68,7 +82,7 @@ def estimate_with_flight(
     resources: Resources,
     job: Job,
     source: OpenedImage,
-    question: Question[bool],
+    question: Question[EstimateSubject],
     more: Sequence[tuple[AnyImage, bytes | None]],
 ) -> Reply[GsdEstimate]:
     """Estimate the scale of an image with the evidence of others.
@@ -100,13 +114,20 @@ def estimate_with_flight(
     for photograph, opened_image in zip(photographs, opened, strict=True):
         members.append(_require_readable(photograph, opened_image))
     _refuse_duplicates(members)
-    flight = conclude(photographs, detector.card, same_scale=question.subject)
+    flight = conclude(photographs, detector.card, same_scale=question.subject.same_scale)
     estimate = _estimate_of_image(flight, caller_options, members[0].view.image.grid)
     analysis = replace(members[0].analysis, estimate=estimate)
+    reply = partial(
+        scale_reply,
+        analysis=analysis,
+        request=question.picture,
+        job=job,
+        lists_vehicles=question.subject.lists_vehicles,
+    )
     if not question.picture.kind:
-        return scale_reply(None, analysis, request=question.picture, job=job)
+        return reply(None)
     with open_raster(source, caller_options.reading) as raster:
-        return scale_reply(raster, analysis, request=question.picture, job=job)
+        return reply(raster)
 
 
 def _open_each(

@@ -40,7 +40,7 @@ _DESCRIPTION = (
     "Measures the area (square metres) and size of objects in a near-nadir aerial or satellite "
     "image: roof, pool, field, landing site. Give a tight box around each whole object; never "
     "estimate an area by eye. Also returns length, width, and inscribed_diameter_m, the largest "
-    "circle inside, for landings. Status ok requires a usable scale and a reliable mask. A 20 % "
+    "circle inside, for landings. A 20 % "
     f"error in scale is a 44 % error in area. {STATUS_RULES}"
 )
 

@@ -34,7 +34,7 @@ POLICY = (
 STATUS_RULES = (
     "Status ok: use the value, but compare the low end of its interval with what you need. "
     "low_confidence: do not act on the value. no_scale: the result is in pixels only. "
-    "estimate_gsd explains the scale arguments."
+    "Scale arguments: see estimate_gsd; with more_images, it states the gsd values to give here."
 )
 """The meaning of ``status`` in the descriptions of the measuring tools."""
 
@@ -222,7 +222,7 @@ def _mask_position(area: AreaMeasurement) -> str:
     if box is None or has_unknown_extent(area):
         return ""
     span = f"x {box.x1_px:.0f} to {box.x2_px:.0f}, y {box.y1_px:.0f} to {box.y2_px:.0f}"
-    return f" Mask: {span} in your {place}."
+    return f" Mask of {area.mask_area_px} px: {span} in your {place}."
 
 
 def _size(other: OtherObject) -> str:

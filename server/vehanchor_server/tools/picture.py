@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import PromptError
+from vehanchor_server.calls.listed_vehicle import list_vehicles
 from vehanchor_server.calls.reply import Reply
 
 if TYPE_CHECKING:
@@ -34,8 +35,8 @@ def draw_picture(
 ) -> bytes | None:
     """Make the requested picture as JPEG; None if the request is for no picture.
 
-    A strip of enlarged vehicles below the evidence lets the viewer check them, unless the request
-    names a part.
+    A strip of enlarged vehicles below the evidence lets the viewer check them: the first ones, or
+    those in the part that the request names.
 
     Args:
         raster: the image.
@@ -69,14 +70,20 @@ def draw_picture(
     if part is not None:
         cut = Cut(part, request.long_side_px)
     picture = draw(read_reduced(raster, part), cut)
-    if request.part is None and scale is not None:
-        strip = draw_vehicle_strip(raster, scale, picture.shape[1])
+    if scale is not None:
+        within = part if request.part is not None else None
+        strip = draw_vehicle_strip(raster, scale, picture.shape[1], within=within)
         picture = np.concatenate([picture, strip])
     return small_jpeg(picture, side_px=request.long_side_px)
 
 
 def scale_reply(
-    raster: Raster | None, analysis: ScaleEvidence, *, request: PictureRequest, job: Job
+    raster: Raster | None,
+    analysis: ScaleEvidence,
+    *,
+    request: PictureRequest,
+    job: Job,
+    lists_vehicles: bool = False,
 ) -> Reply[GsdEstimate]:
     """Combine the record of a scale with the requested picture.
 
@@ -85,6 +92,7 @@ def scale_reply(
         analysis: the scale with its evidence.
         request: the requested picture.
         job: can stop before the reading.
+        lists_vehicles: whether the caller asks for the vehicles.
     """
     from vehanchor.pictures.scale import draw_overlay
     from vehanchor_server.app_page.panel import drawing_of
@@ -98,7 +106,8 @@ def scale_reply(
     drawing = None
     if request.kind == "plain":
         drawing = drawing_of(analysis)
-    return Reply((analysis.estimate,), picture=picture, drawing=drawing)
+    vehicles = list_vehicles(analysis) if lists_vehicles else None
+    return Reply((analysis.estimate,), picture=picture, drawing=drawing, vehicles=vehicles)
 
 
 def part_window(raster: Raster, request: PictureRequest) -> Window:

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeAlias, TypeVar, get_args
 
 from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
+from vehanchor.errors import InvalidParameterError
 from vehanchor.options import Reading, Reference, ScaleOptions, declared_options
-from vehanchor.options.option import UNLISTED, Option
+from vehanchor.options.option import Limits, Option
 from vehanchor.options.rulers import OBJECT_HEIGHT, ObjectHeight
 from vehanchor.options.signature import set_signature
 from vehanchor_server.calls.reply import Detail, PictureRequest
@@ -26,9 +28,7 @@ if TYPE_CHECKING:
     from vehanchor_server.resources import Resources
     from vehanchor_server.settings import Settings
 
-DetailArgument: TypeAlias = Annotated[
-    Detail, Field(description="full: every field, for programs."), UNLISTED
-]
+DetailArgument: TypeAlias = Annotated[Detail, Field(description="full: every field.")]
 
 CallerOptions: TypeAlias = "Mapping[str, Any]"
 """Options that the caller gave, by keyword."""
@@ -125,11 +125,49 @@ def _optional(annotation: Any, option: Option) -> Any:
     bare: Any = kind
     if constraints:
         bare = Annotated[(kind, *constraints)]
-    return Annotated[bare | None, BeforeValidator(_empty_as_none), option]
+    validators = [BeforeValidator(_empty_as_none)]
+    validators += [_unit_check(limits) for limits in _limits_in(annotation)]
+    return Annotated[(bare | None, *validators, option)]
 
 
 def _empty_as_none(value: Any) -> Any:
     return None if value == "" else value
+
+
+def _limits_in(annotation: Any) -> list[Limits]:
+    """Find the limits of a number in an annotation, which may be optional."""
+    limits = []
+    for part in get_args(annotation):
+        if isinstance(part, Limits):
+            limits.append(part)
+        else:
+            limits += _limits_in(part)
+    return limits
+
+
+def _unit_check(limits: Limits) -> BeforeValidator:
+    """Make a validator that refuses a number with a unit, such as "120 ft".
+
+    The name of an argument states its unit, and the schema a number. Whoever writes another unit
+    has not read them, so the answer states the number to give.
+    """
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, str) or not value.strip()[-1:].isalpha():
+            return value
+        expected = f"give a number without a unit{_in_unit(value, limits)}"
+        raise PydanticCustomError("unit", "{expected}", {"expected": expected})
+
+    return BeforeValidator(check)
+
+
+def _in_unit(text: str, limits: Limits) -> str:
+    """State the number of a text in the unit of an option; empty if it is unknown."""
+    try:
+        number = limits.check("", text)
+    except InvalidParameterError:
+        return f", {limits.unit}" if limits.unit else ""
+    return f": {number:.4g} {limits.unit}"
 
 
 def scale_options(

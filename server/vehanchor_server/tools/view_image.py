@@ -28,6 +28,7 @@ from vehanchor_server.calls.client import current_client
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import PictureRequest, Reply
 from vehanchor_server.calls.task import work
+from vehanchor_server.errors import CallError
 from vehanchor_server.images.argument import ImageArgument
 from vehanchor_server.images.source import OpenedImage
 from vehanchor_server.resources import Resources
@@ -36,6 +37,7 @@ from vehanchor_server.tools.picture import part_window
 from vehanchor_server.tools.target import Box
 
 if TYPE_CHECKING:
+    from vehanchor.imagery.raster import Window
     from vehanchor_server.tools.strict_tool import CallToolResult, StrictTool
 
 _DESCRIPTION = (
@@ -50,7 +52,7 @@ _IMAGES_PER_PAGE = 50
 
 _Part = Annotated[
     Box | None,
-    Field(description="Part of the image to show. Default: all of it.", examples=[_EXAMPLE_PART]),
+    Field(description="Part to show. Default: all of it.", examples=[_EXAMPLE_PART]),
 ]
 _Side = Annotated[int, Limits(_MIN_SIDE_PX, _MAX_SIDE_PX, whole=True)]
 _Page = Annotated[int, Limits(1, whole=True), Field(description="Page of the list.")]
@@ -111,14 +113,14 @@ def view_image_tool(services: Services, measuring: "Mapping[str, StrictTool]") -
         image: ImageArgument | None = None,
         of: Annotated[
             PastCall | None,
-            Field(description="Call of another tool, with its arguments, to show what it saw."),
+            Field(description="Call of another tool to show."),
         ] = None,
         part: _Part = None,
         coordinates: Annotated[Coordinates, declared_options()["coordinates"].option] = "pixels",
         long_side_px: _Side = VIEWED_SIDE_PX,
         page: _Page = 1,
         known_sizes: Annotated[
-            bool, Field(description="List the names for known_lengths with their ends and sizes.")
+            bool, Field(description="List the names for known_lengths.")
         ] = False,
     ) -> CallToolResult:
         if known_sizes:
@@ -210,6 +212,12 @@ class _Listing(NamedTuple):
     page: int
 
     @property
+    def n_pages(self) -> int:
+        """Number of pages, at least one."""
+        full_or_begun = -(-self.total // _IMAGES_PER_PAGE)  # rounded up
+        return max(1, full_or_begun)
+
+    @property
     def next_page(self) -> int | None:
         """Number of the next page; None on the last."""
         is_last = not self.names or self.first + len(self.names) >= self.total
@@ -228,18 +236,22 @@ async def _list_images(services: Services, page: int) -> _Listing:
         return await services.capacity.in_thread(stop, walk)
 
     names, total = await services.capacity.run(call, current_client())
-    return _Listing(names, first, total=total, page=page)
+    listing = _Listing(names, first, total=total, page=page)
+    if page > listing.n_pages:
+        raise CallError(
+            "invalid_arguments",
+            f"page is {page}, but the list of {count(total, 'image')} ends at page "
+            f"{listing.n_pages}.",
+        )
+    return listing
 
 
 def _listing_in_words(listing: _Listing) -> str:
     names = listing.names
     head = count(listing.total, "image")
     if len(names) < listing.total:
-        shown = "none"
-        if names:
-            shown = f"{listing.first + 1} to {listing.first + len(names)}"
-        n_pages = -(-listing.total // _IMAGES_PER_PAGE)  # rounded up
-        head += f", {shown} on page {listing.page} of {n_pages}"
+        shown = f"{listing.first + 1} to {listing.first + len(names)}"
+        head += f", {shown} on page {listing.page} of {listing.n_pages}"
     head += ":" if names else "."
     return "\n".join([head, *_by_folder(names)])
 
@@ -289,7 +301,7 @@ def _view(
             raster,
             window,
             long_side_px=request.long_side_px,
-            max_enlargement=MAX_VIEW_ENLARGEMENT,
+            max_enlargement=_max_enlargement(window, request),
             lines=request.kind == "evidence",
         )
         jpeg = small_jpeg(rgb)
@@ -310,6 +322,16 @@ def _view(
             pixel_aspect=raster.grid.stated_aspect,
         )
     return Reply((viewed,), jpeg)
+
+
+def _max_enlargement(window: "Window", request: PictureRequest) -> float:
+    """Return the largest enlargement: of a small part, as much as it takes to see it."""
+    from vehanchor.pictures.placement import MIN_PART_SIDE_PX
+
+    if request.part is None:
+        return MAX_VIEW_ENLARGEMENT
+    long_side = max(window.width_px, window.height_px)
+    return max(MAX_VIEW_ENLARGEMENT, MIN_PART_SIDE_PX / long_side)
 
 
 def _words(viewed: ViewedImage, long_side_px: int) -> str:
@@ -337,7 +359,7 @@ def _words(viewed: ViewedImage, long_side_px: int) -> str:
     if max(viewed.picture_width_px, viewed.picture_height_px) < long_side_px - 1:
         reason = "as large as a result may be"
         if factor < 1:
-            reason = f"enlarged {MAX_VIEW_ENLARGEMENT:g} times, the most"
+            reason = f"enlarged {1 / factor:.3g} times, the most"
         words += f". It is smaller than the {long_side_px} px asked for: it is {reason}"
     return (
         f"{words}. Grid lines are {viewed.grid_px} image pixels apart and numbered in image pixels."

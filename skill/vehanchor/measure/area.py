@@ -214,7 +214,13 @@ def _find_object(
     if not isinstance(subject, Prompt):
         return _given_object(raster, subject)
     assert segmenter is not None, "prompts need a segmenter"
-    segmentation = segmenter.segment(raster, subject, limits=options.reading.limits)
+    coordinates = CoordinateFrame(options.frame, raster.grid)
+    segmentation = segmenter.segment(
+        raster,
+        subject,
+        limits=options.reading.limits,
+        copy_px=coordinates.side_of_copy_px,
+    )
     return _segmented_object(raster, segmentation, prompt=subject, card=segmenter.card)
 
 

@@ -20,11 +20,9 @@ GSD = Option(
     "Known metres per pixel of the full image; skips the search.", metavar="M/PX", flag="gsd"
 )
 OBJECT_HEIGHT = Option(
-    "Height of the object above ground, metres, such as a roof; needs the camera height or focal "
-    "length.",
+    "Height of the object above ground, such as a roof; needs the camera's height or focal length.",
     metavar="M",
     flag="object-height",
-    listed=False,
 )
 
 ObjectHeight: TypeAlias = Annotated[Annotated[float, OBJECT_HEIGHT_M] | None, OBJECT_HEIGHT]
@@ -404,7 +402,6 @@ class Rulers:
             "Half of its 95 % interval, m/px. Default: 10 %.",
             cli=False,
             tools="measure",
-            listed=False,
         ),
     ] = None
     file_scale: Annotated[

@@ -10,7 +10,7 @@ import numpy as np
 from vehanchor.pictures.lettering import text_px, text_width, write_on
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, line_px, part_around
-from vehanchor.pictures.scale import Canvas, open_canvas
+from vehanchor.pictures.scale import SAFE, UNSAFE, Canvas, open_canvas
 from vehanchor.records.advice import advice_for
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import NO_SCALE, fit_in_words, significant, with_interval
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from vehanchor.pictures.placement import Colour, Placement, Points, RgbImage
     from vehanchor.pictures.scale import CaptionLine
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
+    from vehanchor.records.gsd_estimate import Status
 
 # Okabe and Ito's reddish purple, beside the vehicles' sky blue and orange.
 MEASURED_RGB = (204, 121, 167)
@@ -68,7 +69,8 @@ def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) 
     sizes = [_area_text(analysis.measurement) for analysis in analyses[:_MAX_CAPTIONS]]
     if len(analyses) > _MAX_CAPTIONS:
         sizes.append(f"and {len(analyses) - _MAX_CAPTIONS} more")
-    return _finish(canvas, first, sizes)
+    statuses = [analysis.measurement.status for analysis in analyses]
+    return _finish(canvas, first, sizes, statuses=statuses)
 
 
 def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
@@ -108,7 +110,7 @@ def draw_distance(image: RgbImage, *analyses: DistanceEvidence, cut: Cut | None 
         lines.append(Mark(points, label))
     draw_marks(canvas.picture, lines, canvas.placement, colour=MEASURED_RGB)
     sizes = [_distance_text(record) for record in records]
-    return _finish(canvas, first, sizes)
+    return _finish(canvas, first, sizes, statuses=[record.status for record in records])
 
 
 def cut_to_lines(analyses: Sequence[DistanceEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
@@ -281,17 +283,20 @@ def _distance_text(record: DistanceMeasurement) -> str:
 
 
 def _finish(
-    canvas: Canvas, analysis: AreaEvidence | DistanceEvidence, sizes: Sequence[str]
+    canvas: Canvas,
+    analysis: AreaEvidence | DistanceEvidence,
+    sizes: Sequence[str],
+    *,
+    statuses: Sequence[Status],
 ) -> RgbImage:
-    """Add the caption with sizes and scale, after an objection to an unusable scale.
+    """Add the caption: whether the sizes are usable, the sizes, and the scale.
 
     A scale that is unusable, or holds at one place only because of a tilt, has no scale bar.
     """
     record = analysis.measurement
     objection = _objection(record)
-    lines: list[CaptionLine] = []
-    if objection:
-        lines.append([(None, f"do not use: {objection}")])
+    verdict = _verdict(objection, statuses)
+    lines: list[CaptionLine] = [[(None, verdict)]]
     lines += [[(MEASURED_RGB, size)] for size in _numbered(sizes)]
     if record.gsd_m_per_px is not None:
         source = "given"
@@ -313,6 +318,27 @@ def _numbered(labels: Sequence[str]) -> list[str]:
     for number, label in enumerate(labels, 1):
         numbered.append(f"{number}: {label}" if label else f"{number}")
     return numbered
+
+
+def _verdict(objection: str, statuses: Sequence[Status]) -> str:
+    """State whether the sizes are usable, or which of them are not, and why.
+
+    Args:
+        objection: what speaks against the scale, which all have; empty for nothing.
+        statuses: status of each measurement.
+    """
+    if objection:
+        return f"{UNSAFE}: {objection}"
+    if "no_scale" in statuses:
+        return f"{UNSAFE}: {NO_SCALE}"
+    doubted = [number for number, status in enumerate(statuses, 1) if status != "ok"]
+    if not doubted:
+        return SAFE
+    doubt = "check the outline, or draw a tighter one"
+    if len(doubted) == len(statuses):
+        return f"{UNSAFE}: {doubt}"
+    numbers = ", ".join(str(number) for number in doubted)
+    return f"{SAFE}, but not {numbers}: {doubt}"
 
 
 def _objection(record: AreaMeasurement | DistanceMeasurement) -> str:

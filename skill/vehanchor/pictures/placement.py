@@ -27,7 +27,10 @@ CUT_SIDE_PX = 1000
 # Margin around the shown points, as a share of their larger extent.
 _MARGIN_SHARE = 0.5
 _MIN_MARGIN_PX = 24
-# A larger picture of the same pixels shows nothing more.
+MIN_PART_SIDE_PX = 512
+"""A part is enlarged to at least this longer side, so that its details and labels are legible."""
+
+# A larger picture of the same pixels shows nothing more, beyond that side.
 _MAX_ENLARGEMENT = 4.0
 # Longer side of a picture over the width of its lines.
 _SIDE_PER_LINE = 500
@@ -83,14 +86,15 @@ class Cut(NamedTuple):
     def sized(
         self,
         image: RgbImage,
-        max_enlargement: float = _MAX_ENLARGEMENT,
+        max_enlargement: float | None = None,
         enlarging: int = cv2.INTER_NEAREST,
     ) -> RgbImage:
         """Copy the part's pixels at the size of the picture.
 
         Args:
             image: ``[h, w, 3]`` RGB, the pixels of the part or a reduced copy of them.
-            max_enlargement: largest side of the image's pixels in the picture.
+            max_enlargement: largest side of the image's pixels in the picture; None for 4, or what
+                makes the picture large enough to see.
             enlarging: OpenCV's interpolation for a larger picture.
 
         Returns:
@@ -99,6 +103,8 @@ class Cut(NamedTuple):
         width = self.part.width_px
         height = self.part.height_px
         long_side = max(width, height)
+        if max_enlargement is None:
+            max_enlargement = max(_MAX_ENLARGEMENT, MIN_PART_SIDE_PX / long_side)
         factor = min(max_enlargement, self.long_side_px / long_side)
         picture_width = max(1, round(width * factor))
         picture_height = max(1, round(height * factor))

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 CaptionLine: TypeAlias = "list[tuple[Colour | None, str]]"
 """Texts of one line, each with the colour of the swatch before it."""
 
+SAFE = "safe to use"
+UNSAFE = "do not use"
+"""First words of a caption."""
+
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 # Okabe and Ito's sky blue and orange, distinct with every colour blindness.
 KEPT_RGB = (86, 180, 233)
@@ -48,6 +52,10 @@ _BAR_SHARE = 0.2
 # Capitals of vehicles' numbers: share of a vehicle's drawn width, and limits in pixels.
 _NUMBER_SHARE = 0.5
 _NUMBER_RANGE_PX = (8, 16)
+# Distance of a number from its vehicle.
+_NUMBER_GAP_PX = 3
+# Largest share of a number that lies on vehicles.
+_MAX_COVERED_SHARE = 0.3
 # More vehicles than that have no numbers if they are drawn shorter.
 _MANY_VEHICLES = 100
 _NUMBERED_PX = 30.0
@@ -74,9 +82,9 @@ def draw_overlay(image: RgbImage, analysis: ScaleEvidence, cut: Cut | None = Non
     Kept vehicles are blue, outliers orange with a cross, other rulers green. Small images are
     enlarged and large ones reduced.
 
-    A caption below gives scale, interval and confidence. For an unusable scale it begins with the
-    reason and with advice. A usable scale has a scale bar of round length, unless the camera was
-    tilted: then the scale holds at the centre only.
+    A caption below begins with whether the scale is usable, and gives scale, interval and
+    confidence. For an unusable scale it also has the reason and advice. A usable scale has a scale
+    bar of round length, unless the camera was tilted: then the scale holds at the centre only.
 
     Args:
         image: ``[h, w, 3]`` RGB, the analysed image, the part of ``cut``, or a reduced copy of
@@ -299,32 +307,85 @@ def _draw_shapes(
 
 
 def _write_numbers(picture: RgbImage, detections: Detections, placement: Placement) -> None:
-    """Write each vehicle's number on it, best first, unless it covers another number.
+    """Write each vehicle's number beside it, best first, unless all places there are taken.
 
-    Many small vehicles have no numbers.
+    A number covers no other number and hardly a vehicle, because whoever reads it judges by the
+    picture whether the box holds a car. Many small vehicles have no numbers.
     """
     enlargement = placement.scale.mean()
     if len(detections.boxes) > _MANY_VEHICLES:
         median_length = np.median(detections.boxes[:, 2])
         if median_length * enlargement < _NUMBERED_PX:
             return
-    is_written = np.zeros(picture.shape[:2], bool)
-    for box, number in zip(detections.boxes, detections.numbers, strict=True):
+    corners = placement.to_opencv(box_corners(detections.boxes))
+    is_vehicle = np.zeros(picture.shape[:2], np.uint8)
+    for shape in corners:
+        cv2.fillConvexPoly(is_vehicle, shape, 1)
+    is_written = np.zeros(picture.shape[:2], np.uint8)
+    for box, shape, number in zip(detections.boxes, corners, detections.numbers, strict=True):
         text = str(number)
-        x, y = placement.to_picture(box[:2])
         fitting = _NUMBER_SHARE * box[3] * enlargement
         capital = int(np.clip(fitting, *_NUMBER_RANGE_PX))
-        width = text_width(text, capital)
-        left = round(x - width / 2)
-        baseline = round(y + capital / 2)
-        top = max(0, baseline - capital)
-        bottom = max(0, baseline)
-        first_column = max(0, left)
-        end_column = max(0, left + width)
-        covered = is_written[top:bottom, first_column:end_column]
-        if covered.size and not covered.any():
-            covered[:] = True
-            write_on(picture, text, (left, baseline), capital_px=capital)
+        size = (text_width(text, capital), capital)
+        place = _free_place(shape, size, is_vehicle, is_written)
+        if place is not None:
+            left, top = place
+            is_written[top : top + capital, left : left + size[0]] = 1
+            write_on(picture, text, (left, top + capital), capital_px=capital)
+
+
+def _free_place(
+    corners: NDArray[np.int32],
+    size: Pixel,
+    is_vehicle: NDArray[np.uint8],
+    is_written: NDArray[np.uint8],
+) -> Pixel | None:
+    """Find the place beside a vehicle whose label covers least of any vehicle.
+
+    Args:
+        corners: ``[4, 2]`` corners of its box in the picture.
+        size: width and height of the label.
+        is_vehicle: ``[h, w]`` 1 where a vehicle is.
+        is_written: ``[h, w]`` 1 where a label is.
+
+    Returns:
+        Left and top of the label; None if no place is inside the picture and free.
+    """
+    width, height = size
+    left, top = (corners.min(axis=0) - _NUMBER_GAP_PX).tolist()
+    right, bottom = (corners.max(axis=0) + _NUMBER_GAP_PX).tolist()
+    middle_x = (left + right - width) // 2
+    middle_y = (top + bottom - height) // 2
+    places = [
+        (right, middle_y),
+        (left - width, middle_y),
+        (middle_x, top - height),
+        (middle_x, bottom),
+        (right - width, top - height),
+        (left, top - height),
+        (right - width, bottom),
+        (left, bottom),
+    ]
+    # Beside the sides of a slanted box, where its bounding box has room.
+    middles = (corners + np.roll(corners, -1, axis=0)) / 2
+    outwards = middles - corners.mean(axis=0)
+    lengths = np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1.0)
+    reach = _NUMBER_GAP_PX + np.abs(outwards / lengths) @ np.array([width, height]) / 2
+    centres = middles + outwards / lengths * reach[:, None]
+    beside = np.rint(centres - np.array([width, height]) / 2).astype(int).tolist()
+    places = [*(tuple(place) for place in beside), *places]
+    best = None
+    least_covered = _MAX_COVERED_SHARE * width * height
+    picture_height, picture_width = is_vehicle.shape
+    for x, y in places:
+        if x < 0 or y < 0 or x + width > picture_width or y + height > picture_height:
+            continue
+        region = (slice(y, y + height), slice(x, x + width))
+        covered = int(is_vehicle[region].sum())
+        if covered < least_covered and not is_written[region].any():
+            least_covered = covered
+            best = (x, y)
+    return best
 
 
 def _round_length(metres: float) -> float:
@@ -373,9 +434,9 @@ def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
     lines: list[CaptionLine]
     advice = advice_for(estimate)
     if advice is None:
-        lines = [[(None, scale)], [(None, confidence)]]
+        lines = [[(None, SAFE)], [(None, f"{scale}, {confidence}")]]
     else:
-        objection = f"no usable scale: {advice.why}"
+        objection = f"{UNSAFE}: {advice.why}"
         lines = [[(None, objection)], [(None, advice.helps)]]
         if estimate.gsd_m_per_px is not None:
             lines.append([(None, f"{scale}, {confidence}")])

@@ -29,22 +29,27 @@ _MIN_REACH_PX = 8
 _CAPITAL_PX = 14
 
 
-def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -> RgbImage:
+def draw_vehicle_strip(
+    raster: Raster, analysis: ScaleEvidence, width_px: int, *, within: Window | None = None
+) -> RgbImage:
     """Draw the first vehicles by their numbers, each enlarged with its box, in rows.
 
     Args:
         raster: the analysed image.
         analysis: analysis of that image.
         width_px: width of the strip.
+        within: part of the image whose vehicles to draw; None for all of the image.
 
     Returns:
         ``[h, width_px, 3]`` RGB; no rows without vehicles.
     """
-    boxes = analysis.detections.boxes[:MAX_SHOWN]
+    detections = analysis.detections
+    shown = np.flatnonzero(_lie_within(detections.boxes, within))[:MAX_SHOWN]
+    boxes = detections.boxes[shown]
     n_columns = max(1, width_px // _CHIP_PX)
     n_rows = math.ceil(len(boxes) / n_columns)
     strip = np.zeros((n_rows * _CHIP_PX, max(width_px, _CHIP_PX), 3), np.uint8)
-    vehicles = zip(boxes, analysis.detections.numbers, analysis.kept, strict=False)
+    vehicles = zip(boxes, detections.numbers[shown], analysis.kept[shown], strict=True)
     for i, (box, number, is_kept) in enumerate(vehicles):
         row, column = divmod(i, n_columns)
         top = row * _CHIP_PX
@@ -55,6 +60,17 @@ def draw_vehicle_strip(raster: Raster, analysis: ScaleEvidence, width_px: int) -
         height, width = chip.shape[:2]
         strip[top : top + height, left : left + width] = chip
     return strip[:, :width_px]
+
+
+def _lie_within(boxes: NDArray[np.float64], part: Window | None) -> NDArray[np.bool_]:
+    """Test which boxes have their centre in a part of the image; all without a part."""
+    if part is None:
+        return np.ones(len(boxes), dtype=bool)
+    first = (part.x_px, part.y_px)
+    last = (part.x_px + part.width_px, part.y_px + part.height_px)
+    centres = boxes[:, :2]
+    is_inside = (centres >= first) & (centres < last)
+    return np.asarray(is_inside.all(axis=1), dtype=bool)
 
 
 def _draw_vehicle(raster: Raster, box: NDArray[np.float64], colour: Colour) -> RgbImage:

@@ -190,7 +190,8 @@ class AreaMeasurement(Record):
 
     status: Annotated[Status, Short()] = Field(
         description="ok: scale and mask are usable. low_confidence: the scale is not usable, the "
-        "score of the mask is below the model's limit, or there is no mask. no_scale: there is no "
+        "score of the mask is below the model's limit, the mask depends on the box too much, or "
+        "there is no mask. no_scale: there is no "
         "scale, so sizes are in pixels only."
     )
     area_m2: Annotated[float | None, Short(when_null=True)] = Field(
@@ -211,7 +212,7 @@ class AreaMeasurement(Record):
     )
     scale_source: ScaleSourceField
     georeference_gsd_m_per_px: FileGsd = None
-    mask_area_px: int = Field(
+    mask_area_px: Annotated[int, Short()] = Field(
         ge=0,
         description="N_px: pixels of the mask in the full image, square ones of the side "
         "gsd_m_per_px even if the file's are not.",

@@ -53,6 +53,7 @@ class NoticeCode(StrEnum):
     MASK_TOUCHES_EDGE = "mask_touches_edge"
     MASK_LEAVES_BOX = "mask_leaves_box"
     MASK_IN_PIECES = "mask_in_pieces"
+    MASK_DEPENDS_ON_BOX = "mask_depends_on_box"
     TARGET_SMALL = "target_small"
     EXTENT_UNKNOWN = "extent_unknown"
 

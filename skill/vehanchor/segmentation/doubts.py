@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from vehanchor.imagery.raster import outer_sides
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
+from vehanchor.scale.lengths import Z95
 from vehanchor.segmentation.shape import piece_areas_px, touches_edge
 
 if TYPE_CHECKING:
@@ -60,6 +62,14 @@ def mask_notices(
             code=NoticeCode.MASK_SCORE_LOW,
             message=f"The expected overlap with the object is {segmentation.score:.2f}, below "
             f"{card.min_score:g}. Look at the outline before using the area.",
+        )
+    if segmentation.depends_on_box:
+        factor = math.exp(Z95 * segmentation.box_log_sd)
+        yield Notice(
+            code=NoticeCode.MASK_DEPENDS_ON_BOX,
+            message=f"A box {segmentation.box_error_px:.2g} px wider or tighter changes the area "
+            f"by a factor of up to {factor:.2g}. The object is small: draw its outline as a "
+            "polygon in an enlarged part of the image, or use a larger copy if there is one.",
         )
     yield from edge_notices(raster, segmentation)
     outside = _share_outside(segmentation, prompt)

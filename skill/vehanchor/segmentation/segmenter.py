@@ -7,10 +7,14 @@ from twice the points' extent on.
 
 The mask with the best score is refined by its bounding box. Masks of other objects are its
 alternatives. Points name one object if three masks or more agree.
+
+The sides of a box are never exact. The mask of a small object is therefore drawn three times, with
+the box as it is, grown and shrunk, from one run of the encoder (``segmentation.box_error``).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +25,13 @@ from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import metadata_number, open_session
 from vehanchor.options import ImageLimits
+from vehanchor.segmentation.box_error import (
+    BOX_ERROR_PX,
+    MAX_BOX_LOG_SD,
+    SMALL_MASK_PX,
+    box_log_sd,
+    resized_boxes,
+)
 from vehanchor.segmentation.contracts import recognise_contract
 from vehanchor.segmentation.crop import (
     MAX_POINT_CROP_PX,
@@ -38,6 +49,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from vehanchor.imagery.raster import Raster
+    from vehanchor.segmentation.contracts import EncodedCrop
     from vehanchor.segmentation.shape import Mask
 
 # Default: masks with a lower predicted IoU need a check of the outline.
@@ -88,22 +100,26 @@ class SegmenterCard:
     licence: str | None
 
     def is_doubtful(self, segmentation: Segmentation) -> bool:
-        """Test whether a mask needs a check: its score is low, it is empty, or points disagree."""
-        if segmentation.score < self.min_score:
+        """Test whether a mask needs a check.
+
+        Its score is low, it is empty, points disagree, or it depends on the box too much.
+        """
+        if segmentation.score < self.min_score or segmentation.depends_on_box:
             return True
         return not segmentation.mask.any() or not segmentation.is_agreed
 
     def area_log_sd(self, prompt: Prompt, segmentation: Segmentation) -> float:
         """Return the standard deviation of the log of mask area over true area.
 
-        It is larger for points, because they do not show the object's extent.
+        It is larger for points, because they do not show the object's extent, and for small
+        objects, whose masks follow the error of the box.
 
         Args:
             prompt: prompt of the mask.
             segmentation: the mask.
         """
         if prompt.box is not None:
-            return self.mask_area_log_sd
+            return math.hypot(self.mask_area_log_sd, segmentation.box_log_sd)
         if self.is_doubtful(segmentation):
             return _DOUBTED_POINT_AREA_LOG_SD
         return _POINT_AREA_LOG_SD
@@ -117,11 +133,21 @@ class Segmentation(ObjectMask):
         score: IoU of the mask as predicted by the model, 0..1.
         alternatives: other objects that the points may mean, best first; none for a box.
         is_agreed: whether the masks of the points show the same object; true for a box.
+        box_log_sd: standard deviation of the log of its area, from the error of the box alone; 0
+            for points and large masks.
+        box_error_px: error of the box's sides behind that number, pixels of the image.
     """
 
     score: float
     alternatives: tuple[Segmentation, ...] = ()
     is_agreed: bool = True
+    box_log_sd: float = 0.0
+    box_error_px: float = 0.0
+
+    @property
+    def depends_on_box(self) -> bool:
+        """Whether the error of the box alone makes the area useless."""
+        return self.box_log_sd > MAX_BOX_LOG_SD
 
 
 class Segmenter(LoadedModel):
@@ -187,7 +213,12 @@ class Segmenter(LoadedModel):
         return bound
 
     def segment(
-        self, raster: Raster, prompt: Prompt, *, limits: ImageLimits = _DEFAULT_LIMITS
+        self,
+        raster: Raster,
+        prompt: Prompt,
+        *,
+        limits: ImageLimits = _DEFAULT_LIMITS,
+        copy_px: float = 1.0,
     ) -> Segmentation:
         """Segment the object that a prompt names.
 
@@ -195,6 +226,8 @@ class Segmenter(LoadedModel):
             raster: the image.
             prompt: box or points inside the image, in its pixels.
             limits: ``max_pixels`` bounds the crop.
+            copy_px: side of a pixel of the copy in which the box was drawn, pixels of the image; 0
+                for an exact box, such as one of a label.
 
         Returns:
             The mask with its window.
@@ -206,7 +239,17 @@ class Segmenter(LoadedModel):
         """
         if prompt.box is None:
             return self._segment_points(raster, prompt, limits)
-        return self._segment_crop(raster, prompt, side_px=crop_side(prompt), limits=limits)
+        crop = self._encode_crop(raster, prompt, side_px=crop_side(prompt), limits=limits)
+        segmentation = self._decode(crop, prompt)
+        n_mask_px = int(segmentation.mask.sum())
+        if not 0 < n_mask_px < SMALL_MASK_PX * copy_px**2:
+            return segmentation
+        error_px = BOX_ERROR_PX * copy_px
+        areas_px = [n_mask_px]
+        for box in resized_boxes(prompt.box, crop.window, error_px):
+            other = self._decode(crop, replace(prompt, box=box))
+            areas_px.append(int(other.mask.sum()))
+        return replace(segmentation, box_log_sd=box_log_sd(areas_px), box_error_px=error_px)
 
     def _segment_points(self, raster: Raster, prompt: Prompt, limits: ImageLimits) -> Segmentation:
         """Choose among the masks of several crops, and refine the best one.
@@ -263,6 +306,12 @@ class Segmenter(LoadedModel):
     def _segment_crop(
         self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits
     ) -> Segmentation:
+        crop = self._encode_crop(raster, prompt, side_px=side_px, limits=limits)
+        return self._decode(crop, prompt)
+
+    def _encode_crop(
+        self, raster: Raster, prompt: Prompt, side_px: int, limits: ImageLimits
+    ) -> EncodedCrop:
         window = crop_window(
             prompt, raster.width_px, image_height_px=raster.height_px, side_px=side_px
         )
@@ -274,9 +323,12 @@ class Segmenter(LoadedModel):
             )
         size = self._contract.input_size(window.width_px, window.height_px)
         picture = read_resized(raster, window, size)
-        logits = self._contract.predict(picture, window, prompt)
+        return self._contract.encode(picture, window)
+
+    def _decode(self, crop: EncodedCrop, prompt: Prompt) -> Segmentation:
+        logits = self._contract.decode(crop, prompt)
         mask = place_mask(logits)
-        return Segmentation(mask, window, logits.score)
+        return Segmentation(mask, crop.window, logits.score)
 
 
 _opened = file_cached(max_models=2)(Segmenter)

@@ -24,6 +24,7 @@ from vehanchor.records import AreaMeasurement
 from vehanchor_server.app_page.panel import MAX_LINES, MAX_VEHICLES, Drawing, DrawnLine
 from vehanchor_server.calls import messages, worker_log
 from vehanchor_server.calls.job import Job
+from vehanchor_server.calls.listed_vehicle import ListedVehicle
 from vehanchor_server.calls.messages import (
     DRAWING,
     HEADER,
@@ -290,3 +291,12 @@ def test_a_workers_lines_are_limited(
     assert lines[0].endswith("x [cut]")
     assert len(lines[0]) < 2100
     assert lines[3:] == ["worker 4711: more than 3 lines; the rest is omitted"]
+
+
+def test_the_listed_vehicles_arrive(pipe: tuple[Connection, Connection]) -> None:
+    ours, theirs = pipe
+    vehicles = (ListedVehicle(number=3, x_px=10.5, y_px=20.0, length_px=31.0, used=True),)
+    send_reply(theirs, Reply((Value(value=1),), vehicles=vehicles))
+    header = receive(ours)
+    assert isinstance(header, Replied)
+    assert receive_reply(ours, header, Value).vehicles == vehicles

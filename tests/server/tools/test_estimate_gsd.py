@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcp import Client
 from mcp.server import MCPServer
 
 import vehanchor
@@ -215,3 +216,25 @@ async def test_an_unusable_scale_gives_no_factor(server: MCPServer[object], imag
     image = {"image": by_path(images / "empty.png")["image"]}
     result = await called(server, "estimate_gsd", **image, target_gsd_m_per_px=0.3)
     assert "Do not resample for 0.3 m/px: the scale is not usable." in text_of(result)
+
+
+async def test_an_answer_lists_the_vehicles_on_request(
+    server: MCPServer[object], images: Path
+) -> None:
+    image = {"kind": "path", "path": str(images / "cars.png")}
+    async with Client(server) as client:
+        result = await client.call_tool("estimate_gsd", {"image": image, "list_vehicles": True})
+    record = record_of(result)
+    vehicles = record["vehicles"]
+    assert [vehicle["number"] for vehicle in vehicles] == list(range(1, len(vehicles) + 1))
+    assert sum(vehicle["used"] for vehicle in vehicles) == record["n_vehicles"]
+    first = vehicles[0]
+    assert f"1 at {first['x_px']:.0f}, {first['y_px']:.0f}, " in text_of(result)
+
+
+async def test_a_height_in_feet_is_refused_with_its_metres(
+    server: MCPServer[object], images: Path
+) -> None:
+    result = await called(server, "estimate_gsd", images / "cars.png", height_m="120 ft")
+    assert error_of(result) == "invalid_arguments"
+    assert "height_m: give a number without a unit: 36.58 m" in text_of(result)

@@ -13,6 +13,7 @@ import anyio
 import cv2
 import jsonschema
 import pytest
+from mcp import Client
 from mcp.server import MCPServer
 from mcp.types import CallToolResult
 
@@ -71,7 +72,7 @@ async def test_a_call_gives_the_librarys_record_with_a_sentence(
         f"from 24 vehicles, scale confidence {expected.scale_confidence:.2f}: safe to use."
         in text_of(result)
     )
-    assert "Mask: x 300 to 348, y 330 to 426 in your image." in text_of(result)
+    assert "Mask of 4584 px: x 300 to 348, y 330 to 426 in your image." in text_of(result)
 
 
 async def test_points_include_or_exclude(
@@ -228,7 +229,7 @@ async def test_targets_are_in_the_callers_frame(server: MCPServer[object], image
     record = record_of(result)
     assert record["area_m2"] == whole["area_m2"]
     assert record["frame"]["gsd_m_per_px"] == pytest.approx(2 * whole["gsd_m_per_px"])
-    assert "Mask: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
+    assert "Mask of 4584 px: x 150 to 174, y 165 to 213 in your copy." in text_of(result)
 
 
 async def test_the_longest_answer_about_an_area_stays_short(
@@ -290,7 +291,7 @@ async def test_a_polygon_is_measured_by_its_corners(
     record = record_of(result)
     assert record["polygon_area_px"] == 48 * 96
     assert (record["mask_score"], record["segmenter"], record["status"]) == (None, None, "ok")
-    assert "Mask: x 300 to 348, y 330 to 426 in your image." in text_of(result)
+    assert "Mask of 4608 px: x 300 to 348, y 330 to 426 in your image." in text_of(result)
 
 
 async def test_a_polygon_and_a_box_share_a_call(server: MCPServer[object], images: Path) -> None:
@@ -398,3 +399,26 @@ async def test_a_picture_shows_what_must_fit(server: MCPServer[object], images: 
     }
     result = await called(server, "view_image", of={"tool": "measure_area", "arguments": arguments})
     assert not result.is_error
+
+
+async def test_a_short_answer_has_the_pixels_of_the_mask(
+    server: MCPServer[object], images: Path
+) -> None:
+    async with Client(server) as client:
+        image = {"kind": "path", "path": str(images / "pool.png")}
+        targets = [{"polygon": CORNERS}]
+        result = await client.call_tool("measure_area", {"image": image, "targets": targets})
+    assert record_of(result)["mask_area_px"] == 48 * 96
+
+
+@pytest.mark.parametrize("tool", ["measure_area", "measure_distance"])
+async def test_a_measuring_tool_names_the_way_from_several_images(
+    server: MCPServer[object], tool: str
+) -> None:
+    async with Client(server) as client:
+        listed = {listed.name: listed for listed in (await client.list_tools()).tools}
+    description = listed[tool].description
+    assert description is not None
+    assert "more_images" in description
+    promised = {"detail", "object_height_m", "gsd_m_per_px", "gsd_tolerance", "gsd_basis"}
+    assert promised <= listed[tool].input_schema["properties"].keys()

@@ -207,8 +207,8 @@ async def test_what_cannot_be_shown_is_told(
 async def test_a_limited_enlargement_is_told(server: MCPServer[object], images: Path) -> None:
     part = {"x_min": 10, "y_min": 10, "x_max": 60, "y_max": 40}
     small = await asked(server, images / "pool.png", part=part, long_side_px=1024)
-    assert facts_in(small)["picture_width_px"] == 200
-    assert "smaller than the 1024 px asked for: it is enlarged 4 times, the most" in text_of(small)
+    assert facts_in(small)["picture_width_px"] == 512
+    assert "smaller than the 1024 px asked for: it is enlarged 10.2 times" in text_of(small)
     whole = await asked(server, images / "pool.png", long_side_px=512)
     assert "smaller" not in text_of(whole)
 
@@ -256,7 +256,9 @@ async def test_many_images_come_in_pages(tmp_path: Path) -> None:
     words = text_of(await asked(server, page=1))
     assert words.count(str(tmp_path.resolve())) == 1
     assert words.splitlines()[1:4] == [f"{tmp_path.resolve()}{os.sep}", "  000.jpg", "  001.jpg"]
-    assert text_of(await asked(server, page=9)) == "120 images, none on page 9 of 3."
+    past_the_end = await asked(server, page=9)
+    assert error_of(past_the_end) == "invalid_arguments"
+    assert "page is 9, but the list of 120 images ends at page 3" in text_of(past_the_end)
     assert facts_in(await asked(server, page=3))["images_total"] == 120
 
 

@@ -133,9 +133,22 @@ async def test_a_part_shows_the_numbered_vehicles_of_that_part(
     part = {"x_min": 20, "y_min": 20, "x_max": 160, "y_max": 120}
     result = await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=560)
     decoded = picture_of(result)
-    assert decoded.shape[1] == 560
-    _, columns = np.nonzero(near(decoded[:400], KEPT_RGB, 60))
-    assert columns.min() < 280 < columns.max(), "two vehicles of this part, at x 60 and 130"
+    height, width = decoded.shape[:2]
+    assert max(height, width) == 560
+    # The part is as high as 5 of 7 of its width; the caption and the strip are below.
+    _, columns = np.nonzero(near(decoded[: width * 5 // 7], KEPT_RGB, 60))
+    assert columns.min() < width / 2 < columns.max(), "two vehicles of this part, at x 60 and 130"
+
+
+async def test_a_part_has_the_crops_of_its_vehicles(
+    server: MCPServer[object], images: Path
+) -> None:
+    part = {"x_min": 20, "y_min": 20, "x_max": 160, "y_max": 120}
+    result = await drawn(server, images / "pool.png", "estimate_gsd", part=part, long_side_px=1568)
+    decoded = picture_of(result)
+    strip = decoded[-128:]
+    assert near(strip[:, :256], KEPT_RGB, 60).any()
+    assert not near(strip[:, 256:], KEPT_RGB, 60).any(), "there are two vehicles in this part"
 
 
 async def test_arguments_may_come_as_text_beside_the_image(

@@ -440,3 +440,23 @@ def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
     drawn = (xs.min(), ys.min(), xs.max() + 1, ys.max() + 1)
     assert drawn == pytest.approx((left, top, right, bottom), abs=4)
     assert is_tinted.sum() == pytest.approx(16 * analysis.measurement.mask_area_px, rel=0.1)
+
+
+_SMALL_BOX = (282.0, 232.0, 308.0, 258.0)
+
+
+def test_an_area_that_a_small_error_of_the_box_decides_is_doubted(tmp_path: Path) -> None:
+    record = measure_area(
+        pool_among_cars(), box=_SMALL_BOX, segmenter=write_sam(tmp_path), gsd_m_per_px=GSD
+    )
+    assert record.status == "low_confidence"
+    assert "mask_depends_on_box" in _codes(record)
+
+
+def test_the_interval_of_a_small_object_holds_the_error_of_its_box(tmp_path: Path) -> None:
+    wider = tuple(np.add(_SMALL_BOX, (-6, -6, 6, 6)).tolist())
+    record = measure_area(
+        pool_among_cars(), box=wider, segmenter=write_sam(tmp_path), gsd_m_per_px=GSD
+    )
+    assert record.status == "ok"
+    assert _area_reach(record) > 1.3 * 1.96 * 0.1

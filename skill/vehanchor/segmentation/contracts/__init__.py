@@ -18,7 +18,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vehanchor.errors import ModelContractError
-from vehanchor.segmentation.contracts.base import DTYPES, MaskLogits, SamContract
+from vehanchor.segmentation.contracts.base import (
+    DTYPES,
+    EncodedCrop,
+    MaskLogits,
+    SamContract,
+)
 from vehanchor.segmentation.contracts.efficient_sam import EfficientSam
 from vehanchor.segmentation.contracts.sam import Sam
 from vehanchor.segmentation.contracts.sam2 import Sam2
@@ -29,7 +34,7 @@ if TYPE_CHECKING:
 
     from vehanchor.models.session import Session
 
-__all__ = ["CONTRACTS", "MaskLogits", "SamContract", "recognise_contract"]
+__all__ = ["CONTRACTS", "EncodedCrop", "MaskLogits", "SamContract", "recognise_contract"]
 
 CONTRACTS: tuple[type[SamContract], ...] = (Sam, Sam2, Transformers, EfficientSam)
 """All contracts."""

@@ -73,6 +73,21 @@ class MaskLogits:
     window: Window
 
 
+@dataclass(frozen=True, eq=False)
+class EncodedCrop:
+    """Crop of the image after the encoder.
+
+    Attributes:
+        features: outputs of the encoder by name.
+        size: width and height of the crop as the encoder saw it, pixels of its input.
+        window: the crop, pixels of the image.
+    """
+
+    features: Tensors
+    size: Size
+    window: Window
+
+
 class SamContract(LoadedModel, ABC):
     """Contract of an encoder and a decoder; subclasses define inputs and outputs.
 
@@ -173,7 +188,7 @@ class SamContract(LoadedModel, ABC):
             )
 
     def input_size(self, width_px: int, height_px: int) -> Size:
-        """Compute the width and height to which a crop is resized before ``predict``.
+        """Compute the width and height to which a crop is resized before ``encode``.
 
         The default is a square, to which the crop is stretched.
         """
@@ -187,21 +202,31 @@ class SamContract(LoadedModel, ABC):
         normal: NDArray[np.float32] = (pixels - mean) / sd
         return normal.transpose(2, 0, 1)[None]
 
-    def predict(self, image: RgbImage, window: Window, prompt: Prompt) -> MaskLogits:
-        """Run encoder and decoder for one prompt.
+    def encode(self, image: RgbImage, window: Window) -> EncodedCrop:
+        """Run the encoder, whose features serve any number of prompts.
 
         Args:
             image: ``[h, w, 3]`` uint8 RGB, the crop resized to ``input_size``.
             window: the crop, pixels of the image.
+        """
+        pixels = self._encoder_input(image)
+        features = self._run(self._encoder, {self._image.name: pixels})
+        height, width = image.shape[:2]
+        return EncodedCrop(features, (width, height), window)
+
+    def decode(self, crop: EncodedCrop, prompt: Prompt) -> MaskLogits:
+        """Run the decoder for one prompt.
+
+        Args:
+            crop: the encoded crop.
             prompt: prompt in pixels of the image.
 
         Raises:
             PromptError: this model cannot read the prompt.
             ModelContractError: the outputs are not masks with scores.
         """
-        pixels = self._encoder_input(image)
-        features = self._run(self._encoder, {self._image.name: pixels})
-        height, width = image.shape[:2]
+        width, height = crop.size
+        window = crop.window
         across = width / window.width_px
         down = height / window.height_px
 
@@ -212,7 +237,7 @@ class SamContract(LoadedModel, ABC):
             return input_x - 0.5, input_y - 0.5
 
         decoder_inputs = {
-            **features,
+            **crop.features,
             **self._no_mask_prompt(),
             "orig_im_size": np.array([height, width], np.float32),
             **self._prompt_inputs(prompt.mapped(in_input)),
