@@ -374,6 +374,7 @@ PNG = encoded(".png")
             "2 values for 3",
         ),
         (bombs.tiff_of_directory([WIDTH, HEIGHT, (322, 3, 1, 64)]), "one side of its tiles"),
+        (bombs.tiff_of_directory([WIDTH, HEIGHT, (277, 3, 1, 0)]), "without bands"),
         (PNG[:PNG_HEAD_BYTES] + PNG[8:], "size twice"),
         (
             webp(b"VP8X", bytes(4) + b"\x3f\0\0\x3f\0\0") + b"VP8L\5\0\0\0\x2f" + b"\xff" * 4,

@@ -156,6 +156,22 @@ def test_an_invalid_style_is_refused(photograph: bytes) -> None:
         _check(damaged)
 
 
+def test_a_style_that_is_cut_off_is_refused(photograph: bytes) -> None:
+    """Found by ``tests.fuzz.isolated``: an IndexError was raised."""
+    start = photograph.index(_COD)
+    empty = photograph[: start + 2] + b"\0\2" + photograph[start + 4 :]
+    with pytest.raises((ImageDecodeError, struct.error)):
+        read_jpeg2000(_reader(empty))
+
+
+def test_a_codestream_without_segments_is_refused(photograph: bytes) -> None:
+    """Found by ``tests.fuzz.isolated``: a StopIteration was raised."""
+    start = photograph.index(b"\xff\x51")
+    without = photograph[:start] + photograph[photograph.index(_SOT) :]
+    with pytest.raises(ImageDecodeError, match="invalid size"):
+        read_jpeg2000(_reader(without))
+
+
 def test_small_precincts_cost_more(photograph: bytes) -> None:
     start = photograph.index(b"\xff\x4f\xff\x51")
     costs = []
