@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from tests.skill.imagery.heic_files import Item, grid, heic, identity, nested_overlays, overlay
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 
 _FRAME = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 64, 64, 3) + bytes(9)
@@ -296,6 +297,30 @@ def _tiff_of_shared_tags(n_bytes: int) -> bytes:
     return tiff_of_directory([*entries, *shared], after=bytes(n_bytes - 12 * 4004 - 14))
 
 
+def _heic_grid(n_tiles: int) -> bytes:
+    """Make a HEIC of so many tiles, two rows of them."""
+    n_columns = n_tiles // 2
+    tiles = list(range(2, 2 + 2 * n_columns))
+    return heic([grid(tiles, n_columns), *[Item()] * len(tiles)])
+
+
+def _heic_overlay(n_pictures: int) -> bytes:
+    """Make a HEIC of pictures one upon the other."""
+    pictures = list(range(2, 2 + n_pictures))
+    return heic([overlay(pictures), *[Item()] * n_pictures])
+
+
+def _heic_chain(n_pictures: int) -> bytes:
+    """Make a HEIC of pictures each of which is the next one."""
+    chain = [identity(number + 1) for number in range(1, n_pictures)]
+    return heic([*chain, Item()])
+
+
+def _heic_of_nested_overlays(n_pictures: int) -> bytes:
+    """Make a HEIC of overlays in four levels."""
+    return nested_overlays(n_levels=4, n_pictures=n_pictures)
+
+
 FAMILIES: dict[str, Family] = {
     **{name: Family(make, MIB, "bytes") for name, make in HEADER_BOMBS.items()},
     "progressive JPEG, 1 megapixel": Family(_progressive_jpeg, 25, "scans"),
@@ -307,6 +332,10 @@ FAMILIES: dict[str, Family] = {
     "TIFF 8-bit RGB, one strip": Family(_zeros("uint8", 3, None), 16_000_000, "pixels"),
     "TIFF of two sizes": Family(_tiff_of_two_sizes, 5_000, "pixels a side"),
     "TIFF of shared tags": Family(_tiff_of_shared_tags, 1 << 18, "bytes"),
+    "HEIC of tiles": Family(_heic_grid, 220, "tiles"),
+    "HEIC of overlays": Family(_heic_overlay, 220, "pictures"),
+    "HEIC of identities": Family(_heic_chain, 220, "pictures"),
+    "HEIC of nested overlays": Family(_heic_of_nested_overlays, 6, "pictures a level"),
 }
 
 

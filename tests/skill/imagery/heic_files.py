@@ -137,3 +137,14 @@ def overlay(pictures: list[int], side_px: int = SIDE_PX) -> Item:
 def identity(picture: int) -> Item:
     """Make an item that is the picture of another."""
     return Item(b"iden", b"", refers=(b"dimg", [picture]))
+
+
+def nested_overlays(n_levels: int, n_pictures: int) -> bytes:
+    """Make overlays of overlays: each of a level shows all pictures of the next."""
+    items = [overlay(list(range(2, 2 + n_pictures)))]
+    for level in range(1, n_levels):
+        first = 2 + level * n_pictures
+        pictures = list(range(first, first + n_pictures))
+        items += [overlay(pictures) for _ in range(n_pictures)]
+    items += [Item() for _ in range(n_pictures)]
+    return heic(items)
