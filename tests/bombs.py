@@ -298,9 +298,9 @@ def _tiff_of_shared_tags(n_bytes: int) -> bytes:
 
 
 def _heic_grid(n_tiles: int) -> bytes:
-    """Make a HEIC of so many tiles, two rows of them."""
-    n_columns = n_tiles // 2
-    tiles = list(range(2, 2 + 2 * n_columns))
+    """Make a HEIC of so many tiles, in four rows."""
+    n_columns = n_tiles // 4
+    tiles = list(range(2, 2 + 4 * n_columns))
     return heic([grid(tiles, n_columns), *[Item()] * len(tiles)])
 
 

@@ -3,7 +3,8 @@
     python -m tests.fuzz.isolated --seconds 60 --seed 1
 
 A mutant fails if it ends its process, raises a foreign error, hangs, or takes too much memory. It
-is then written to ``--findings``, and the exit status is not 0.
+is then written to ``--findings``, and the exit status is not 0. Linux only: time and memory of the
+child are read from ``/proc``.
 """
 
 from __future__ import annotations
@@ -23,10 +24,16 @@ from tests.fuzz.structures import Mutator, format_name
 from tests.fuzz.targets import CORPUS, TARGETS
 
 _HANG_IN_C_S = 15 * HANG_S
-"""Longest wait for a child; its own alarm stops loops in Python before."""
+"""Longest time of the processor for an image; the child's own alarm stops loops in Python."""
+
+_MAX_WAIT_S = 600.0
+"""Longest wait for an image, on a machine that is busy with other things."""
+
+_POLL_S = 2.0
 
 _FAILED = b"failed"
 _DONE = b"done"
+_READY = b"ready"
 
 
 class Isolated:
@@ -47,13 +54,25 @@ class Isolated:
         connection = self._connection or self._start()
         try:
             connection.send_bytes(data)
-            if connection.poll(_HANG_IN_C_S):
+            if self._answers(connection):
                 return connection.recv_bytes() == _FAILED
-            reason = f"no answer in {_HANG_IN_C_S:.0f} s"
+            reason = f"no answer in {_HANG_IN_C_S:.0f} s of the processor"
         except (EOFError, OSError):
             reason = "the process ended"
         self._keep(data, reason)
         self.stop()
+        return True
+
+    def _answers(self, connection: Connection) -> bool:
+        """Wait for an answer of the child, as long as it has used too little of the processor."""
+        assert self._child is not None
+        assert self._child.pid is not None
+        process = self._child.pid
+        end_s = _processor_s(process) + _HANG_IN_C_S
+        end = time.monotonic() + _MAX_WAIT_S
+        while not connection.poll(_POLL_S):
+            if _processor_s(process) > end_s or time.monotonic() > end:
+                return False
         return True
 
     def stop(self) -> None:
@@ -71,6 +90,7 @@ class Isolated:
         self._child = self._spawn.Process(target=serve, args=(theirs, self._findings), daemon=True)
         self._child.start()
         theirs.close()
+        assert ours.recv_bytes() == _READY
         self._connection = ours
         return ours
 
@@ -84,9 +104,19 @@ class Isolated:
         print(f"{path}: {reason}", file=sys.stderr, flush=True)
 
 
+def _processor_s(process: int) -> float:
+    """Read the time of the processor that a process has used (proc(5), stat)."""
+    _, _, after_name = Path(f"/proc/{process}/stat").read_text().rpartition(")")
+    fields = after_name.split()
+    user_ticks = int(fields[11])
+    system_ticks = int(fields[12])
+    return (user_ticks + system_ticks) / os.sysconf("SC_CLK_TCK")
+
+
 def serve(connection: Connection, findings: Path) -> None:
     """Open images until the connection closes."""
     checked = Checked(open_image, findings)
+    connection.send_bytes(_READY)
     while True:
         try:
             data = connection.recv_bytes()
