@@ -64,12 +64,14 @@ class Piece(NamedTuple):
     """Piece of an item's data.
 
     Attributes:
+        item: number of the item.
         start: offset in the file.
         length: bytes; 0 if the file does not declare it.
         in_file: False if the piece lies within another item, whose offset counts from there, or in
             a box that the file lacks.
     """
 
+    item: int
     start: int
     length: int
     in_file: bool
@@ -92,10 +94,10 @@ def read_heic(read_at: ReadAt) -> ImageHeader:
     if size is None:
         raise ImageDecodeError("the HEIC declares no size: damaged, or not a photograph")
     width, height = size
-    check_items(read_at, parts, properties)
-    pieces = item_pieces(
-        read_at, parts[b"iloc"], parts.get(b"idat"), name="HEIC", limits=_HEIC_LIMITS
+    pieces = list(
+        item_pieces(read_at, parts[b"iloc"], parts.get(b"idat"), name="HEIC", limits=_HEIC_LIMITS)
     )
+    check_items(read_at, parts, properties, pieces)
     complete = True
     metadata = []
     for piece in pieces:
@@ -243,7 +245,7 @@ def item_pieces(
     if n_items > limits.items:
         raise ImageTooLargeError(f"the {name} has more than {limits.items} parts; save it again")
     for _ in range(n_items):
-        read_bits(number_bits)  # number of the item
+        item = read_bits(number_bits)
         method = _IN_FILE
         if version:
             method = read_bits(16) & 15
@@ -261,7 +263,8 @@ def item_pieces(
             if version:
                 read_bits(index_bits)
             start = base + read_bits(offset_bits)
-            yield Piece(start, length=read_bits(length_bits), in_file=in_file)
+            length = read_bits(length_bits)
+            yield Piece(item, start, length=length, in_file=in_file)
 
 
 class Bits:

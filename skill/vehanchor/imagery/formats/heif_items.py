@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from vehanchor.imagery.formats.boxes import Box
+    from vehanchor.imagery.formats.heif import Piece
     from vehanchor.imagery.formats.ifd import ReadAt
 
 _MAX_LEVELS = 8
@@ -35,6 +36,9 @@ A grid, its canvas and its alpha take up to four, if its last tiles are mostly o
 _MIN_DECODED_PX = 1 << 22
 """Decoded pixels that any file may have."""
 
+_CANVAS_STARTS = {b"grid": 4, b"iovl": 10}
+"""Bytes before the size of the canvas in the data of an item (ISO/IEC 23008-12, 6.6.2)."""
+
 _MADE_OF = b"dimg"
 _AUXILIARY_OF = b"auxl"
 
@@ -43,13 +47,13 @@ class _Items(NamedTuple):
     """Items of a file, by their numbers.
 
     Attributes:
-        numbers: all of them.
+        kinds: the kind of each, four letters.
         primary: the one to show.
         pixels: pixels of each picture.
         parts: pictures that are decoded for each picture: those of which it is made, and its alpha.
     """
 
-    numbers: frozenset[int]
+    kinds: dict[int, bytes]
     primary: int
     pixels: dict[int, int]
     parts: dict[int, list[int]]
@@ -67,24 +71,29 @@ class _Work(NamedTuple):
     levels: int
 
 
-def check_items(read_at: ReadAt, parts: dict[bytes, Box], properties: list[Box]) -> None:
+def check_items(
+    read_at: ReadAt, parts: dict[bytes, Box], properties: list[Box], pieces: list[Piece]
+) -> None:
     """Check the items of a HEIC.
 
     Args:
         read_at: reads the file.
         parts: boxes of its "meta" box.
         properties: properties of its items.
+        pieces: where their data lie.
 
     Raises:
-        ImageDecodeError: a text is not UTF-8, or there is no primary item.
+        ImageDecodeError: a text is not UTF-8, there is no primary item, or a canvas is larger than
+            any declared size, or stored in several pieces.
         ImageTooLargeError: the primary item is made of too many pictures.
         struct.error: the file ends within a box.
     """
     _check_auxiliary_types(read_at, properties)
     items = _read_items(read_at, parts, properties)
-    if items.primary not in items.numbers:
+    if items.primary not in items.kinds:
         raise ImageDecodeError("the HEIC has no primary image: damaged")
     largest_px = max(items.pixels.values(), default=0)
+    _check_canvases(read_at, items, pieces, largest_px)
     max_px = max(_MIN_DECODED_PX, _MAX_DECODED_SHARE * largest_px)
     work = _work(items, items.primary, level=1, done={})
     if work.pixels > max_px:
@@ -92,6 +101,32 @@ def check_items(read_at: ReadAt, parts: dict[bytes, Box], properties: list[Box])
             f"the HEIC is made of pictures of {work.pixels} px, of which the largest has "
             f"{largest_px}: save it again as one picture"
         )
+
+
+def _check_canvases(read_at: ReadAt, items: _Items, pieces: list[Piece], largest_px: int) -> None:
+    """Check the canvases of grids and overlays, which libheif allocates by their own data.
+
+    Raises:
+        ImageDecodeError: a canvas is larger than any declared size, or in several pieces.
+        struct.error: its data are too short.
+    """
+    checked = set()
+    for piece in pieces:
+        kind = items.kinds.get(piece.item)
+        if kind not in _CANVAS_STARTS:
+            continue
+        if piece.item in checked or not piece.in_file:
+            raise ImageDecodeError("the HEIC stores a canvas in several pieces: save it again")
+        checked.add(piece.item)
+        (flags,) = struct.unpack(">xB", read_at(piece.start, 2))
+        size_format = ">II" if flags & 1 else ">HH"
+        size_bytes = read_at(piece.start + _CANVAS_STARTS[kind], struct.calcsize(size_format))
+        width, height = struct.unpack(size_format, size_bytes)
+        if width * height > largest_px:
+            raise ImageDecodeError(
+                f"the HEIC has a canvas of {width} x {height} px, larger than it declares: damaged"
+            )
+        items.pixels[piece.item] = max(width * height, items.pixels.get(piece.item, 0))
 
 
 def _work(items: _Items, number: int, *, level: int, done: dict[int, _Work]) -> _Work:
@@ -132,7 +167,7 @@ def _read_items(read_at: ReadAt, parts: dict[bytes, Box], properties: list[Box])
     n_bytes = struct.calcsize(number_format)
     (primary,) = struct.unpack(number_format, read_at(parts[b"pitm"].start + 4, n_bytes))
     return _Items(
-        _read_numbers(read_at, parts[b"iinf"]),
+        _read_kinds(read_at, parts[b"iinf"]),
         primary,
         pixels=_read_pixels(read_at, parts[b"iprp"], properties),
         parts=_read_parts(read_at, parts.get(b"iref")),
@@ -145,14 +180,14 @@ def _version(read_at: ReadAt, box: Box) -> int:
     return int(version)
 
 
-def _read_numbers(read_at: ReadAt, iinf: Box) -> frozenset[int]:
-    """Read the numbers of all items, and check their texts.
+def _read_kinds(read_at: ReadAt, iinf: Box) -> dict[int, bytes]:
+    """Read the kinds of all items by their numbers, and check their texts.
 
     Raises:
         ImageDecodeError: a text is not UTF-8.
     """
     count_bytes = 4 if _version(read_at, iinf) else 2
-    numbers = set()
+    kinds = {}
     for entry in boxes(read_at, iinf.start + 4 + count_bytes, iinf.end):
         if entry.kind != b"infe" or entry.end is None:
             continue
@@ -160,11 +195,12 @@ def _read_numbers(read_at: ReadAt, iinf: Box) -> frozenset[int]:
         number_format = ">I" if version == 3 else ">H"
         number_bytes = struct.calcsize(number_format)
         (number,) = struct.unpack(number_format, read_at(entry.start + 4, number_bytes))
-        numbers.add(number)
         # The kind, the name and the type of the content follow the number and that of a protection.
         text_start = entry.start + 4 + number_bytes + 2
-        _check_text(read_at(text_start, max(0, entry.end - text_start)))
-    return frozenset(numbers)
+        text = read_at(text_start, max(0, entry.end - text_start))
+        _check_text(text)
+        kinds[number] = text[:4]
+    return kinds
 
 
 def _check_auxiliary_types(read_at: ReadAt, properties: list[Box]) -> None:

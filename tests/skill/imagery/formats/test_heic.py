@@ -8,6 +8,7 @@ the lower half green. Its container turns it to the right.
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,7 +20,15 @@ import pytest
 
 import vehanchor
 from tests.skill.imagery.files import HEIC, header_of
-from tests.skill.imagery.heic_files import Item, grid, heic, identity, nested_overlays
+from tests.skill.imagery.heic_files import (
+    SIDE_PX,
+    Item,
+    grid,
+    heic,
+    identity,
+    nested_overlays,
+    overlay,
+)
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError, MissingExtraError
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ImageLimits, Reading
@@ -180,6 +189,28 @@ def test_a_long_chain_of_pictures_is_refused() -> None:
     chain = [identity(number + 1) for number in range(1, 100)]
     with pytest.raises(ImageTooLargeError, match="more than 8 levels"):
         header_of(heic([*chain, Item()]))
+
+
+@pytest.mark.promise("bombs")
+@pytest.mark.parametrize("make", [overlay, lambda pictures: grid(pictures, 2)])
+def test_a_canvas_larger_than_declared_is_refused(make: Callable[[list[int]], Item]) -> None:
+    """Found by ``tests.fuzz.isolated``: 682 bytes took 2.6 GiB."""
+    item = make([2, 3])
+    size = struct.pack(">II", item.side_px, SIDE_PX)
+    large = item._replace(data=item.data.replace(size, struct.pack(">II", 22_000, 22_000)))
+    assert large != item
+    with pytest.raises(ImageDecodeError, match="larger than it declares"):
+        header_of(heic([large, Item(), Item()]))
+
+
+@pytest.mark.promise("two-readers")
+def test_a_canvas_in_several_pieces_is_refused() -> None:
+    data = heic([overlay([2, 3]), Item(), Item()])
+    n_items = data.index(b"iloc") + 10
+    first_entry = data[n_items + 2 : n_items + 16]
+    doubled = data[: n_items + 16] + first_entry + data[n_items + 30 :]
+    with pytest.raises(ImageDecodeError, match="several pieces"):
+        header_of(doubled)
 
 
 def test_a_circle_of_pictures_is_refused() -> None:
