@@ -425,9 +425,7 @@ FAMILIES: dict[str, Family] = {
     "TIFF of shared tags": Family(_tiff_of_shared_tags, 1 << 18, "bytes"),
     "TIFF, each row a strip": Family(_tiff_of_rows, 250_000, "rows"),
     "TIFF of tiles of 16 px": Family(_tiff_of_small_tiles, 4000, "pixels a side"),
-    "TIFF of tiles of 16 px, large": Family(
-        _tiff_of_small_tiles, 12_000, "pixels a side"
-    ),
+    "TIFF of tiles of 16 px, large": Family(_tiff_of_small_tiles, 12_000, "pixels a side"),
     "TIFF of one long tag": Family(_tiff_of_one_long_tag, 4 * MIB, "bytes"),
     "PNG of empty pixels": Family(_png_of_empty_pixels, 24_000, "chunks"),
     "WebP animation": Family(_webp_animation, 500, "frames"),

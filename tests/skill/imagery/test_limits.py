@@ -47,6 +47,7 @@ from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.formats.image_header import ImageHeader
 from vehanchor.imagery.formats.jpeg import MAX_SCANS, MAX_SEGMENTS
+from vehanchor.imagery.formats.png import without_ancillary_chunks
 from vehanchor.imagery.limits import MIN_SIDE_PX, check_header
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
@@ -335,6 +336,16 @@ def test_a_png_whose_end_mark_declares_a_gigabyte_is_truncated() -> None:
     length = struct.pack(">I", 1_275_068_416)
     with pytest.raises(ImageDecodeError, match="truncated: its end is missing"):
         open_raster(png[:end_mark_start] + length + png[-8:])
+
+
+def test_nothing_after_the_end_of_a_png_is_decoded() -> None:
+    """Found by ``tests.fuzz.isolated``: OpenCV read on; 283 bytes took 2.1 GiB."""
+    png = encoded(".png")
+    end = struct.pack(">I4sI", 0, b"IEND", 0xAE426082)
+    without_pixels = png[:PNG_HEAD_BYTES] + end
+    assert without_ancillary_chunks(without_pixels + png[PNG_HEAD_BYTES:]) == without_pixels
+    with pytest.raises(ImageDecodeError):
+        open_raster(without_pixels + png[PNG_HEAD_BYTES:])
 
 
 def _with_text(png: bytes) -> bytes:
