@@ -53,6 +53,7 @@ class Siz(NamedTuple):
         height_px: height of the image.
         tile_width_px: width of a whole tile, within the image.
         tile_height_px: height of a whole tile, within the image.
+        n_tiles: number of tiles.
         subsampling: horizontal and vertical subsampling of each component.
     """
 
@@ -60,6 +61,7 @@ class Siz(NamedTuple):
     height_px: int
     tile_width_px: int
     tile_height_px: int
+    n_tiles: int
     subsampling: tuple[tuple[int, int], ...]
 
 
@@ -128,8 +130,8 @@ def read_siz(read_at: ReadAt, start: int) -> Siz:
         top,
         tile_width,
         tile_height,
-        _tile_left,
-        _tile_top,
+        tile_left,
+        tile_top,
         n_components,
     ) = struct.unpack_from(">8IH", first.body, 2)
     steps = struct.unpack_from(f">{3 * n_components}B", first.body, 36)
@@ -139,11 +141,14 @@ def read_siz(read_at: ReadAt, start: int) -> Siz:
     has_pixels = min(width, height, tile_width, tile_height) >= 1
     if not has_pixels or not subsampling or not all(map(all, subsampling)):
         raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
+    tiles_across = _divided_up(max(0, right - tile_left), tile_width)
+    tiles_down = _divided_up(max(0, bottom - tile_top), tile_height)
     return Siz(
         width,
         height,
         tile_width_px=min(tile_width, width),
         tile_height_px=min(tile_height, height),
+        n_tiles=tiles_across * tiles_down,
         subsampling=subsampling,
     )
 
