@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from tests.skill.imagery.heic_files import Item, grid, heic, identity, nested_overlays, overlay
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 
 _FRAME = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 64, 64, 3) + bytes(9)
@@ -296,6 +297,121 @@ def _tiff_of_shared_tags(n_bytes: int) -> bytes:
     return tiff_of_directory([*entries, *shared], after=bytes(n_bytes - 12 * 4004 - 14))
 
 
+def _tiff_of_rows(n_rows: int) -> bytes:
+    """Make a TIFF of 64 columns, each row a strip of the same bytes."""
+    return _tiff_of_blocks(64, n_rows, size_of_block={278: 1}, n_blocks=n_rows, block_px=64)
+
+
+def _tiff_of_small_tiles(side_px: int) -> bytes:
+    """Make a square TIFF of tiles of 16 px, all the same bytes."""
+    n_blocks = (-(-side_px // 16)) ** 2
+    sides = {322: 16, 323: 16}
+    return _tiff_of_blocks(side_px, side_px, size_of_block=sides, n_blocks=n_blocks, block_px=256)
+
+
+def _tiff_of_blocks(
+    width: int, height: int, *, size_of_block: dict[int, int], n_blocks: int, block_px: int
+) -> bytes:
+    """Make a deflated grey TIFF, all whose strips or tiles are the same bytes."""
+    block = zlib.compress(bytes(block_px), 9)
+    n_entries = 9 + len(size_of_block)
+    offsets_start = 8 + 2 + n_entries * 12 + 4
+    counts_start = offsets_start + 4 * n_blocks
+    block_start = counts_start + 4 * n_blocks
+    is_tiled = 322 in size_of_block
+    entries = [
+        (256, _LONG, 1, width),
+        (257, _LONG, 1, height),
+        (258, _SHORT, 1, 8),
+        (259, _SHORT, 1, 8),
+        (262, _SHORT, 1, 1),
+        (277, _SHORT, 1, 1),
+        (284, _SHORT, 1, 1),
+        (324 if is_tiled else 273, _LONG, n_blocks, offsets_start),
+        (325 if is_tiled else 279, _LONG, n_blocks, counts_start),
+        *[(tag, _LONG, 1, value) for tag, value in size_of_block.items()],
+    ]
+    entries.sort()
+    offsets = struct.pack(f"<{n_blocks}I", *[block_start] * n_blocks)
+    counts = struct.pack(f"<{n_blocks}I", *[len(block)] * n_blocks)
+    return tiff_of_directory(entries, after=offsets + counts + block)
+
+
+def _tiff_of_one_long_tag(n_bytes: int) -> bytes:
+    """Make a TIFF with one unknown tag of so many bytes."""
+    entries = [
+        (256, _LONG, 1, 64),
+        (257, _LONG, 1, 64),
+        (258, _SHORT, 1, 8),
+        (259, _SHORT, 1, 1),
+        (262, _SHORT, 1, 1),
+        (273, _LONG, 1, 8),
+        (277, _SHORT, 1, 1),
+        (278, _LONG, 1, 64),
+        (279, _LONG, 1, 64 * 64),
+        (50_000, 1, n_bytes, 500),
+    ]
+    return tiff_of_directory(entries, after=bytes(n_bytes + 5000))
+
+
+def _png_of_empty_pixels(n_chunks: int) -> bytes:
+    """Make a PNG with empty chunks before its pixels."""
+    return _png(_chunk(b"IDAT", b"") * n_chunks)
+
+
+def _webp_animation(n_frames: int) -> bytes:
+    """Make a WebP of so many frames of 64 x 64 px."""
+    frames = [Image.new("RGB", (64, 64), (i % 256, i // 256, 0)) for i in range(1, n_frames + 1)]
+    buffer = io.BytesIO()
+    frames[0].save(buffer, "WEBP", save_all=True, append_images=frames[1:], lossless=True)
+    return buffer.getvalue()
+
+
+def _jpeg_of_restarts(n_pixels: int) -> bytes:
+    """Make a JPEG with a restart marker after each block."""
+    side_px = int(n_pixels**0.5)
+    buffer = io.BytesIO()
+    Image.new("RGB", (side_px, side_px)).save(buffer, "JPEG", restart_marker_blocks=1)
+    return buffer.getvalue()
+
+
+def _bmp_of_runs(run: bytes) -> Callable[[int], bytes]:
+    """Make a BMP of 1 megapixel in 256 colours whose runs are these."""
+
+    def make(n_runs: int) -> bytes:
+        pixels = run * n_runs + b"\0\1"
+        start = 14 + 40 + 1024
+        fields = (40, 1000, 1000, 1, 8, 1, len(pixels), 0, 0, 256, 0)
+        head = b"BM" + struct.pack("<IHHI", start + len(pixels), 0, 0, start)
+        return head + struct.pack("<IiiHHIIiiII", *fields) + bytes(1024) + pixels
+
+    return make
+
+
+def _heic_grid(n_tiles: int) -> bytes:
+    """Make a HEIC of so many tiles, in four rows."""
+    n_columns = n_tiles // 4
+    tiles = list(range(2, 2 + 4 * n_columns))
+    return heic([grid(tiles, n_columns), *[Item()] * len(tiles)])
+
+
+def _heic_overlay(n_pictures: int) -> bytes:
+    """Make a HEIC of pictures one upon the other."""
+    pictures = list(range(2, 2 + n_pictures))
+    return heic([overlay(pictures), *[Item()] * n_pictures])
+
+
+def _heic_chain(n_pictures: int) -> bytes:
+    """Make a HEIC of pictures each of which is the next one."""
+    chain = [identity(number + 1) for number in range(1, n_pictures)]
+    return heic([*chain, Item()])
+
+
+def _heic_of_nested_overlays(n_pictures: int) -> bytes:
+    """Make a HEIC of overlays in four levels."""
+    return nested_overlays(n_levels=4, n_pictures=n_pictures)
+
+
 FAMILIES: dict[str, Family] = {
     **{name: Family(make, MIB, "bytes") for name, make in HEADER_BOMBS.items()},
     "progressive JPEG, 1 megapixel": Family(_progressive_jpeg, 25, "scans"),
@@ -307,6 +423,19 @@ FAMILIES: dict[str, Family] = {
     "TIFF 8-bit RGB, one strip": Family(_zeros("uint8", 3, None), 16_000_000, "pixels"),
     "TIFF of two sizes": Family(_tiff_of_two_sizes, 5_000, "pixels a side"),
     "TIFF of shared tags": Family(_tiff_of_shared_tags, 1 << 18, "bytes"),
+    "TIFF, each row a strip": Family(_tiff_of_rows, 250_000, "rows"),
+    "TIFF of tiles of 16 px": Family(_tiff_of_small_tiles, 4000, "pixels a side"),
+    "TIFF of tiles of 16 px, large": Family(_tiff_of_small_tiles, 12_000, "pixels a side"),
+    "TIFF of one long tag": Family(_tiff_of_one_long_tag, 4 * MIB, "bytes"),
+    "PNG of empty pixels": Family(_png_of_empty_pixels, 24_000, "chunks"),
+    "WebP animation": Family(_webp_animation, 500, "frames"),
+    "JPEG of restarts": Family(_jpeg_of_restarts, 4_000_000, "pixels"),
+    "BMP of runs of one": Family(_bmp_of_runs(b"\1\0"), 250_000, "runs"),
+    "BMP of empty steps": Family(_bmp_of_runs(b"\0\2\0\0"), MIB, "runs"),
+    "HEIC of tiles": Family(_heic_grid, 220, "tiles"),
+    "HEIC of overlays": Family(_heic_overlay, 220, "pictures"),
+    "HEIC of identities": Family(_heic_chain, 220, "pictures"),
+    "HEIC of nested overlays": Family(_heic_of_nested_overlays, 6, "pictures a level"),
 }
 
 

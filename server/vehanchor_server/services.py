@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from dataclasses import dataclass
@@ -29,6 +30,13 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.task import Record, Work
     from vehanchor_server.images.argument import AnyImage
     from vehanchor_server.settings import Settings
+
+_logger = logging.getLogger(__name__)
+
+_NO_WORKERS = (
+    "there are no workers (isolation in-process): images are decoded with all rights of this "
+    "process, and one that ends its decoder ends the server"
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,11 @@ class Services:
         Returns:
             The thread, which is already started.
         """
-        load = self.resources.models.load_all if self.workers is None else self.workers.start
+        load = self.resources.models.load_all
+        if self.workers is None:
+            _logger.warning(_NO_WORKERS)
+        else:
+            load = self.workers.start
         timer = threading.Timer(delay_s, load)
         timer.name = "vehanchor-preload"
         timer.daemon = True

@@ -68,7 +68,7 @@ class Checked:
         except (Exception, Slow) as error:
             self.n_failures += 1
             self._findings.mkdir(parents=True, exist_ok=True)
-            path = self._findings / _checksum(data)
+            path = self._findings / input_name(data)
             path.write_bytes(data)
             print(f"{path}: {type(error).__name__}: {str(error)[:200]}", file=sys.stderr)
             raise
@@ -89,7 +89,7 @@ class Checked:
             raise MemoryError(f"{_peak_mib():.0f} MiB")
 
 
-def _checksum(data: bytes) -> str:
+def input_name(data: bytes) -> str:
     """Name an input."""
     return hashlib.sha256(data).hexdigest()[:16]
 
@@ -168,7 +168,7 @@ def drive_by_coverage(name: str, findings: Path, seconds: float, seed: int) -> N
     corpus = findings / "corpus" / name
     corpus.mkdir(parents=True, exist_ok=True)
     for data in CORPUS[name]():
-        (corpus / _checksum(data)).write_bytes(data)
+        (corpus / input_name(data)).write_bytes(data)
     checked = Checked(TARGETS[name], findings)
     options = [
         f"-max_total_time={int(seconds)}",

@@ -32,6 +32,7 @@ from research.scenes import render_scene
 from tests import bombs
 from tests.skill.cut_off import CALIBRATION
 from tests.skill.imagery import files as blocks
+from tests.skill.imagery.heic_files import Item, grid, heic, identity, overlay
 from tests.skill.imagery.samples import SAMPLES
 from vehanchor import estimate_gsd
 from vehanchor.detection.card import ChipCard, VerifierCard, read_card, read_detector_card
@@ -242,7 +243,19 @@ def _images() -> list[bytes]:
     images += _geotiffs(rgb)
     images += _images_with_holes(rgb)
     images += _raw_files()
+    images += _composed_heics()
     return images
+
+
+def _composed_heics() -> list[bytes]:
+    """Make HEICs with metadata, a thumbnail, and pictures that are made of others."""
+    metadata = Item(b"mime", b"<x/>", side_px=0, text=b"\0a/xml\0", refers=(b"cdsc", [1]))
+    thumbnail = Item(refers=(b"thmb", [1]))
+    return [
+        heic([Item(), metadata, thumbnail]),
+        heic([grid([2, 3], 2), Item(), Item()]),
+        heic([overlay([2, 3]), identity(3), Item()]),
+    ]
 
 
 def _images_with_holes(rgb: NDArray[np.uint8]) -> list[bytes]:

@@ -6,6 +6,7 @@ import ctypes
 import errno
 import fcntl
 import json
+import logging
 import os
 import signal
 import socket
@@ -16,16 +17,20 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import DEVNULL, PIPE
 from typing import Any
 
 import pytest
 
 from tests.server.calls.working import Value, answered, done
 from tests.server.sandbox.trace import confined_calls
+from tests.server_process import SERVE
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.reply import Reply
 from vehanchor_server.calls.task import work
+from vehanchor_server.calls.workers import _confinement_message
 from vehanchor_server.resources import Resources
+from vehanchor_server.sandbox.confinement import Confinement
 from vehanchor_server.sandbox.environment import KEPT, SEARCH_PATHS
 from vehanchor_server.services import Services
 
@@ -206,6 +211,41 @@ def test_missing_confinement_is_stated_beside_the_rest(
     assert words in result[2]
     assert bool(result[0]) == (landlock and bool(held[0]))
     assert result[1] == (seccomp and held[1])
+
+
+@pytest.mark.promise("warning")
+@pytest.mark.parametrize(
+    ("isolation", "words"),
+    [
+        ("unconfined", "workers are not confined (the operator's settings)"),
+        ("in-process", "there are no workers (isolation in-process)"),
+    ],
+)
+def test_a_server_without_confinement_says_so_at_its_start(isolation: str, words: str) -> None:
+    with subprocess.Popen(
+        [*SERVE, "--isolation", isolation], stdin=PIPE, stdout=DEVNULL, stderr=PIPE, text=True
+    ) as server:
+        assert server.stderr is not None
+        line = next(line for line in server.stderr if '"warning"' in line)
+        server.kill()
+    assert words in json.loads(line)["message"]
+
+
+@pytest.mark.promise("warning")
+@pytest.mark.parametrize(
+    ("confinement", "level", "text"),
+    [
+        (Confinement(6, seccomp=True), logging.INFO, "confined by Landlock 6 and seccomp"),
+        (Confinement(0, seccomp=True, lacks="x"), logging.WARNING, "confined by seccomp (x)"),
+        (Confinement(lacks="x"), logging.WARNING, "workers are not confined (x)"),
+    ],
+)
+def test_incomplete_confinement_is_logged_as_a_warning(
+    confinement: Confinement, level: int, text: str
+) -> None:
+    logged_level, logged_text = _confinement_message(confinement)
+    assert logged_level == level
+    assert logged_text.endswith(text)
 
 
 @work(Value)

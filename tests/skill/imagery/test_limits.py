@@ -47,6 +47,7 @@ from vehanchor.imagery.formats.header import read_header
 from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.formats.image_header import ImageHeader
 from vehanchor.imagery.formats.jpeg import MAX_SCANS, MAX_SEGMENTS
+from vehanchor.imagery.formats.png import without_ancillary_chunks
 from vehanchor.imagery.limits import MIN_SIDE_PX, check_header
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
@@ -337,6 +338,16 @@ def test_a_png_whose_end_mark_declares_a_gigabyte_is_truncated() -> None:
         open_raster(png[:end_mark_start] + length + png[-8:])
 
 
+def test_nothing_after_the_end_of_a_png_is_decoded() -> None:
+    """Found by ``tests.fuzz.isolated``: OpenCV read on; 283 bytes took 2.1 GiB."""
+    png = encoded(".png")
+    end = struct.pack(">I4sI", 0, b"IEND", 0xAE426082)
+    without_pixels = png[:PNG_HEAD_BYTES] + end
+    assert without_ancillary_chunks(without_pixels + png[PNG_HEAD_BYTES:]) == without_pixels
+    with pytest.raises(ImageDecodeError):
+        open_raster(without_pixels + png[PNG_HEAD_BYTES:])
+
+
 def _with_text(png: bytes) -> bytes:
     """Insert a compressed text that is a thousand times larger unpacked."""
     bomb = bombs.png_of_text(1)
@@ -374,6 +385,7 @@ PNG = encoded(".png")
             "2 values for 3",
         ),
         (bombs.tiff_of_directory([WIDTH, HEIGHT, (322, 3, 1, 64)]), "one side of its tiles"),
+        (bombs.tiff_of_directory([WIDTH, HEIGHT, (277, 3, 1, 0)]), "without bands"),
         (PNG[:PNG_HEAD_BYTES] + PNG[8:], "size twice"),
         (
             webp(b"VP8X", bytes(4) + b"\x3f\0\0\x3f\0\0") + b"VP8L\5\0\0\0\x2f" + b"\xff" * 4,

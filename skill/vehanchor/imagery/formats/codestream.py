@@ -53,6 +53,7 @@ class Siz(NamedTuple):
         height_px: height of the image.
         tile_width_px: width of a whole tile, within the image.
         tile_height_px: height of a whole tile, within the image.
+        n_tiles: number of tiles.
         subsampling: horizontal and vertical subsampling of each component.
     """
 
@@ -60,6 +61,7 @@ class Siz(NamedTuple):
     height_px: int
     tile_width_px: int
     tile_height_px: int
+    n_tiles: int
     subsampling: tuple[tuple[int, int], ...]
 
 
@@ -117,9 +119,9 @@ def read_siz(read_at: ReadAt, start: int) -> Siz:
         struct.error: the file ends within its header.
     """
     segments = _segments(read_at, start + 2)
-    first = next(segments)
-    is_codestream = read_at(start, 2) == _SOC.to_bytes(2) and first.marker == _SIZ
-    if not is_codestream:
+    first = next(segments, None)
+    is_codestream = read_at(start, 2) == _SOC.to_bytes(2)
+    if not is_codestream or first is None or first.marker != _SIZ:
         raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
     (
         right,
@@ -128,8 +130,8 @@ def read_siz(read_at: ReadAt, start: int) -> Siz:
         top,
         tile_width,
         tile_height,
-        _tile_left,
-        _tile_top,
+        tile_left,
+        tile_top,
         n_components,
     ) = struct.unpack_from(">8IH", first.body, 2)
     steps = struct.unpack_from(f">{3 * n_components}B", first.body, 36)
@@ -139,11 +141,14 @@ def read_siz(read_at: ReadAt, start: int) -> Siz:
     has_pixels = min(width, height, tile_width, tile_height) >= 1
     if not has_pixels or not subsampling or not all(map(all, subsampling)):
         raise ImageDecodeError("the JPEG 2000 declares an invalid size: damaged")
+    tiles_across = _divided_up(max(0, right - tile_left), tile_width)
+    tiles_down = _divided_up(max(0, bottom - tile_top), tile_height)
     return Siz(
         width,
         height,
         tile_width_px=min(tile_width, width),
         tile_height_px=min(tile_height, height),
+        n_tiles=tiles_across * tiles_down,
         subsampling=subsampling,
     )
 
@@ -167,15 +172,15 @@ def tile_cost(read_at: ReadAt, start: int, siz: Siz) -> TileCost:
     default_style = None
     for segment in _style_segments(read_at, start):
         if segment.marker == _COD:
-            has_precincts = segment.body[0] & _HAS_PRECINCTS
-            layers = max(layers, int.from_bytes(segment.body[2:4]))
-            style = _read_style(segment.body[5:], has_precincts=bool(has_precincts))
+            flags, _, n_layers, _ = struct.unpack_from(">BBHB", segment.body)
+            layers = max(layers, n_layers)
+            style = _read_style(segment.body[5:], flags)
             default_style = default_style or style
         else:
             # The number of the component takes two bytes if there are more than 256.
             index_bytes = 1 if n_components < 257 else 2
-            has_precincts = segment.body[index_bytes] & _HAS_PRECINCTS
-            style = _read_style(segment.body[index_bytes + 1 :], has_precincts=bool(has_precincts))
+            (flags,) = struct.unpack_from(">B", segment.body, index_bytes)
+            style = _read_style(segment.body[index_bytes + 1 :], flags)
         style_costs[style] = []
     if default_style is None:
         raise ImageDecodeError("the JPEG 2000 declares no coding style: damaged")
@@ -256,8 +261,12 @@ def _segments(read_at: ReadAt, position: int) -> Iterator[_Segment]:
     )
 
 
-def _read_style(parameters: bytes, *, has_precincts: bool) -> _Style:
+def _read_style(parameters: bytes, flags: int) -> _Style:
     """Read the parameters of a coding style (SPcod or SPcoc, tables A.20 and A.21).
+
+    Args:
+        parameters: the parameters.
+        flags: the style itself (Scod or Scoc).
 
     Raises:
         ImageDecodeError: a number is outside the standard.
@@ -273,7 +282,7 @@ def _read_style(parameters: bytes, *, has_precincts: bool) -> _Style:
     if levels > _MAX_LEVELS or not has_valid_blocks:
         raise ImageDecodeError("the JPEG 2000 declares an invalid coding style: damaged")
     exponents = [(_WHOLE_TILE_EXPONENT, _WHOLE_TILE_EXPONENT)] * (levels + 1)
-    if has_precincts:
+    if flags & _HAS_PRECINCTS:
         sizes = struct.unpack_from(f">{levels + 1}B", parameters, 5)
         exponents = [(size & 15, size >> 4) for size in sizes]
     return _Style(levels, block_width_exponent, block_height_exponent, tuple(exponents))

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 import struct
+from contextlib import suppress
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.boxes import boxes, still_format
+from vehanchor.imagery.formats.heif_items import check_items
 from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES
 from vehanchor.imagery.formats.image_format import DecoderExtra, ImageFormat
 from vehanchor.imagery.formats.image_header import ImageHeader
@@ -27,6 +29,10 @@ _MAX_META_BYTES = 1 << 20
 
 HEIC_PIXEL_BYTES = 12
 """Memory for decoding a HEIC: two 16-bit planes of HEVC's colours, and RGB with alpha twice."""
+
+
+_UNIQUE_PARTS = frozenset((b"iprp", b"iloc", b"iinf", b"pitm", b"iref", b"idat"))
+"""Parts of the "meta" box that occur once (ISO/IEC 14496-12)."""
 
 
 class ItemLimits(NamedTuple):
@@ -58,12 +64,14 @@ class Piece(NamedTuple):
     """Piece of an item's data.
 
     Attributes:
+        item: number of the item.
         start: offset in the file.
         length: bytes; 0 if the file does not declare it.
         in_file: False if the piece lies within another item, whose offset counts from there, or in
             a box that the file lacks.
     """
 
+    item: int
     start: int
     length: int
     in_file: bool
@@ -86,9 +94,10 @@ def read_heic(read_at: ReadAt) -> ImageHeader:
     if size is None:
         raise ImageDecodeError("the HEIC declares no size: damaged, or not a photograph")
     width, height = size
-    pieces = item_pieces(
-        read_at, parts[b"iloc"], parts.get(b"idat"), name="HEIC", limits=_HEIC_LIMITS
+    pieces = list(
+        item_pieces(read_at, parts[b"iloc"], parts.get(b"idat"), name="HEIC", limits=_HEIC_LIMITS)
     )
+    check_items(read_at, parts, properties, pieces)
     complete = True
     metadata = []
     for piece in pieces:
@@ -132,7 +141,7 @@ def read_meta(read_at: ReadAt, name: str) -> dict[bytes, Box]:
         ImageDecodeError: the box or one of the two parts is missing, or the file is an animation.
         ImageTooLargeError: the box is larger than a photograph needs.
     """
-    meta = next((box for box in boxes(read_at) if box.kind in (b"meta", b"moov")), None)
+    meta = _find_meta(read_at, name)
     if meta is None or meta.end is None:
         raise ImageDecodeError(f"the {name} has no 'meta' box: truncated or damaged")
     if meta.kind == b"moov":
@@ -142,10 +151,34 @@ def read_meta(read_at: ReadAt, name: str) -> dict[bytes, Box]:
             f"the {name}'s header is larger than {_MAX_META_BYTES} bytes; save it again"
         )
     # Version and flags, 4 bytes, precede the boxes.
-    parts = {box.kind: box for box in boxes(read_at, meta.start + 4, meta.end)}
+    parts: dict[bytes, Box] = {}
+    for box in boxes(read_at, meta.start + 4, meta.end):
+        # One reader takes the first, another the last.
+        if box.kind in _UNIQUE_PARTS and box.kind in parts:
+            raise ImageDecodeError(f"the {name} has two boxes {box.kind!r}: damaged")
+        parts[box.kind] = box
     if b"iprp" not in parts or b"iloc" not in parts:
         raise ImageDecodeError(f"the {name} does not declare where its images are: damaged")
     return parts
+
+
+def _find_meta(read_at: ReadAt, name: str) -> Box | None:
+    """Find the "meta" box of a file, or the "moov" box of an animation before it.
+
+    Raises:
+        ImageTooLargeError: there are two "meta" boxes, of which decoders take either.
+    """
+    found = None
+    all_boxes = boxes(read_at)
+    for box in all_boxes:
+        if box.kind in (b"meta", b"moov"):
+            found = box
+            break
+    # A box after it that is cut off does not concern decoders.
+    with suppress(ImageDecodeError, struct.error):
+        if any(box.kind == b"meta" for box in all_boxes):
+            raise ImageTooLargeError(f"the {name} has two 'meta' boxes: save it again")
+    return found
 
 
 def read_image_properties(read_at: ReadAt, iprp: Box) -> list[Box]:
@@ -212,7 +245,7 @@ def item_pieces(
     if n_items > limits.items:
         raise ImageTooLargeError(f"the {name} has more than {limits.items} parts; save it again")
     for _ in range(n_items):
-        read_bits(number_bits)  # number of the item
+        item = read_bits(number_bits)
         method = _IN_FILE
         if version:
             method = read_bits(16) & 15
@@ -230,7 +263,8 @@ def item_pieces(
             if version:
                 read_bits(index_bits)
             start = base + read_bits(offset_bits)
-            yield Piece(start, length=read_bits(length_bits), in_file=in_file)
+            length = read_bits(length_bits)
+            yield Piece(item, start, length=length, in_file=in_file)
 
 
 class Bits:

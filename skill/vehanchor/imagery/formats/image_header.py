@@ -59,8 +59,8 @@ class ImageHeader:
         tiff: layout of a TIFF; None for other formats.
         decoding_bytes: memory to decode it whole: its pixels and the decoder's buffers.
         tile_px: pixels of a JPEG 2000's tile, which is decoded whole; 0 for other formats.
-        structure_bytes: memory for the structures of a tile beside its pixels; 0 for other formats
-            than JPEG 2000.
+        structure_bytes: memory for the structures of a tile beside its pixels, and for the list of
+            all tiles; 0 for other formats than JPEG 2000.
         bands: samples per pixel of a JPEG 2000; 0 for other formats.
         metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
     """

@@ -75,10 +75,10 @@ def read_png(read_at: ReadAt) -> ImageHeader:
 
 
 def without_ancillary_chunks(png: bytes) -> bytes:
-    """Remove texts, profiles and animation from a PNG whose header has been checked.
+    """Remove texts, profiles, animation and what follows the end from a PNG that has been checked.
 
     libpng would unpack a thousand texts of 8 MB, compressed a thousandfold, and write a line to
-    stderr for every chunk that it rejects.
+    stderr for every chunk that it rejects. Without pixels, OpenCV would read beyond the end.
     """
     # Essential chunks that follow each other are copied as one run.
     runs = [png[: len(_SIGNATURE)]]
@@ -96,7 +96,8 @@ def without_ancillary_chunks(png: bytes) -> bytes:
         position = chunk_end
         if kind == b"IEND":
             break
-    if len(runs) == 1:  # nothing to remove: the file is not copied
+    has_nothing_to_remove = len(runs) == 1 and position >= len(png)
+    if has_nothing_to_remove:  # the file is not copied
         return png
     runs.append(png[run_start:position])
     return b"".join(runs)

@@ -139,9 +139,12 @@ def _layout(read_at: ReadAt, tags: _Tags, *, width: int, height: int) -> TiffLay
     """Collect the storage layout from the first directory and from those of masks.
 
     Raises:
-        ImageDecodeError: a tag has neither one value nor one for each band, or tiles have one side.
+        ImageDecodeError: there are no bands, a tag has neither one value nor one for each band, or
+            tiles have one side.
     """
     bands = _first_value(tags, _TAG_SAMPLES, default=1)
+    if bands == 0:
+        raise ImageDecodeError("the TIFF declares pixels without bands: damaged")
     for tag in _TAGS_PER_BAND:
         if tag in tags and len(tags[tag]) not in (1, min(bands, MAX_VALUES)):
             raise ImageDecodeError(

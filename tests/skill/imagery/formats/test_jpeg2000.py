@@ -122,6 +122,16 @@ def test_tiny_precincts_of_one_component_are_refused(photograph: bytes) -> None:
         _check(bomb)
 
 
+@pytest.mark.promise("bombs")
+def test_more_tiles_than_memory_holds_are_refused(photograph: bytes) -> None:
+    """Found by ``tests.fuzz.isolated``: a header of 24,600 tiles took 717 MiB."""
+    tile_sides = photograph.index(b"\xff\x51") + 22
+    small = struct.pack(">II", 2, 2)
+    many = photograph[:tile_sides] + small + photograph[tile_sides + 8 :]
+    with pytest.raises(ImageTooLargeError, match="decoding the JPEG 2000's tiles"):
+        _check(many)
+
+
 def test_many_layers_are_refused(photograph: bytes) -> None:
     with pytest.raises(ImageTooLargeError, match="packets"):
         _check(_with_layers(_with_precincts(photograph, 0x44), 65_535))
@@ -154,6 +164,22 @@ def test_an_invalid_style_is_refused(photograph: bytes) -> None:
     damaged = photograph[:position] + b"\x0f" + photograph[position + 1 :]
     with pytest.raises(ImageDecodeError, match="coding style"):
         _check(damaged)
+
+
+def test_a_style_that_is_cut_off_is_refused(photograph: bytes) -> None:
+    """Found by ``tests.fuzz.isolated``: an IndexError was raised."""
+    start = photograph.index(_COD)
+    empty = photograph[: start + 2] + b"\0\2" + photograph[start + 4 :]
+    with pytest.raises((ImageDecodeError, struct.error)):
+        read_jpeg2000(_reader(empty))
+
+
+def test_a_codestream_without_segments_is_refused(photograph: bytes) -> None:
+    """Found by ``tests.fuzz.isolated``: a StopIteration was raised."""
+    start = photograph.index(b"\xff\x51")
+    without = photograph[:start] + photograph[photograph.index(_SOT) :]
+    with pytest.raises(ImageDecodeError, match="invalid size"):
+        read_jpeg2000(_reader(without))
 
 
 def test_small_precincts_cost_more(photograph: bytes) -> None:
