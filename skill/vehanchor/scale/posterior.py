@@ -175,9 +175,24 @@ class Witness:
             errors: shared errors to include, those of this witness alone. Errors of a group are
                 included once, in the product of the group.
         """
+        return _with_errors(self._own_factor, errors)
+
+    def factor_if_wrong(self, errors: Sequence[Shared]) -> Density:
+        """Compute the part ``[g]`` of the factor in which the witness is wrong.
+
+        Args:
+            errors: as in ``factor``.
+        """
+        factor = self._own_factor
+        # The floor supports all scales alike, and therefore says nothing.
+        floor = np.full_like(factor, _blurred_by(factor, errors).min())
+        return _with_errors(floor, errors, whole=factor)
+
+    @property
+    def _own_factor(self) -> Density:
+        """Factor ``[g]`` of the posterior without errors."""
         assert self.right is not None
-        factor = self.right * (1.0 - self.chance_wrong) + flat() * self.chance_wrong
-        return _with_errors(factor, errors)
+        return self.right * (1.0 - self.chance_wrong) + flat() * self.chance_wrong
 
 
 def with_shared_error(witness: Witness, error: Shared, *, removes: Reason) -> Witness:
@@ -537,34 +552,43 @@ class _Group(NamedTuple):
 
     Attributes:
         factors: ``[g]`` factor of each member by its index, with the errors of that member alone.
+        if_wrong: ``[g]`` part of each factor in which the member is wrong.
         common: errors of two or more members, by name.
     """
 
     factors: Mapping[int, Density]
+    if_wrong: Mapping[int, Density]
     common: Mapping[str, Shared]
 
     def density(self, wrong: Collection[int]) -> Density:
         """Compute the group's factor ``[g]`` of the posterior.
 
         Args:
-            wrong: indices of witnesses of which only the part that says nothing is used: the floor
-                of their factor, which supports all scales alike.
+            wrong: indices of witnesses of which only the part is used in which they are wrong.
         """
         used = []
         for k, factor in self.factors.items():
-            if k in wrong:
-                factor = np.full_like(factor, factor.min())
-            used.append(factor)
+            used.append(self.if_wrong[k] if k in wrong else factor)
         if len(used) == 1:
             return used[0]
         # The whole product scales the part, so that the part stays below the whole.
-        whole = list(self.factors.values())
-        total = float(np.prod(whole, axis=0).sum())
-        if total > 0.0:
-            part = np.prod(used, axis=0) / total
-        else:
-            part = _part_with_floors(used, whole)
-        return _with_errors(part, tuple(self.common.values()))
+        factors = list(self.factors.values())
+        part = _part(used, factors)
+        whole = _part(factors, factors)
+        return _with_errors(part, tuple(self.common.values()), whole=whole)
+
+
+def _part(used: Sequence[Density], whole: Sequence[Density]) -> Density:
+    """Compute the part ``[g]`` of a product in which some factors are replaced by smaller ones.
+
+    Args:
+        used: the factors, some of them replaced.
+        whole: all factors; their product has the sum 1.
+    """
+    total = float(np.prod(whole, axis=0).sum())
+    if total > 0.0:
+        return np.asarray(np.prod(used, axis=0) / total)
+    return _part_with_floors(used, whole)
 
 
 def _part_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Density:
@@ -595,14 +619,16 @@ def _group_by_shared_errors(witnesses: Mapping[int, Witness]) -> list[_Group]:
         own = [error for error in witness.shared if n_sharing[error.name] == 1]
         common = {error.name: error for error in witness.shared if n_sharing[error.name] > 1}
         factors = {k: witness.factor(own)}
+        if_wrong = {k: witness.factor_if_wrong(own)}
         # A witness can link groups that had nothing in common before: they become one.
         names = set(common)
         linked = [group for group in groups if not names.isdisjoint(group.common)]
         groups = [group for group in groups if names.isdisjoint(group.common)]
         for group in linked:
             factors = {**group.factors, **factors}
+            if_wrong = {**group.if_wrong, **if_wrong}
             common = _larger_errors(common, group.common)
-        groups.append(_Group(factors, common))
+        groups.append(_Group(factors, if_wrong, common=common))
     return groups
 
 
@@ -611,30 +637,44 @@ def _larger_errors(first: Mapping[str, Shared], second: Mapping[str, Shared]) ->
     merged = dict(first)
     for name, error in second.items():
         same = merged.get(name, error)
-        log_sd = max(error.log_sd, same.log_sd)
-        chance_wrong = max(error.chance_wrong, same.chance_wrong)
-        chance_large = max(error.chance_large, same.chance_large)
-        large_log_sd = max(error.large_log_sd, same.large_log_sd)
-        merged[name] = Shared(
-            name,
-            log_sd,
-            chance_wrong=chance_wrong,
-            chance_large=chance_large,
-            large_log_sd=large_log_sd,
-        )
+        sizes = zip(error[1:], same[1:], strict=True)
+        merged[name] = Shared(name, *(max(pair) for pair in sizes))
     return merged
 
 
-def _with_errors(density: Density, errors: Sequence[Shared]) -> Density:
+def _with_errors(
+    density: Density, errors: Sequence[Shared], whole: Density | None = None
+) -> Density:
     """Blur a density ``[g]`` by errors, and mix in the case that one of them makes it wrong.
 
     Args:
         density: of any sum.
         errors: independent of each other.
+        whole: ``[g]`` density that the errors make wrong, if ``density`` is a part of it.
     """
+    if whole is None:
+        whole = density
     chance_right = math.prod(1.0 - error.chance_wrong for error in errors)
     right = _blurred_by(density, errors)
-    return chance_right * right + (1.0 - chance_right) * flat()
+    return chance_right * right + (1.0 - chance_right) * _if_wrong(whole, errors)
+
+
+def _if_wrong(density: Density, errors: Sequence[Shared]) -> Density:
+    """Compute the density ``[g]`` of the scale if errors make another density wrong; its sum is 1.
+
+    Args:
+        density: of any sum.
+        errors: independent of each other.
+    """
+    chance_wrong = sum(error.chance_wrong for error in errors)
+    wrong = flat()
+    for error in errors:
+        if error.near_share == 0.0 or error.chance_wrong == 0.0:
+            continue
+        near = blurred(normalised(density), error.near_log_sd)
+        share = error.near_share * error.chance_wrong / chance_wrong
+        wrong = wrong + share * (near - flat())
+    return wrong
 
 
 def _blurred_by(density: Density, errors: Sequence[Shared]) -> Density:
