@@ -126,7 +126,7 @@ _RESIZED = (
     },
     "",
 )
-_TAGGED = {"drone.jpg": _DRONE, "resized.jpg": _RESIZED}
+_TAGGED: dict[str, tuple[dict[str, Any], str]] = {"drone.jpg": _DRONE, "resized.jpg": _RESIZED}
 
 
 class Outcome(NamedTuple):
@@ -216,6 +216,7 @@ def _by_page(address: Address, image: Path, facts: dict[str, Any]) -> Outcome:
 def _tagged(_images: Path) -> None:
     """Write photographs without cars whose files state a camera."""
     rgb = cv2.imread(str(_images / "empty.png"))
+    assert rgb is not None
     _, encoded = cv2.imencode(".jpg", rgb)
     for name, (tags, properties) in _TAGGED.items():
         blocks = segment(EXIF_PREFIX + exif(tags))

@@ -11,6 +11,7 @@ the ground sampling distance::
 Witnesses share an error if it has one cause, such as one lens, one height or one caller. Therefore
 they do not confirm each other beyond that error: its standard deviation blurs their product, and
 with the chance s the error makes all of them wrong.
+A mistake can also be a near one: then they are wrong, and the scale is near what they give.
 
 A guess about a measurement, such as the length of the cars, is a witness that says nothing if the
 measurement is wrong. It narrows the scale, and is no evidence that the measurement is right.
