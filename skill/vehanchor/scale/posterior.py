@@ -41,7 +41,6 @@ import numpy as np
 from vehanchor.scale.defaults import PROBABLY_RIGHT, USABLE_CHANCE
 from vehanchor.scale.density import (
     MIN_PROBABILITY,
-    blurred,
     credible_interval,
     flat,
     mass_within,
@@ -51,6 +50,7 @@ from vehanchor.scale.density import (
 )
 from vehanchor.scale.lengths import Interval
 from vehanchor.scale.reliability import MAX_CHANCE, Shared
+from vehanchor.scale.shared_errors import blurred_by, with_errors
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -166,7 +166,7 @@ class Witness:
         """
         if self.right_with_guess is None or self.gsd_m_per_px is None:
             return None
-        low, high = credible_interval(_blurred_by(self.right_with_guess, self.shared))
+        low, high = credible_interval(blurred_by(self.right_with_guess, self.shared))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
     def factor(self, errors: Sequence[Shared]) -> Density:
@@ -176,7 +176,7 @@ class Witness:
             errors: shared errors to include, those of this witness alone. Errors of a group are
                 included once, in the product of the group.
         """
-        return _with_errors(self._own_factor, errors)
+        return with_errors(self._own_factor, errors)
 
     def factor_if_wrong(self, errors: Sequence[Shared]) -> Density:
         """Compute the part ``[g]`` of the factor in which the witness is wrong.
@@ -186,8 +186,8 @@ class Witness:
         """
         factor = self._own_factor
         # The floor supports all scales alike, and therefore says nothing.
-        floor = np.full_like(factor, _blurred_by(factor, errors).min())
-        return _with_errors(floor, errors, whole=factor)
+        floor = np.full_like(factor, blurred_by(factor, errors).min())
+        return with_errors(floor, errors, whole=factor)
 
     @property
     def _own_factor(self) -> Density:
@@ -333,9 +333,9 @@ def _share_of_usual_errors(witness: Witness) -> Density:
     if all(error.chance_large == 0.0 for error in witness.shared):
         return np.ones_like(witness.right)
     usual_errors = [error._replace(chance_large=0.0) for error in witness.shared]
-    usual = _blurred_by(witness.right, usual_errors)
+    usual = blurred_by(witness.right, usual_errors)
     p_usual = math.prod(1.0 - error.chance_large for error in witness.shared)
-    whole = _blurred_by(witness.right, witness.shared)
+    whole = blurred_by(witness.right, witness.shared)
     return np.minimum(p_usual * usual / np.maximum(whole, MIN_PROBABILITY), 1.0)
 
 
@@ -576,7 +576,7 @@ class _Group(NamedTuple):
         factors = list(self.factors.values())
         part = _part(used, factors)
         whole = _part(factors, factors)
-        return _with_errors(part, tuple(self.common.values()), whole=whole)
+        return with_errors(part, tuple(self.common.values()), whole=whole)
 
 
 def _part(used: Sequence[Density], whole: Sequence[Density]) -> Density:
@@ -641,63 +641,3 @@ def _larger_errors(first: Mapping[str, Shared], second: Mapping[str, Shared]) ->
         sizes = zip(error[1:], same[1:], strict=True)
         merged[name] = Shared(name, *(max(pair) for pair in sizes))
     return merged
-
-
-def _with_errors(
-    density: Density, errors: Sequence[Shared], whole: Density | None = None
-) -> Density:
-    """Blur a density ``[g]`` by errors, and mix in the case that one of them makes it wrong.
-
-    Args:
-        density: of any sum.
-        errors: independent of each other.
-        whole: ``[g]`` density that the errors make wrong, if ``density`` is a part of it.
-    """
-    if whole is None:
-        whole = density
-    chance_right = math.prod(1.0 - error.chance_wrong for error in errors)
-    right = _blurred_by(density, errors)
-    return chance_right * right + (1.0 - chance_right) * _if_wrong(whole, errors)
-
-
-def _if_wrong(density: Density, errors: Sequence[Shared]) -> Density:
-    """Compute the density ``[g]`` of the scale if errors make another density wrong; its sum is 1.
-
-    Args:
-        density: of any sum.
-        errors: independent of each other.
-    """
-    chance_wrong = sum(error.chance_wrong for error in errors)
-    wrong = flat()
-    for error in errors:
-        if error.near_share == 0.0 or error.chance_wrong == 0.0:
-            continue
-        near = blurred(normalised(density), error.near_log_sd)
-        share = error.near_share * error.chance_wrong / chance_wrong
-        wrong = wrong + share * (near - flat())
-    return wrong
-
-
-def _blurred_by(density: Density, errors: Sequence[Shared]) -> Density:
-    """Blur a density ``[g]`` by errors that do not make it wrong.
-
-    Args:
-        density: of any sum.
-        errors: independent of each other.
-    """
-    for k, error in enumerate(errors):
-        if error.chance_large == 0.0:
-            continue
-        # Two cases, each with an error of one size: the usual one, and the large one.
-        usual = error._replace(chance_large=0.0)
-        large = usual._replace(log_sd=error.large_log_sd)
-        others = (*errors[:k], *errors[k + 1 :])
-        in_usual_case = _blurred_by(density, (*others, usual))
-        in_large_case = _blurred_by(density, (*others, large))
-        return (1.0 - error.chance_large) * in_usual_case + error.chance_large * in_large_case
-    return blurred(density, _total_log_sd(errors))
-
-
-def _total_log_sd(errors: Iterable[Shared]) -> float:
-    """Add independent errors: the root of the sum of their squared standard deviations."""
-    return math.hypot(*(error.log_sd for error in errors))
