@@ -19,7 +19,7 @@ from vehanchor.rulers.ruler import Ruler, View
 from vehanchor.scale.calibration import Calibration
 from vehanchor.scale.defaults import Aggregation
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.witness import Witness
+from vehanchor.scale.posterior import Witness
 
 
 def made_card(reference_length_m: float = 5.045, min_length_px: float = 0.0) -> DetectorCard:

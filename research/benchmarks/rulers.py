@@ -29,8 +29,7 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.ruler import point_witness
-from vehanchor.scale.posterior import answer
-from vehanchor.scale.witness import Witness
+from vehanchor.scale.posterior import Witness, answer
 from vehanchor_evaluation.table import survey_table
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data"

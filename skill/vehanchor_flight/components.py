@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
     from vehanchor_flight.common_ground import Placement
 
     Logs: TypeAlias = NDArray[np.float64]

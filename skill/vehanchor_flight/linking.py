@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
     from vehanchor_flight.features import Features
     from vehanchor_flight.graph import Subgraph
     from vehanchor_flight.layout import Layout

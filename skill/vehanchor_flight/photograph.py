@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.scene_scale import SceneScalePrior
     from vehanchor.options import ScaleOptions
     from vehanchor.rulers.camera_tilt import CameraTilt
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
     from vehanchor_flight.features import Features
 
     Points: TypeAlias = NDArray[np.float64]

@@ -32,7 +32,7 @@ from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
 from vehanchor.rulers.witnesses import NO_ONE_SCALE_CODES, expected_scale, measure_all
 from vehanchor.scale.density import quantile, shifted
-from vehanchor.scale.witness import Lack, Remark, Witness
+from vehanchor.scale.posterior import Lack, Remark, Witness
 from vehanchor_flight.common_ground import distinct_vehicles, n_distinct
 from vehanchor_flight.photograph import constant_detail_share, per_photograph_witnesses
 

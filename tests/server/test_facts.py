@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import pytest
 from mcp.server import MCPServer
 from typer.testing import CliRunner
@@ -16,6 +17,7 @@ import vehanchor
 from tests.server.app_page.viewing import viewing
 from tests.server.conversation import by_path, called, error_of, record_of
 from tests.server.transport.test_viewer import ask
+from tests.skill.imagery.files import EXIF_PREFIX, XMP_PREFIX, after_start, exif, segment, xmp
 from vehanchor.batch import run_batch
 from vehanchor.cli.app import app
 from vehanchor.errors import InvalidParameterError
@@ -67,7 +69,7 @@ CASES = {
     "a wrong line": Case("cars.png", _lines([LINE]), "low_confidence", 0.173, "rulers_disagree"),
     "a right line": Case("cars.png", _lines([(100, 500, 400, 500, 45)]), "ok", 0.15),
     "a contradiction": Case(
-        "cars.png", _lines([(100, 500, 400, 500, 57)]), "ok", 0.189, "rulers_disagree"
+        "cars.png", _lines([(100, 500, 400, 500, 56)]), "ok", 0.185, "rulers_disagree"
     ),
     "a guessed length of cars": Case(
         "cars.png",
@@ -88,6 +90,16 @@ CASES = {
         "cars.png", _lines([LINE]) | _WRONG_HEIGHT, "low_confidence", 0.597, "rulers_disagree"
     ),
     "guesses alone": Case("empty.png", _lines(_GUESSES, "assumed"), "low_confidence", 0.154),
+    "the file's scale as a guessed line": Case(
+        "drone.jpg", _lines([(100, 500, 400, 500, 60.9)], "assumed"), "low_confidence", 0.22
+    ),
+    "the file's height as a guess": Case("drone.jpg", {"height_m": 98.0}, "low_confidence", 0.22),
+    "the focal plane of an unknown camera": Case(
+        "resized.jpg",
+        {"height_m": 110.0, "height_basis": "measured"},
+        status="low_confidence",
+        gsd_m_per_px=0.041,
+    ),
     "a lorry beside cars": Case(
         "cars.png",
         {"add": [(450, 420, 540, 420)]},
@@ -97,6 +109,24 @@ CASES = {
         surfaces=_ONE_IMAGE,
     ),
 }
+
+
+# 100 m above take-off, 26 mm: 0.203 m/px by the tags of a drone; the prior draws it to 0.22.
+_DRONE = ({"FocalLengthIn35mmFilm": 26}, 'drone-dji:RelativeAltitude="100"')
+# The focal plane of an original that was 6 times as wide, and of a camera that is in no table.
+_RESIZED = (
+    {
+        "Make": "SONY",
+        "Model": "ILCE-6000",
+        "FocalLength": 20.0,
+        "FocalPlaneXResolution": 1361.7,
+        "FocalPlaneResolutionUnit": 3,
+        "PixelXDimension": 640,
+        "PixelYDimension": 512,
+    },
+    "",
+)
+_TAGGED: dict[str, tuple[dict[str, Any], str]] = {"drone.jpg": _DRONE, "resized.jpg": _RESIZED}
 
 
 class Outcome(NamedTuple):
@@ -150,7 +180,7 @@ def _by_batch(image: Path, detector: Path, facts: dict[str, Any], folder: Path) 
         output,
         detector=detector,
         options=ScaleOptions.of(others),
-        known_lengths=table,
+        known_lengths=table if lines else None,
         workers=1,
     )
     row = json.loads(output.read_text(encoding="utf-8"))
@@ -180,6 +210,20 @@ def _by_page(address: Address, image: Path, facts: dict[str, Any]) -> Outcome:
     arguments = {**by_path(image), "detail": "full", **_arguments(facts)}
     *_, answer = ask(address, "estimate_gsd", arguments)
     return _outcome(answer["result"]["structuredContent"])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _tagged(_images: Path) -> None:
+    """Write photographs without cars whose files state a camera."""
+    rgb = cv2.imread(str(_images / "empty.png"))
+    assert rgb is not None
+    _, encoded = cv2.imencode(".jpg", rgb)
+    for name, (tags, properties) in _TAGGED.items():
+        blocks = segment(EXIF_PREFIX + exif(tags))
+        if properties:
+            packet = xmp({"drone-dji": "http://www.dji.com/drone-dji/1.0/"}, properties)
+            blocks += segment(XMP_PREFIX + packet)
+        (_images / name).write_bytes(after_start(encoded.tobytes(), blocks))
 
 
 @pytest.fixture(scope="module")
@@ -231,6 +275,20 @@ async def test_facts_count_alike_on_all_surfaces(
     assert outcome.gsd_m_per_px == pytest.approx(expected.gsd_m_per_px, rel=1e-3)
     assert outcome.confidence == pytest.approx(expected.confidence, abs=0.01)
     assert outcome.codes == expected.codes
+
+
+@pytest.mark.parametrize(
+    "name", ["the file's scale as a guessed line", "the file's height as a guess"]
+)
+def test_a_guess_that_repeats_the_file_adds_next_to_nothing(
+    name: str, images: Path, detector_path: Path
+) -> None:
+    case = CASES[name]
+    image = images / case.image
+    alone = _by_python(image, detector_path, {})
+    beside = _by_python(image, detector_path, case.facts)
+    assert beside.confidence - alone.confidence <= 0.03
+    assert beside.gsd_m_per_px == pytest.approx(alone.gsd_m_per_px, rel=0.03)
 
 
 def test_a_line_in_parts_counts_as_one_line(images: Path, detector_path: Path) -> None:

@@ -39,7 +39,7 @@ from vehanchor.records import (
     SceneScaleEstimate,
 )
 from vehanchor.records.advice import IN_WORDS, advice_for
-from vehanchor.scale.witness import Witness
+from vehanchor.scale.posterior import Witness
 from vehanchor.storage.codec import Codec
 
 

@@ -47,7 +47,7 @@ from vehanchor.pictures.scale import (
 )
 from vehanchor.rulers.camera_tilt import CameraTilt
 from vehanchor.scale.defaults import Aggregation
-from vehanchor.scale.witness import Mark
+from vehanchor.scale.posterior import Mark
 
 
 def _near(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:

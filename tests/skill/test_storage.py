@@ -31,8 +31,8 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.rulers.ruler import as_assumed, point_witness, prior_witness
 from vehanchor.scale.density import lognormal
+from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import Shared
-from vehanchor.scale.witness import Mark, Witness
 from vehanchor.storage.atomic import beside, whole_file, write_record
 from vehanchor.storage.codec import Codec
 from vehanchor.storage.exclusive import has_locks

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.density import Density
-    from vehanchor.scale.posterior import Answer
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Answer, Witness
 
 # Even a known fleet differs this much between parts of a town.
 _MIN_FLEET_LOG_SD = 0.03

@@ -12,8 +12,8 @@ from vehanchor.imagery.raster import RasterNote
 from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.records import Notice
 from vehanchor.rulers.camera_tilt import CameraTilt
+from vehanchor.scale.posterior import Lack, Mark, Witness
 from vehanchor.scale.reliability import Shared
-from vehanchor.scale.witness import Lack, Mark, Witness
 
 STORED_CLASSES: tuple[type[Any], ...] = (
     CameraMetadata,

@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from vehanchor.records import Reason
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.lengths import Interval
-    from vehanchor.scale.witness import Remark, Witness
+    from vehanchor.scale.posterior import Remark, Witness
 
 # Digits of a model's checksum in a scale to give back.
 _MODEL_DIGITS = 12

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
     from vehanchor.rulers.vehicles import VehicleWitness
-    from vehanchor.scale.posterior import Answer
-    from vehanchor.scale.witness import Mark, Witness
+    from vehanchor.scale.posterior import Answer, Mark, Witness
     from vehanchor.segmentation.object_mask import ObjectMask
     from vehanchor.segmentation.prompt import Prompt
 

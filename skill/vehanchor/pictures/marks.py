@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.pictures.placement import Colour, Placement, Points, RgbImage
-    from vehanchor.scale.witness import Mark
+    from vehanchor.scale.posterior import Mark
 
 # A lighter version of the bluish green of Okabe and Ito.
 MARK_RGB = (0, 190, 138)

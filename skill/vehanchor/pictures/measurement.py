@@ -15,7 +15,7 @@ from vehanchor.records.advice import advice_for
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import NO_SCALE, fit_in_words, significant, with_interval
 from vehanchor.scale.defaults import USABLE_CHANCE
-from vehanchor.scale.witness import Mark
+from vehanchor.scale.posterior import Mark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

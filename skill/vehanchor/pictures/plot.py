@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from vehanchor.pictures.evidence import ScaleEvidence
     from vehanchor.records.gsd_estimate import RulerScale
     from vehanchor.scale.defaults import Aggregation
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
 
 # Colours of Okabe and Ito: two blues, orange and vermilion.
 _KEPT = "#56B4E9"

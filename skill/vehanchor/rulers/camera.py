@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.metadata.lens import Lens
     from vehanchor.rulers.ruler import View
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
 
 
 # Error of the file's height that no guess repeats: two steps of the grid of scales.

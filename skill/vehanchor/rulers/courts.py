@@ -10,15 +10,15 @@ import numpy as np
 from vehanchor.courts.find import find_courts
 from vehanchor.rulers.ruler import Ruler, point_witness
 from vehanchor.scale.density import on_grid
+from vehanchor.scale.posterior import Mark
 from vehanchor.scale.reliability import RELIABILITY, court_wrong
-from vehanchor.scale.witness import Mark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vehanchor.courts.find import Court
     from vehanchor.rulers.ruler import View
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
 
 # Log distance from the median scale beyond which a find is not a court.
 _MAX_LOG_DISTANCE = 0.06

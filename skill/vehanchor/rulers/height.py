@@ -17,7 +17,7 @@ from vehanchor.scale.reliability import MEASURING, RELIABILITY, ROUGH, SAME_NUMB
 
 if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
 
 _NO_LENS_OF_A_CROP = (
     "no focal length of the whole photograph holds for it, and the given height is not usable. "

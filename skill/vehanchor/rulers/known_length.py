@@ -18,8 +18,8 @@ from vehanchor.rulers.ruler import Ruler, as_assumed, in_words
 from vehanchor.rulers.standards import Variant, exact_kind, lengths_of
 from vehanchor.scale.density import lognormal, mass_within, on_grid, product, quantile
 from vehanchor.scale.lengths import Z95
+from vehanchor.scale.posterior import Mark, Witness
 from vehanchor.scale.reliability import CALLER, MEASURING, RECOGNITION, RELIABILITY, ROUGH
-from vehanchor.scale.witness import Mark, Witness
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

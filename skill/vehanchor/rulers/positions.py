@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.rulers.ruler import View
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
 
     EastNorth: TypeAlias = NDArray[np.float64]
     """``[n, 2]`` metres east and north, NaN if unknown."""

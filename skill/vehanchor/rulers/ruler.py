@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from vehanchor.scale.density import flat, lognormal, normalised, quantile
+from vehanchor.scale.posterior import Lack, Mark, Witness
 from vehanchor.scale.reliability import CALLER, FILE
-from vehanchor.scale.witness import Lack, Mark, Witness
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from vehanchor.scale.density import Density
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.plane import GroundPlane
+    from vehanchor.scale.posterior import Remark
     from vehanchor.scale.reliability import Shared
-    from vehanchor.scale.witness import Remark
 
     Centres: TypeAlias = NDArray[np.float64]
     """``[n, 2]`` x, y in pixels of the image."""

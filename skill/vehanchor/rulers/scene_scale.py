@@ -9,7 +9,7 @@ from vehanchor.scale.reliability import PRIOR_POWER
 
 if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
 
 
 class SceneScale(Ruler):

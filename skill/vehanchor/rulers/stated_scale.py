@@ -14,7 +14,7 @@ from vehanchor.scale.reliability import MEASURING, RELIABILITY
 if TYPE_CHECKING:
     from vehanchor.options.rulers import StatedScale as Stated
     from vehanchor.rulers.ruler import View
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
 
 
 class StatedScale(Ruler):

@@ -51,6 +51,7 @@ from vehanchor.scale.lengths import (
     statistical_log_sds,
 )
 from vehanchor.scale.paper import paper_scale
+from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import (
     POINTING,
     RELIABILITY,
@@ -61,7 +62,6 @@ from vehanchor.scale.reliability import (
     uncalibrated_wrong,
     unresolved,
 )
-from vehanchor.scale.witness import Lack, Witness
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -18,16 +18,15 @@ from vehanchor.rulers.ruler import unusable
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness, vehicle_witness
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import product
+from vehanchor.scale.posterior import with_shared_error
 from vehanchor.scale.reliability import NO_CARS, NO_ONE_SCALE, Shared, chance_of_stretch
-from vehanchor.scale.witness import with_shared_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from vehanchor.rulers.ruler import Ruler, View
     from vehanchor.scale.density import Density
-    from vehanchor.scale.posterior import Answer
-    from vehanchor.scale.witness import Remark, Witness
+    from vehanchor.scale.posterior import Answer, Remark, Witness
 
 # Log ratio of a length in centimetres that is stated as metres, and how exactly rulers show it.
 _UNIT_LOG_RATIO = math.log(100.0)

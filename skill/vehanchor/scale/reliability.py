@@ -59,7 +59,7 @@ _NOT_MEASURED = 0.05
 
 _MEASURED_WRONG = 0.02
 """Chance that one measured fact is wrong by itself, beside the chance that all measured facts of
-its caller are; see MEASURING. With that chance it is ``_NOT_MEASURED``. A choice."""
+its caller are; see MEASURING. With the mistakes of any size it is ``_NOT_MEASURED``. A choice."""
 
 _HEIGHT_WRONG = 0.005
 """Chance that a file's height says nothing, beside the chances of a hill and of a wrong lens. A
@@ -208,6 +208,9 @@ class Shared(NamedTuple):
         chance_wrong: 0..1, chance that the cause makes all of them wrong.
         chance_large: 0..1, chance that the error is not of the usual size, but large.
         large_log_sd: standard deviation of the log scale if it is large.
+        near_share: 0..1, share of ``chance_wrong`` in which the scale is near what the witnesses
+            give, although they are wrong; in the rest all scales are equally likely.
+        near_log_sd: standard deviation of the log scale if it is near.
     """
 
     name: str
@@ -215,6 +218,8 @@ class Shared(NamedTuple):
     chance_wrong: float = 0.0
     chance_large: float = 0.0
     large_log_sd: float = 0.0
+    near_share: float = 0.0
+    near_log_sd: float = 0.0
 
 
 CALLER = Shared("caller", 0.0, 0.11)
@@ -230,9 +235,12 @@ POINTING = Shared("caller", 0.0)
 """A caller who points at cars may be mistaken as with other guesses. Without other guesses it is no
 further error."""
 
-MEASURING = Shared("caller's measurements", 0.0, 0.03)
+MEASURING = Shared("caller's measurements", 0.0, 0.045, near_share=1 / 3, near_log_sd=0.5)
 """All measured facts of one caller are wrong together: one tape, one plan, one mistaken unit. A
-choice."""
+choice. So is the share of mistakes that are near: who measures a wrong thing usually measures one
+from half to double the size, not one of any size. Without that share, a line 1.5 times off was
+wrong and `ok` in 51 of 200 cases against one to four cars, in 10 of them against cars that are `ok`
+by themselves; with it in 31 and 3. The right line leads in 96 of 100 with both."""
 
 GEOREFERENCE_LOG_SD = 0.01
 """Error of a georeference that is right: the grid scale of projections, relief in orthophotos. A

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from vehanchor.options.rulers import Rulers
     from vehanchor.records import GsdEstimate, RulerScale
     from vehanchor.rulers.known_length_table import KnownLengthTable
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
     from vehanchor.storage.journal import Journal
     from vehanchor_flight.photograph import StoredPhotograph
     from vehanchor_flight.reconstruction.model import Reconstruction

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector_errors import DetectorErrors
     from vehanchor.imagery.raster import Raster
     from vehanchor.options import KnownLength, ScaleOptions
-    from vehanchor.scale.witness import Witness
+    from vehanchor.scale.posterior import Witness
     from vehanchor_flight.reconstruction.ground import Plane
     from vehanchor_flight.reconstruction.model import Shot
 

@@ -19,8 +19,7 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.rulers.courts import witness_of
 from vehanchor.scale.density import Votes, blurred, vehicle_likelihood
-from vehanchor.scale.posterior import answer
-from vehanchor.scale.witness import Witness
+from vehanchor.scale.posterior import Witness, answer
 
 
 def _measured(

@@ -21,7 +21,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.density import Density, Votes, lognormal
-from vehanchor.scale.witness import Witness
+from vehanchor.scale.posterior import Witness
 
 MAVIC = CameraMetadata(
     make="DJI",

@@ -22,7 +22,7 @@ from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
-from vehanchor.scale.witness import Witness
+from vehanchor.scale.posterior import Witness
 from vehanchor_flight.photograph import Photograph, StoredPhotograph, photograph_codec
 from vehanchor_flight.pooling import pool
 

@@ -20,9 +20,8 @@ from vehanchor.scale.density import (
     product,
     vehicle_likelihood,
 )
-from vehanchor.scale.posterior import Answer, answer, judge
+from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judge
 from vehanchor.scale.reliability import CALLER, Shared
-from vehanchor.scale.witness import Lack, Witness
 
 VOTES = Votes(-13.76, 17.4)
 LENS = Shared("lens", 0.03)
@@ -256,3 +255,31 @@ def test_witnesses_without_a_floor_that_exclude_each_other_are_not_sure() -> Non
     contradiction = answer([_without_floor(0.1, shared), _without_floor(0.5, shared)])
     assert contradiction is not None
     assert (contradiction.usable, contradiction.reason) == (False, "disagree")
+
+
+def _mistake(near_share: float) -> Shared:
+    return Shared("measuring", 0.0, 0.05, near_share=near_share, near_log_sd=0.5)
+
+
+def test_a_near_mistake_of_one_fact_does_not_outvote_few_cars() -> None:
+    line = replace(_point(0.18, chance_wrong=0.0), shared=(_mistake(near_share=0.5),))
+    as_likely_anywhere = replace(line, shared=(_mistake(near_share=0.0),))
+    cars = replace(_cars(2), chance_wrong=0.05)
+    decided = answer([cars, line])
+    other = answer([cars, as_likely_anywhere])
+    assert decided is not None
+    assert other is not None
+    assert decided.p_right[0] > other.p_right[0]
+    assert decided.p_right[1] < other.p_right[1]
+
+
+@pytest.mark.parametrize("n_lines", [1, 2])
+def test_a_near_mistake_does_not_widen_the_interval(n_lines: int) -> None:
+    line = replace(_point(0.12, chance_wrong=0.0), shared=(_mistake(near_share=0.5),))
+    as_likely_anywhere = replace(line, shared=(_mistake(near_share=0.0),))
+    decided = judge([line] * n_lines)
+    other = judge([as_likely_anywhere] * n_lines)
+    assert decided is not None
+    assert other is not None
+    assert decided.interval == pytest.approx(other.interval, rel=1e-3)
+    assert decided.gsd_m_per_px == pytest.approx(0.12, rel=0.01)
