@@ -19,7 +19,7 @@ _ONLY_WITH_DETAILS = ("rulers", "tilt", "scale", "details")
 _ERROR_COLUMNS = {"error_code": str, "error": str}
 
 COLUMNS: dict[str, type] = {
-    "file": str,
+    "photograph": str,
     **flat_columns(GsdEstimate, without=(*_NOT_IN_TABLES, *_ONLY_WITH_DETAILS)),
     "tilt_deg": float,
     **_ERROR_COLUMNS,
@@ -27,7 +27,7 @@ COLUMNS: dict[str, type] = {
 """Columns of a table and the types of their values, in order; see ``vehanchor.records.flat``."""
 
 ALL_COLUMNS: dict[str, type] = {
-    "file": str,
+    "photograph": str,
     **flat_columns(GsdEstimate, without=_NOT_IN_TABLES),
     **_ERROR_COLUMNS,
 }
@@ -38,7 +38,7 @@ class BatchRow(BaseModel):
     """Result for one image.
 
     Attributes:
-        file: the image, as the caller named it.
+        photograph: as the caller named it.
         estimate: null if the image could not be read.
         error_code: stable code of the error; null with an estimate.
         error: the error and its remedy.
@@ -46,15 +46,15 @@ class BatchRow(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    file: str
+    photograph: str
     estimate: GsdEstimate | None = None
     error_code: str | None = None
     error: str | None = None
 
     @classmethod
-    def failed(cls, file: str, error: VehAnchorError) -> BatchRow:
+    def failed(cls, photograph: str, error: VehAnchorError) -> BatchRow:
         """Make the row of an image that could not be read."""
-        return cls(file=file, error_code=error.code, error=str(error))
+        return cls(photograph=photograph, error_code=error.code, error=str(error))
 
     @property
     def outcome(self) -> str:
@@ -78,7 +78,7 @@ class BatchRow(BaseModel):
         values: dict[str, Any] = dict.fromkeys(ALL_COLUMNS)
         if self.estimate is not None:
             values |= flat_row(self.estimate, without=_NOT_IN_TABLES)
-        values["file"] = self.file
+        values["photograph"] = self.photograph
         values["error_code"] = self.error_code
         values["error"] = self.error
         return values

@@ -28,7 +28,7 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import networks_sha256
 from vehanchor.engine import Engine
-from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models
@@ -112,8 +112,8 @@ def run_batch(
         options: options of the method, without a frame; None for the defaults.
         known_lengths: CSV with lines of known length by image; see ``lines_in``.
         details: write all columns.
-        overwrite: start again, although a table or rows of another run exist; an existing table
-            stays until the new one is complete.
+        overwrite: start again, although rows of an interrupted run exist. An existing table stays
+            until the new one is complete.
         runtime: providers of the models, each on one thread, and the progress in images.
         isolated: whether a single worker has a process of its own, which imports the main module.
 
@@ -122,7 +122,7 @@ def run_batch(
         InvalidParameterError: an option is invalid, or an unfinished run at ``output`` had other
             options.
         KnownLengthError: the CSV cannot be used, or names an image that is not in the run.
-        OutputError: the table exists and is complete, or cannot be written.
+        OutputError: the table cannot be written.
         ModelError: the detector cannot be used.
         MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker died before it had an image, or Ray ended the run.
@@ -130,7 +130,7 @@ def run_batch(
     table = Path(output)
     options = options or ScaleOptions()
     runtime = runtime or Runtime()
-    _check_output(table, overwrite=overwrite)
+    check_table_path(table)
     _check_arguments(engine, address, workers=workers, options=options)
 
     paths = find_images(inputs)
@@ -156,16 +156,6 @@ def run_batch(
         statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
         journal.remove()
     return BatchSummary(table, len(tasks), n_resumed, statuses=statuses, causes=causes)
-
-
-def _check_output(table: Path, *, overwrite: bool) -> None:
-    """Check that the table can be written, and is not yet complete."""
-    check_table_path(table)
-    is_complete = table.exists() and not journal_path(table).exists()
-    if is_complete and not overwrite:
-        raise OutputError(
-            f"{str(table)!r} exists and is complete: name another file, or pass --overwrite"
-        )
 
 
 def _check_arguments(

@@ -118,5 +118,5 @@ class Worker:
         except Exception as error:
             # A defect that one image triggers must not end a run over a million images.
             message = f"{type(error).__name__}: {error}"
-            return BatchRow(file=task.file, error_code="internal_error", error=message)
-        return BatchRow(file=task.file, estimate=analysis.estimate)
+            return BatchRow(photograph=task.file, error_code="internal_error", error=message)
+        return BatchRow(photograph=task.file, estimate=analysis.estimate)

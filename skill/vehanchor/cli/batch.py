@@ -29,7 +29,7 @@ Inputs: TypeAlias = Annotated[
 ]
 Table: TypeAlias = Annotated[
     Path,
-    typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
+    typer.Option("--out", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
 ]
 EngineName: TypeAlias = Annotated[
     str,
@@ -50,7 +50,8 @@ Workers: TypeAlias = Annotated[
     typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU."),
 ]
 Overwrite: TypeAlias = Annotated[
-    bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
+    bool,
+    typer.Option("--overwrite", help="Start again; do not resume the rows of an interrupted run."),
 ]
 Details: TypeAlias = Annotated[
     bool,
@@ -62,8 +63,8 @@ TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.csv",
-        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files "
-        "relative to the table). The output may also be .geojson.",
+        help="Measure the targets of a CSV: photograph,kind,x1,y1,x2,y2,name (box, point or line; "
+        "paths relative to the table). The output may also be .geojson.",
     ),
 ]
 
@@ -71,7 +72,7 @@ TargetsFile: TypeAlias = Annotated[
 @scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
-    output: Table,
+    out: Table,
     engine: EngineName = "local",
     address: ClusterAddress = None,
     workers: Workers = None,
@@ -99,19 +100,18 @@ def batch(
             measure_table(
                 inputs,
                 measure,
-                output=output,
+                output=out,
                 engine=chosen.engine(),
                 tell=progress,
-                overwrite=overwrite,
             )
             return
 
         from vehanchor.batch import run_batch
 
-        with resumable(output, "rows"):
+        with resumable(out, "rows"):
             summary = run_batch(
                 inputs,
-                output,
+                out,
                 engine=engine,
                 address=address,
                 workers=workers,
@@ -142,11 +142,11 @@ def _print_summary(summary: BatchSummary, seconds: float) -> None:
         # The text of an error contains its remedy.
         if first.advice.helps:
             words += f"; {first.advice.helps}"
-        file = printable(first.file)
-        print(f"{n_rows} x {first.reason}, as in {file}: {words}", file=sys.stderr)
+        photograph = printable(first.photograph)
+        print(f"{n_rows} x {first.reason}, as in {photograph}: {words}", file=sys.stderr)
     table = printable(str(summary.table))
     rows = f"{count(summary.n_rows, 'row')} ({counts_text(summary.statuses)})"
     if summary.n_resumed:
         rows += f", {summary.n_resumed} of them from an earlier run"
     images = count(summary.n_rows - summary.n_resumed, "image")
-    print(f"{table}: {rows}; {images} in {seconds:.1f} s", file=sys.stderr)
+    print(f"wrote {table}: {rows}; {images} in {seconds:.1f} s", file=sys.stderr)

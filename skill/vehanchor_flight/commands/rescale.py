@@ -54,8 +54,8 @@ def rescale(
         typer.Option(
             "--known-lengths",
             metavar="LINES.csv",
-            help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files "
-            "are relative to the table.",
+            help="Lines of known length: photograph, x1, y1, x2, y2, metres; paths are relative to "
+            "the table.",
         ),
     ] = None,
     project: Annotated[

@@ -16,6 +16,7 @@ import pytest
 from tests.sam_models import SamFiles
 from tests.server.app_page.viewing import Person, viewing
 from tests.server.conftest import POOL_BOX, paint_scene, with_pool, write_image
+from vehanchor.batch.row import COLUMNS
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
 
@@ -203,9 +204,12 @@ def test_all_photographs_are_measured_into_a_table(person: Person, tmp_path: Pat
     assert "not an image" in person.page.locator(".overview tr", has_text="broken.png").inner_text()
     with saved(person, "Save table", tmp_path).open(newline="") as file:
         rows = list(csv.DictReader(file))
-    status_of = {Path(row["file"]).name: row["status"] for row in rows}
+    assert list(rows[0]) == list(COLUMNS), "as the tables of 'vehanchor batch'"
+    status_of = {Path(row["photograph"]).name: row["status"] or "error" for row in rows}
+    reasons = person.page.locator(".overview tr", has_text="large.png").inner_text()
+    assert "too few vehicles" in reasons
     assert (status_of["broken.png"], status_of["pool.png"], status_of["large.png"]) == (
-        "failed",
+        "error",
         "ok",
         "no_scale",
     )

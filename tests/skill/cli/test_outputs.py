@@ -38,7 +38,7 @@ def run(image: Path, *arguments: object) -> tuple[int, str]:
 
 def test_the_scale_bar_has_its_length(image: Path) -> None:
     out = image.with_name("out.png")
-    assert run(image, "--scale-bar", out, *LINE) == (0, "")
+    assert run(image, "--scale-bar", out, *LINE) == (0, f"wrote {out}\n")
     before = cv2.imread(str(image))
     after = cv2.imread(str(out))
     assert before is not None
@@ -89,7 +89,10 @@ def test_a_geotiff_has_all_pixels_in_local_metres(image: Path) -> None:
     photo = np.random.default_rng(3).integers(0, 255, (700, 1100, 3), np.uint8)
     assert cv2.imwrite(str(image), photo)
     copy = image.with_name("copy.tif")
-    assert run(image, "--geotiff", copy, *LINE, "--rulers", "known_length") == (0, "")
+    assert run(image, "--geotiff", copy, *LINE, "--rulers", "known_length") == (
+        0,
+        f"wrote {copy}\n",
+    )
     with rasterio.open(copy) as written:
         assert np.array_equal(written.read().transpose(1, 2, 0), photo[:, :, ::-1])
         assert 'UNIT["metre",1' in written.crs.to_wkt()
