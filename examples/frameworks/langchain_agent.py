@@ -22,9 +22,8 @@ try:
     from langchain_openai import ChatOpenAI
 except ModuleNotFoundError as missing:
     sys.exit(
-        f"this example needs the package {missing.name!r}, in an environment of its own because it "
-        "needs mcp < 2: python -m venv langchain_env && "
-        "langchain_env/bin/pip install -r langchain_agent.requirements.txt"
+        f"this example needs the package {missing.name!r}: "
+        "pip install -r langchain_agent.requirements.txt, in an environment of its own"
     )
 
 SYSTEM = (

@@ -76,6 +76,13 @@ def test_tables_fit_a_terminal_of_80_columns(
     assert {"no_scale", "error", "unreadable"} <= set(done.stdout.split())
 
 
+def test_overlays_show_the_photographs_of_a_flight(run: Any, tmp_path: Path) -> None:
+    done = run("flight", "0.png", "2.png", "--overlays", "drawn")
+    assert done.exit_code == 0, done.output
+    names = sorted(path.name for path in (tmp_path / "drawn").iterdir())
+    assert names == ["0.png.overlay.png", "2.png.overlay.png"]
+
+
 @pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])
 def test_an_output_that_cannot_be_written_is_refused_before_the_work(run: Any, out: str) -> None:
     done = run("flight", ".", "--out", out)
@@ -261,6 +268,15 @@ def test_what_cannot_be_done_is_refused(rescale: Any, arguments: list[str], code
     done = rescale(*arguments)
     assert done.exit_code == 2, done.output
     assert f"error[{code}]" in done.stderr
+
+
+def test_a_missing_size_is_explained_in_sentences(rescale: Any, tmp_path: Path) -> None:
+    pose = Pose(80, 80, 70)
+    bare_ground = pose.painted(np.zeros((0, 4)))
+    write_opensfm(tmp_path / "bare", [bare_ground], poses=[pose], metres_per_unit=1.0)
+    words = " ".join(rescale("bare").stdout.split())
+    assert "too_few" not in words
+    assert "nothing of known size was found" in words
 
 
 def test_nothing_is_written_without_a_usable_size(rescale: Any, tmp_path: Path) -> None:

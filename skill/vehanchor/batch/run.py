@@ -34,6 +34,7 @@ from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models
 from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
+from vehanchor.pictures.overlays import Overlays
 from vehanchor.records import SCHEMA_VERSION
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.storage.atomic import beside
@@ -89,6 +90,7 @@ def run_batch(
     options: ScaleOptions | None = None,
     known_lengths: str | os.PathLike[str] | None = None,
     details: bool = False,
+    overlays: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     runtime: Runtime | None = None,
     isolated: bool = False,
@@ -112,6 +114,8 @@ def run_batch(
         options: options of the method, without a frame; None for the defaults.
         known_lengths: CSV with lines of known length by image; see ``lines_in``.
         details: write all columns.
+        overlays: folder of a picture of each image with its vehicles; made if missing. Not with
+            Ray.
         overwrite: start again, although rows of an interrupted run exist. An existing table stays
             until the new one is complete.
         runtime: providers of the models, each on one thread, and the progress in images.
@@ -136,12 +140,16 @@ def run_batch(
     paths = find_images(inputs)
     tasks = [Task.of(path) for path in paths]
     job = _make_job(detector, classes, options=options, runtime=runtime)
-    job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
+    job = replace(
+        job,
+        known_lengths=lines_in(known_lengths, [task.path for task in tasks]),
+        overlays=_overlays(overlays, engine, tasks),
+    )
 
     with open_journal(table, job, anew=overwrite) as journal:
         # A key contains the state of its image, so the row of a replaced image is missing.
         keys = {task: task.key() for task in tasks}
-        missing = [task for task in tasks if keys[task] not in journal]
+        missing = [task for task in tasks if keys[task] not in journal or _lacks(task, job)]
         n_resumed = len(tasks) - len(missing)
         runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
@@ -156,6 +164,26 @@ def run_batch(
         statuses, causes = _write_rows(table, journal, keys_in_order, details=details)
         journal.remove()
     return BatchSummary(table, len(tasks), n_resumed, statuses=statuses, causes=causes)
+
+
+def _overlays(
+    folder: str | os.PathLike[str] | None, engine: str, tasks: Sequence[Task]
+) -> Overlays | None:
+    """Place the pictures of a run; None without them.
+
+    Raises:
+        InvalidParameterError: the engine has other machines.
+    """
+    if folder is None:
+        return None
+    if engine != "local":
+        raise InvalidParameterError("overlays lie on this machine: leave out --engine ray")
+    return Overlays.of(folder, [task.path for task in tasks])
+
+
+def _lacks(task: Task, job: BatchJob) -> bool:
+    """Check whether an image has a row of an interrupted run, but no picture."""
+    return job.overlays is not None and not job.overlays.path(task.path).exists()
 
 
 def _check_arguments(

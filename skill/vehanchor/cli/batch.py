@@ -11,7 +11,14 @@ import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.scale_option import KnownLengthsFile
-from vehanchor.cli.terminal import FAILED, counts_text, printable, resumable, work_progress
+from vehanchor.cli.terminal import (
+    FAILED,
+    counts_text,
+    print_written,
+    printable,
+    resumable,
+    work_progress,
+)
 from vehanchor.errors import InvalidParameterError, WorkerDiedError
 from vehanchor.records.text import count
 
@@ -59,6 +66,10 @@ Details: TypeAlias = Annotated[
         "--details", help="Write all columns, including those of the search and of each ruler."
     ),
 ]
+OverlayFolder: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Write each image with vehicles and scale bar to a folder."),
+]
 TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
@@ -78,6 +89,7 @@ def batch(
     workers: Workers = None,
     overwrite: Overwrite = False,
     details: Details = False,
+    overlays: OverlayFolder = None,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
@@ -91,9 +103,10 @@ def batch(
     started = time.monotonic()
     with work_progress("images") as progress:
         if measure is not None:
-            if engine != "local" or workers or known_lengths or details:
+            if engine != "local" or workers or known_lengths or details or overlays:
                 raise InvalidParameterError(
-                    "--measure excludes --engine, --workers, --known-lengths and --details"
+                    "--measure excludes --engine, --workers, --known-lengths, --details and "
+                    "--overlays"
                 )
             from vehanchor.cli.batch_targets import measure_table
 
@@ -120,11 +133,14 @@ def batch(
                 options=chosen.options(),
                 known_lengths=known_lengths,
                 details=details,
+                overlays=overlays,
                 overwrite=overwrite,
                 runtime=chosen.runtime(progress),
                 isolated=True,
             )
     _print_summary(summary, time.monotonic() - started)
+    if overlays is not None:
+        print_written([overlays])
     if summary.statuses.get("error", 0) == summary.n_rows:
         print(
             "no image could be used: the columns error_code and error explain why", file=sys.stderr

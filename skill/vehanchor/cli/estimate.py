@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.metadata import metadata_facts
 from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     BAD_INPUT,
@@ -70,8 +71,8 @@ BoxesFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.geojson",
-        help="Write the vehicles as GeoJSON: degrees if georeferenced, else pixels; '{stem}' as "
-        "for --overlay.",
+        help="Write the vehicles with their sizes as GeoJSON: degrees if georeferenced, else "
+        "pixels; '{stem}' as for --overlay.",
     ),
 ]
 ScaleBarFile: TypeAlias = Annotated[
@@ -109,6 +110,9 @@ def estimate(
     boxes: BoxesFile = None,
     scale_bar: ScaleBarFile = None,
     geotiff: GeotiffFile = None,
+    details: Annotated[
+        bool, typer.Option("--details", help="Also print the camera metadata that were read.")
+    ] = False,
     strict: Strict = False,
     *,
     chosen: ParsedOptions,
@@ -129,6 +133,9 @@ def estimate(
     records, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
     if records and not as_json:
         _print_records(records, several=len(images) > 1)
+        if details:
+            for source, _ in records:
+                print_facts("", metadata_facts(source, chosen.options()))
     if n_failed:
         raise typer.Exit(BAD_INPUT)
     if n_refused:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vehanchor.cli.batch import OverlayFolder
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.scale_option import KnownLengthsFile
 from vehanchor.cli.terminal import (
@@ -75,6 +76,7 @@ def photographs(
             metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."
         ),
     ] = None,
+    overlays: OverlayFolder = None,
     known_lengths: KnownLengthsFile = None,
     every: Annotated[
         float, typer.Option(metavar="S", help="For a video: seconds between photographs.")
@@ -92,6 +94,8 @@ def photographs(
         table = check_table_path(table)
     journal = _journal_beside(out or table)
     images = _images(inputs, every, chosen.options().reading.limits)
+    if overlays is not None and not isinstance(images, Sequence):
+        raise InvalidParameterError("--overlays needs photographs: a video has none to draw over")
     last_step = "pooling the evidence of" if same_scale else "linking"
     # The length of a video is unknown: its number of photographs is never complete.
     is_counted = isinstance(images, Sequence)
@@ -109,9 +113,12 @@ def photographs(
             same_scale=same_scale,
             known_lengths_table=known_lengths,
             journal=journal,
+            overlays=overlays,
             progress=report_progress,
         )
     _write(record, out, table)
+    if overlays is not None:
+        print_written([overlays])
     if as_json:
         print_json(record.model_dump(mode="json"))
     else:

@@ -57,6 +57,14 @@ def test_the_summary_of_one_image_has_singular_nouns(detector: Path, table: Path
     assert last.startswith(f"wrote {table}: 1 row (1 no_scale); 1 image in ")
 
 
+def test_overlays_lie_as_their_photographs(detector: Path, table: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "overlays"
+    result = _finished(table, detector, "cars.png", "broken.jpg", "--overlays", str(folder))
+    assert result.exit_code == 0, result.output
+    assert [path.name for path in folder.iterdir()] == ["cars.png.overlay.png"]
+    assert result.stderr.splitlines()[-1] == f"wrote {folder}"
+
+
 def test_batch_takes_the_options_of_estimate(detector: Path, table: Path) -> None:
     options: list[object] = ["--alpha", 1, "--region", "europe", "--tile", 512]
     options += ["--bands", 3, 2, 1, "--provider", "cpu", "--class", 0]
