@@ -168,6 +168,23 @@ def test_the_list_can_be_searched_or_passed_by_one_tab(person: Person) -> None:
     assert person.runs("document.activeElement.textContent") == "Distance"
 
 
+def test_a_known_length_says_that_the_tick_is_missing(person: Person) -> None:
+    choose_pool(person)
+    person.presses("Draw a known length")
+    person.drags((100, 300), (300, 300))
+    note = person.page.get_by_text("The tick is missing")
+    assert note.is_visible()
+    person.page.get_by_label("measured by tape, plan or survey").check()
+    assert not note.is_visible()
+
+
+def test_the_search_finds_a_folder(person: Person) -> None:
+    folder = "photographs"
+    person.page.get_by_label("Find a photograph").fill(folder)
+    assert person.page.get_by_role("button", name="pool.png").is_visible()
+    person.page.get_by_label("Find a photograph").fill("")
+
+
 def test_facts_hold_for_all_photographs_corrections_for_one(person: Person) -> None:
     choose_pool(person)
     numbers = person.page.locator(".drawn .number")
