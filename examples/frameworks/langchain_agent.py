@@ -1,7 +1,14 @@
 """LangGraph agent of LangChain with VehAnchor's tools.
 
-Run python langchain_agent.py IMAGE QUESTION with OPENAI_API_KEY and OPENAI_MODEL set. The server is
-`vehanchor` on the PATH, or a running `vehanchor serve --http` at VEHANCHOR_URL.
+LangChain's adapters need mcp < 2, and the server needs mcp 2: this example has an environment of
+its own. Beside `vehanchor`, it would replace the server's mcp by an older one. In the environment
+of `vehanchor`, with OPENAI_API_KEY and OPENAI_MODEL set:
+
+    python -m venv langchain_env
+    langchain_env/bin/pip install -r langchain_agent.requirements.txt
+    langchain_env/bin/python langchain_agent.py IMAGE QUESTION
+
+The server is `vehanchor` on the PATH, or a running `vehanchor serve --http` at VEHANCHOR_URL.
 """
 
 import asyncio
@@ -16,7 +23,7 @@ try:
 except ModuleNotFoundError as missing:
     sys.exit(
         f"this example needs the package {missing.name!r}: "
-        "pip install -r langchain_agent.requirements.txt"
+        "pip install -r langchain_agent.requirements.txt, in an environment of its own"
     )
 
 SYSTEM = (

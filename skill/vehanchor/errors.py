@@ -160,6 +160,11 @@ class MissingExtraError(VehAnchorError, ImportError, code="missing_extra"):
     """An optional dependency is missing; the message names the extra to install."""
 
 
+def how_to_install(extra: str) -> str:
+    """Return the command that installs an extra, from an index and in a clone."""
+    return f"pip install 'vehanchor[{extra}]', in a clone pip install '.[{extra}]'"
+
+
 class OutputError(VehAnchorError, code="output_unwritable"):
     """A file cannot be written.
 

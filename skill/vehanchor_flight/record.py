@@ -161,7 +161,7 @@ def conclude_flight(
             n_photographs=len(component),
             reference=members[component.reference].name,
             pooled=pooled.estimate,
-            advice=_component_advice(pooled.estimate, unlinked=is_unlinked),
+            advice=pooled_advice(pooled.estimate, unlinked=is_unlinked),
         )
         component_records.append(component_record)
         rulers = _supporting_rulers(members, component, pooled)
@@ -485,8 +485,8 @@ def _is_in_fleet(lengths: Lengths, pooled: ScaleAnalysis) -> Flags:
     return np.asarray(is_between)
 
 
-def _component_advice(pooled: GsdEstimate, *, unlinked: bool) -> str | None:
-    """Give the advice for a component; None if its scale is usable.
+def pooled_advice(pooled: GsdEstimate, *, unlinked: bool = False) -> str | None:
+    """Give the advice for pooled photographs; None if its scale is usable.
 
     Args:
         pooled: its scale.

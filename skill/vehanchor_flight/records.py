@@ -242,6 +242,9 @@ class ModelScale(Record):
     factor_ci95_high: float | None = Field(description=CI95_HIGH)
     confidence: float = Field(ge=0, le=1, description="Chance of an error below 20 %.")
     reason: Reason | None = Field(description="Why the factor is not usable; null if it is.")
+    advice: str | None = Field(
+        default=None, description="Why the factor is not usable, and what helps; null if it is."
+    )
     verdict: str = Field(description="The result in one sentence.")
     n_photographs: int = Field(ge=0, description="Photographs of the model.")
     n_vehicles: int = Field(ge=0, description="Distinct cars behind the factor.")

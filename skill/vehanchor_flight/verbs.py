@@ -20,6 +20,7 @@ from vehanchor_flight.estimate import (
 from vehanchor_flight.inputs import check_many, name_photographs
 from vehanchor_flight.live.estimator import LiveEstimator
 from vehanchor_flight.live.frames import open_frames
+from vehanchor_flight.overlays import write_overlays
 from vehanchor_flight.reconstruction.estimate import (
     conclude_model,
     model_sha256,
@@ -45,6 +46,7 @@ def estimate_flight(
     same_scale: bool = False,
     known_lengths_table: str | os.PathLike[str] | None = None,
     journal: str | os.PathLike[str] | None = None,
+    overlays: str | os.PathLike[str] | None = None,
     **keywords: Any,
 ) -> FlightEstimate:
     """Estimate the scales of the photographs of one flight from their common evidence.
@@ -66,6 +68,8 @@ def estimate_flight(
         journal: file with the result of each photograph, from which the same call resumes after an
             interruption; removed at the end. It covers photographs given as paths, and frames of
             ``sample_video``.
+        overlays: folder of a picture of each photograph with its vehicles and its scale in the
+            flight; made if missing. The photographs are files.
         **keywords: options and runtime, as in ``vehanchor.estimate_gsd``.
 
     Returns:
@@ -100,7 +104,10 @@ def estimate_flight(
             journal=open_journal,
             lines=lines,
         )
-        return conclude(results, detector.card, same_scale=same_scale)
+        record = conclude(results, detector.card, same_scale=same_scale)
+    if overlays is not None:
+        write_overlays(overlays, results, record, call_options.reading)
+    return record
 
 
 def rescale(

@@ -47,7 +47,7 @@ def _progress(done: Result) -> list[str]:
 
 def test_photographs_of_unknown_ratio_have_a_line_each(run: Any) -> None:
     done = run("flight", "0.png", "2.png")
-    assert "its own vehicles" in done.stdout
+    assert "own vehicles" in done.stdout
     assert "no other photograph overlaps it" in " ".join(done.stdout.split())
 
 
@@ -70,9 +70,19 @@ def test_tables_fit_a_terminal_of_80_columns(
         (tmp_path / name[-5:]).rename(tmp_path / name)
     done = run("flight", *names, "not_a_photograph.jpg")
     assert done.exit_code == 0, done.output
-    assert max(map(len, done.stdout.splitlines())) <= 80
+    lines = done.stdout.splitlines()
+    assert max(map(len, lines)) <= 80
     assert "\u2026" not in done.stdout
-    assert {"none", "error"} <= set(done.stdout.split())
+    [table_start] = [n for n, line in enumerate(lines) if "95 % if right" in line]
+    assert len([line for line in lines[table_start + 2 :] if line.strip()]) == 3
+    assert {"no_scale", "error", "unreadable"} <= set(done.stdout.split())
+
+
+def test_overlays_show_the_photographs_of_a_flight(run: Any, tmp_path: Path) -> None:
+    done = run("flight", "0.png", "2.png", "--overlays", "drawn")
+    assert done.exit_code == 0, done.output
+    names = sorted(path.name for path in (tmp_path / "drawn").iterdir())
+    assert names == ["0.png.overlay.png", "2.png.overlay.png"]
 
 
 @pytest.mark.parametrize("out", ["flight.txt", "nowhere/flight.json"])
@@ -180,12 +190,12 @@ def test_a_wrong_argument_is_refused_before_the_work(live: Any, arguments: tuple
     assert done.stderr.startswith("error[")
 
 
-def test_a_missing_camera_is_reported_once(
+def test_a_missing_camera_is_an_error(
     live: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.05)
     done = live("97", "--idle", 0.5)
-    assert done.exit_code == 0
+    assert done.exit_code == 2
     assert not done.stdout
     assert done.stderr.count("camera 97 gives no frames") == 1
     assert "WARN" not in capfd.readouterr().err
@@ -260,6 +270,15 @@ def test_what_cannot_be_done_is_refused(rescale: Any, arguments: list[str], code
     done = rescale(*arguments)
     assert done.exit_code == 2, done.output
     assert f"error[{code}]" in done.stderr
+
+
+def test_a_missing_size_is_explained_in_sentences(rescale: Any, tmp_path: Path) -> None:
+    pose = Pose(80, 80, 70)
+    bare_ground = pose.painted(np.zeros((0, 4)))
+    write_opensfm(tmp_path / "bare", [bare_ground], poses=[pose], metres_per_unit=1.0)
+    words = " ".join(rescale("bare").stdout.split())
+    assert "too_few" not in words
+    assert "nothing of known size was found" in words
 
 
 def test_nothing_is_written_without_a_usable_size(rescale: Any, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tests.flight.ground import ground, photograph_of, write_film
 from tests.models import paint_vehicles, write_detector
 from vehanchor.detection.detector import load_detector
+from vehanchor.errors import ImageNotFoundError
 from vehanchor.imagery.raster import Window
 from vehanchor.options import Reading, ScaleOptions
 from vehanchor_flight.live.estimator import WINDOW_PX, LiveEstimator, next_window, reduction_factor
@@ -158,6 +159,21 @@ def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
         "camera 0 gives no frames: it is tried again every second",
         "camera 0 gives frames again",
     ]
+
+
+def test_a_camera_that_never_gives_a_frame_ends_with_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.01)
+    frames = camera_frames(lambda: None, "camera 7", idle_s=20, tell=lambda _: None)
+    with pytest.raises(ImageNotFoundError, match="camera 7 gives no frames: connect it"):
+        next(frames)
+
+
+def test_a_full_folder_says_that_only_the_newest_counts(full_folder: Path) -> None:
+    sentences: list[str] = []
+    next(folder_frames(full_folder, Reading(), idle_s=5, tell=sentences.append))
+    assert "'vehanchor flight " in sentences[0]
 
 
 def test_an_error_of_the_camera_reaches_the_caller() -> None:

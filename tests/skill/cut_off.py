@@ -46,10 +46,10 @@ CALIBRATION = Calibration(
 """Any calibration."""
 
 _ROWS = [
-    BatchRow(file=f"{n}.png", error_code="image_not_found", error="there is no such file")
+    BatchRow(photograph=f"{n}.png", error_code="image_not_found", error="there is no such file")
     for n in range(8)
 ]
-_FACTS = [{"file": row.file, "error": row.error} for row in _ROWS]
+_FACTS = [{"file": row.photograph, "error": row.error} for row in _ROWS]
 _PICTURE = np.random.default_rng(1).integers(0, 255, (48, 48, 3), np.uint8)
 _WRITERS: dict[str, Callable[[Path], object]] = {
     "calibration.json": lambda path: write_record(path, CALIBRATION, indent=2),

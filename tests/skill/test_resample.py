@@ -265,7 +265,7 @@ def test_a_folder_has_a_table_and_names_what_is_skipped(folder: Path) -> None:
     assert "1 of 2 photographs resampled" in result.stderr
     assert "bare.png" in result.stderr
     with (out / "resampled.csv").open(newline="") as file:
-        rows = {Path(row["file"]).name: row for row in csv.DictReader(file)}
+        rows = {Path(row["photograph"]).name: row for row in csv.DictReader(file)}
     assert rows["cars.png"]["copy"] == "cars.png"
     assert float(rows["cars.png"]["gsd_m_per_px"]) == pytest.approx(0.3, rel=0.01)
     assert rows["bare.png"]["error_code"] == "invalid_parameter"

@@ -81,7 +81,7 @@ class _Command(QgsProcessingAlgorithm):
         program = os.environ.get("VEHANCHOR") or shutil.which("vehanchor")
         if program is None:
             raise QgsProcessingException(
-                "command vehanchor not found: pip install 'vehanchor[geo]', or set the variable "
+                "command vehanchor not found: pip install '.[geo]' in a clone, or set the variable "
                 "VEHANCHOR"
             )
         # PYTHONHOME and PYTHONPATH belong to QGIS's own Python.

@@ -45,7 +45,7 @@ byId("photographs").addEventListener("keydown", (event) => {
 
 function listMatching() {
   const words = byId("find").value.toLowerCase();
-  for (const [path, { button }] of known) button.parentElement.hidden = !nameOf(path).toLowerCase().includes(words);
+  for (const [path, { button }] of known) button.parentElement.hidden = !path.toLowerCase().includes(words);
   stopAt(byId("photographs").querySelector("li:not([hidden]) button"));
 }
 

@@ -7,6 +7,8 @@ function lengthForm(record, tell) {
   const what = html("select", { "aria-label": "What the line measures" }, html("option", { value: "" }, "a length"), things);
   const measured = html("input", { type: "checkbox" });
   const basis = html("label", {}, measured, " measured by tape, plan or survey ");
+  const missing = html("span", { class: "note" }, "The tick is missing: the length counts as assumed, and cars can outweigh it. ");
+  measured.addEventListener("change", () => { missing.hidden = measured.checked; });
   const length = html("label", {}, metres, " m ");
   let line;
   const measure = button("Measure again", () => {
@@ -20,8 +22,8 @@ function lengthForm(record, tell) {
     measureAgain({ ...call.arguments, known_lengths: lines }, tell);
   });
   // No form element: hosts' sandboxes block forms.
-  const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, measure);
-  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); });
+  const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, missing, measure);
+  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); missing.hidden = measured.checked || Boolean(what.value); });
   metres.addEventListener("keydown", (event) => {
     if (event.key === "Enter") measure.click();
   });

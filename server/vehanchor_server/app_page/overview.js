@@ -1,6 +1,6 @@
 // ---- All photographs: measured one after another, in a table ----
 
-const FIELDS = ["status", "gsd_m_per_px", "gsd_ci95_low_m_per_px", "gsd_ci95_high_m_per_px", "confidence", "n_vehicles"];
+const COLUMNS = document.body.dataset.tableColumns.split(" "); // of the tables of 'vehanchor batch'
 const pause = (ms) => new Promise((go) => setTimeout(go, ms));
 
 async function measureAll() {
@@ -12,7 +12,7 @@ async function measureAll() {
   byId("subject").textContent = "all photographs";
   const body = html("tbody");
   const rows = [];
-  const head = ["Photograph", "Metres per pixel", `95 % interval ${PREMISE}`, "Confidence", "Status"].map((words) => html("th", { scope: "col" }, words));
+  const head = ["Photograph", "Metres per pixel", `95 % interval ${PREMISE}`, "Confidence", "Status", "Reason"].map((words) => html("th", { scope: "col" }, words));
   const table = html("table", { class: "overview" }, html("thead", {}, html("tr", {}, ...head)), body);
   const save = button("Save table", () => download("scales.csv", csv(rows), "text/csv"));
   byId("sections").replaceChildren(html("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scales" }, table), html("div", { class: "row" }, save));
@@ -27,14 +27,19 @@ async function measureAll() {
       say(`Measuring ${nameOf(path)}: ${rows.length + 1} of ${known.size}${timeLeft(began, rows.length / known.size)}.`);
       result = await estimated(path);
     } while (!result);
-    const record = result.isError ? { status: "failed", error: textOf(result) } : recordOf(result);
-    rows.push({ file: path, ...record });
+    const record = result.isError ? { error_code: codeOf(result), error: textOf(result) } : recordOf(result);
+    rows.push(rowOf(path, record));
     body.append(row(path, record));
   }
   if (!table.isConnected) return;
   byId("panel").setAttribute("aria-busy", "false");
   say(`${counted(rows.length, "photograph")}: ${rows.filter(({ status }) => status === "ok").length} with a usable scale.`);
 }
+
+const REASONS = {
+  too_few: "too few vehicles", too_coarse: "vehicles too small in the picture", not_cars: "may not be cars",
+  disagree: "rulers disagree", assumed: "assumed facts alone", imprecise: "too imprecise",
+};
 
 function row(path, record) {
   const known = typeof record.gsd_m_per_px === "number";
@@ -45,9 +50,15 @@ function row(path, record) {
     html("td", {}, known ? number(record.gsd_m_per_px) : ""),
     html("td", {}, known && typeof low === "number" ? `${number(low)} to ${number(high)}` : ""),
     html("td", {}, typeof record.confidence === "number" ? record.confidence.toFixed(2) : ""),
-    html("td", {}, record.error ?? STATUS[record.status]),
+    html("td", {}, STATUS[record.status ?? "failed"]),
+    html("td", {}, record.error ?? REASONS[record.reason] ?? ""),
   );
 }
+
+// The values of a record by column, as in vehanchor.records.flat.
+const rowOf = (path, record) => ({
+  ...record, photograph: path, tilt_deg: record.tilt?.tilt_deg, warning_codes: record.warnings?.map(({ code }) => code).join(" "),
+});
 
 // A cell that a spreadsheet would run begins with an apostrophe.
 function csv(rows) {
@@ -55,6 +66,5 @@ function csv(rows) {
     const text = typeof value === "string" && /^[=+\-@\t\r]/.test(value) ? `'${value}` : String(value ?? "");
     return /[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
   };
-  const names = ["file", ...FIELDS, "error"];
-  return [names, ...rows.map((each) => names.map((name) => each[name]))].map((cells) => `${cells.map(cell).join(",")}\n`).join("");
+  return [COLUMNS, ...rows.map((each) => COLUMNS.map((name) => each[name]))].map((cells) => `${cells.map(cell).join(",")}\n`).join("");
 }

@@ -11,6 +11,7 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from vehanchor.batch.row import COLUMNS
 from vehanchor.imagery.formats.header import SUFFIXES
 from vehanchor.options import declared_options
 from vehanchor.rulers.standards import standards
@@ -141,6 +142,7 @@ def _assembled(
         "suffixes": _accepted_files(),
         "scale_arguments": " ".join(scale_arguments()),
         "interval_premise": INTERVAL_PREMISE,
+        "table_columns": " ".join(COLUMNS),
         "regions": _options((*REGIONS, *COUNTRY_LENGTHS_M)),
         "known_sizes": _options(standards()),
         "policy": policy,

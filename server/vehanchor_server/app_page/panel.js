@@ -4,6 +4,7 @@ const isArea = (record) => "mask_area_px" in record;
 const ERROR_CODE = /^\w+: /; // for programs
 const textOf = (result) => (result.content ?? []).filter((part) => part.type === "text")
   .map((part) => part.text).join(" ").replace(result.isError ? ERROR_CODE : "", "");
+const codeOf = (result) => (result.content ?? []).map(({ text }) => /^\w+(?=: )/.exec(text ?? "")?.[0]).find(Boolean) ?? "internal_error";
 const scaleOf = (record) => (isArea(record) ? record.estimate : record);
 
 // The whole record, wherever a short answer has it; the first of several.

@@ -154,6 +154,9 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
         """Vehicles as a GeoJSON FeatureCollection, for geopandas and shapely; pixels, y down."""
         detections = self.detections
         kept = self.kept
+        # A tilted view has no single scale, and an unusable scale gives no sizes.
+        has_one_scale = self.estimate.status == "ok" and self.estimate.tilt is None
+        gsd = self.estimate.gsd_m_per_px if has_one_scale else None
         corners = self.grid.to_file(box_corners(detections.boxes)).tolist()
         features = []
         for k, ring in enumerate(corners):
@@ -165,6 +168,15 @@ class ScaleAnalysis(Analysis, ScaleEvidence):
                 "kept": bool(kept[k]),
                 "score": float(detections.scores[k]),
                 "length_px": float(detections.boxes[k, 2]),
+                "length_m": _metres(detections.boxes[k, 2], gsd),
+                "width_m": _metres(detections.boxes[k, 3], gsd),
             }
             features.append({"type": "Feature", "geometry": geometry, "properties": properties})
         return {"type": "FeatureCollection", "features": features}
+
+
+def _metres(side_px: float, gsd_m_per_px: float | None) -> float | None:
+    """Convert the side of a box; None without one usable scale."""
+    if gsd_m_per_px is None:
+        return None
+    return round(float(side_px) * gsd_m_per_px, 2)

@@ -20,7 +20,7 @@ _ONLY_WITH_DETAILS = ("rulers", "tilt", "scale", "details")
 _ADDED_COLUMNS = {"contradiction": str, "error_code": str, "error": str}
 
 COLUMNS: dict[str, type] = {
-    "file": str,
+    "photograph": str,
     **flat_columns(GsdEstimate, without=(*_NOT_IN_TABLES, *_ONLY_WITH_DETAILS)),
     "tilt_deg": float,
     **_ADDED_COLUMNS,
@@ -28,7 +28,7 @@ COLUMNS: dict[str, type] = {
 """Columns of a table and the types of their values, in order; see ``vehanchor.records.flat``."""
 
 ALL_COLUMNS: dict[str, type] = {
-    "file": str,
+    "photograph": str,
     **flat_columns(GsdEstimate, without=_NOT_IN_TABLES),
     **_ADDED_COLUMNS,
 }
@@ -39,7 +39,7 @@ class BatchRow(BaseModel):
     """Result for one image.
 
     Attributes:
-        file: the image, as the caller named it.
+        photograph: as the caller named it.
         estimate: null if the image could not be read.
         error_code: stable code of the error; null with an estimate.
         error: the error and its remedy.
@@ -47,15 +47,15 @@ class BatchRow(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    file: str
+    photograph: str
     estimate: GsdEstimate | None = None
     error_code: str | None = None
     error: str | None = None
 
     @classmethod
-    def failed(cls, file: str, error: VehAnchorError) -> BatchRow:
+    def failed(cls, photograph: str, error: VehAnchorError) -> BatchRow:
         """Make the row of an image that could not be read."""
-        return cls(file=file, error_code=error.code, error=str(error))
+        return cls(photograph=photograph, error_code=error.code, error=str(error))
 
     @property
     def outcome(self) -> str:
@@ -80,7 +80,7 @@ class BatchRow(BaseModel):
         if self.estimate is not None:
             values |= flat_row(self.estimate, without=_NOT_IN_TABLES)
             values["contradiction"] = contradiction_text(self.estimate) or None
-        values["file"] = self.file
+        values["photograph"] = self.photograph
         values["error_code"] = self.error_code
         values["error"] = self.error
         return values

@@ -28,12 +28,13 @@ from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import networks_sha256
 from vehanchor.engine import Engine
-from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.models.runtime import Runtime
 from vehanchor.models.zoo import bundled_models
 from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
+from vehanchor.pictures.overlays import Overlays
 from vehanchor.records import SCHEMA_VERSION
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.storage.atomic import beside
@@ -89,6 +90,7 @@ def run_batch(
     options: ScaleOptions | None = None,
     known_lengths: str | os.PathLike[str] | None = None,
     details: bool = False,
+    overlays: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     runtime: Runtime | None = None,
     isolated: bool = False,
@@ -112,8 +114,10 @@ def run_batch(
         options: options of the method, without a frame; None for the defaults.
         known_lengths: CSV with lines of known length by image; see ``lines_in``.
         details: write all columns.
-        overwrite: start again, although a table or rows of another run exist; an existing table
-            stays until the new one is complete.
+        overlays: folder of a picture of each image with its vehicles; made if missing. Not with
+            Ray.
+        overwrite: start again, although rows of an interrupted run exist. An existing table stays
+            until the new one is complete.
         runtime: providers of the models, each on one thread, and the progress in images.
         isolated: whether a single worker has a process of its own, which imports the main module.
 
@@ -122,7 +126,7 @@ def run_batch(
         InvalidParameterError: an option is invalid, or an unfinished run at ``output`` had other
             options.
         KnownLengthError: the CSV cannot be used, or names an image that is not in the run.
-        OutputError: the table exists and is complete, or cannot be written.
+        OutputError: the table cannot be written.
         ModelError: the detector cannot be used.
         MissingExtraError: Ray or pyarrow is not installed.
         WorkerDiedError: a worker died before it had an image, or Ray ended the run.
@@ -130,18 +134,22 @@ def run_batch(
     table = Path(output)
     options = options or ScaleOptions()
     runtime = runtime or Runtime()
-    _check_output(table, overwrite=overwrite)
+    check_table_path(table)
     _check_arguments(engine, address, workers=workers, options=options)
 
     paths = find_images(inputs)
     tasks = [Task.of(path) for path in paths]
     job = _make_job(detector, classes, options=options, runtime=runtime)
-    job = replace(job, known_lengths=lines_in(known_lengths, [task.path for task in tasks]))
+    job = replace(
+        job,
+        known_lengths=lines_in(known_lengths, [task.path for task in tasks]),
+        overlays=_overlays(overlays, engine, tasks),
+    )
 
     with open_journal(table, job, anew=overwrite) as journal:
         # A key contains the state of its image, so the row of a replaced image is missing.
         keys = {task: task.key() for task in tasks}
-        missing = [task for task in tasks if keys[task] not in journal]
+        missing = [task for task in tasks if keys[task] not in journal or _lacks(task, job)]
         n_resumed = len(tasks) - len(missing)
         runtime.report_progress(n_resumed, len(tasks))
         # Closing the generator stops the workers if this process is interrupted.
@@ -158,14 +166,24 @@ def run_batch(
     return BatchSummary(table, len(tasks), n_resumed, statuses=statuses, causes=causes)
 
 
-def _check_output(table: Path, *, overwrite: bool) -> None:
-    """Check that the table can be written, and is not yet complete."""
-    check_table_path(table)
-    is_complete = table.exists() and not journal_path(table).exists()
-    if is_complete and not overwrite:
-        raise OutputError(
-            f"{str(table)!r} exists and is complete: name another file, or pass --overwrite"
-        )
+def _overlays(
+    folder: str | os.PathLike[str] | None, engine: str, tasks: Sequence[Task]
+) -> Overlays | None:
+    """Place the pictures of a run; None without them.
+
+    Raises:
+        InvalidParameterError: the engine has other machines.
+    """
+    if folder is None:
+        return None
+    if engine != "local":
+        raise InvalidParameterError("overlays lie on this machine: leave out --engine ray")
+    return Overlays.of(folder, [task.path for task in tasks])
+
+
+def _lacks(task: Task, job: BatchJob) -> bool:
+    """Check whether an image has a row of an interrupted run, but no picture."""
+    return job.overlays is not None and not job.overlays.path(task.path).exists()
 
 
 def _check_arguments(

@@ -8,7 +8,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from vehanchor.batch.row import COLUMNS
-from vehanchor.errors import MissingExtraError
+from vehanchor.errors import MissingExtraError, how_to_install
 from vehanchor.records.escaping import as_json, in_cell
 from vehanchor.storage.atomic import check_output_path, whole_file
 
@@ -37,8 +37,7 @@ def check_table_path(path: Path) -> Path:
     )
     if path.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
         raise MissingExtraError(
-            "writing Parquet needs pyarrow: pip install 'vehanchor[parquet]', or write .csv or "
-            ".jsonl"
+            f"writing Parquet needs pyarrow: {how_to_install('parquet')}, or write .csv or .jsonl"
         )
     return path
 

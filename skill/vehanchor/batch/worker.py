@@ -16,6 +16,7 @@ from vehanchor.errors import ModelContractError, OutOfMemoryError, VehAnchorErro
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.models.runtime import Runtime
 from vehanchor.options import ScaleOptions
+from vehanchor.pictures.overlays import Overlays
 from vehanchor.rulers.known_length_table import with_lines_of
 from vehanchor.storage.journal import Key, Source
 
@@ -36,6 +37,7 @@ class BatchJob:
         runtime: runtime of each worker's models; rows do not depend on the number of threads.
         known_lengths: lines by image, in pixels of the image; they replace the lines in the
             options.
+        overlays: where each image is drawn; None for no pictures.
     """
 
     detector: str
@@ -44,6 +46,7 @@ class BatchJob:
     options: ScaleOptions = field(default_factory=ScaleOptions)
     runtime: Runtime = field(default_factory=lambda: Runtime(threads=1))
     known_lengths: KnownLengthTable = field(default_factory=dict)
+    overlays: Overlays | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ class Worker:
     def __init__(self, job: BatchJob) -> None:
         self._options = job.options
         self._known_lengths = job.known_lengths
+        self._overlays = job.overlays
         engine = Engine(job.detector, classes=job.classes, runtime=job.runtime)
         self._detector = checked_detector(engine.detector, job.options)
         # Rows of different networks must not get into one table.
@@ -111,6 +115,9 @@ class Worker:
             options = with_lines_of(self._options, self._known_lengths, task.path)
             with open_raster(task.path, options.reading) as raster:
                 analysis = analyse_raster(self._detector, raster, options)
+                if self._overlays is not None:
+                    drawn = analysis.drawn_over(task.path, raster, options.reading)
+                    self._overlays.write(task.path, drawn.overlay())
         except VehAnchorError as error:
             return BatchRow.failed(task.file, error)
         except MemoryError:
@@ -118,5 +125,5 @@ class Worker:
         except Exception as error:
             # A defect that one image triggers must not end a run over a million images.
             message = f"{type(error).__name__}: {error}"
-            return BatchRow(file=task.file, error_code="internal_error", error=message)
-        return BatchRow(file=task.file, estimate=analysis.estimate)
+            return BatchRow(photograph=task.file, error_code="internal_error", error=message)
+        return BatchRow(photograph=task.file, estimate=analysis.estimate)

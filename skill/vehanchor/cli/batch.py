@@ -11,7 +11,14 @@ import typer
 
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.scale_option import KnownLengthsFile
-from vehanchor.cli.terminal import FAILED, counts_text, printable, resumable, work_progress
+from vehanchor.cli.terminal import (
+    FAILED,
+    counts_text,
+    print_written,
+    printable,
+    resumable,
+    work_progress,
+)
 from vehanchor.errors import InvalidParameterError, WorkerDiedError
 from vehanchor.records.text import count
 
@@ -29,7 +36,7 @@ Inputs: TypeAlias = Annotated[
 ]
 Table: TypeAlias = Annotated[
     Path,
-    typer.Option("--output", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
+    typer.Option("--out", "-o", metavar="FILE", help="Table to write, such as scales.csv."),
 ]
 EngineName: TypeAlias = Annotated[
     str,
@@ -50,7 +57,8 @@ Workers: TypeAlias = Annotated[
     typer.Option(metavar="N", help="Number of parallel models. Default: one per CPU."),
 ]
 Overwrite: TypeAlias = Annotated[
-    bool, typer.Option("--overwrite", help="Start again and replace results of an earlier run.")
+    bool,
+    typer.Option("--overwrite", help="Start again; do not resume the rows of an interrupted run."),
 ]
 Details: TypeAlias = Annotated[
     bool,
@@ -58,12 +66,16 @@ Details: TypeAlias = Annotated[
         "--details", help="Write all columns, including those of the search and of each ruler."
     ),
 ]
+OverlayFolder: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Write each image with vehicles and scale bar to a folder."),
+]
 TargetsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.csv",
-        help="Measure the targets of a CSV: file,kind,x1,y1,x2,y2,name (box, point or line; files "
-        "relative to the table). The output may also be .geojson.",
+        help="Measure the targets of a CSV: photograph,kind,x1,y1,x2,y2,name (box, point or line; "
+        "paths relative to the table). The output may also be .geojson.",
     ),
 ]
 
@@ -71,12 +83,13 @@ TargetsFile: TypeAlias = Annotated[
 @scale_command(without=(*OF_ONE_IMAGE, "threads"))
 def batch(
     inputs: Inputs,
-    output: Table,
+    out: Table,
     engine: EngineName = "local",
     address: ClusterAddress = None,
     workers: Workers = None,
     overwrite: Overwrite = False,
     details: Details = False,
+    overlays: OverlayFolder = None,
     known_lengths: KnownLengthsFile = None,
     measure: TargetsFile = None,
     *,
@@ -90,28 +103,28 @@ def batch(
     started = time.monotonic()
     with work_progress("images") as progress:
         if measure is not None:
-            if engine != "local" or workers or known_lengths or details:
+            if engine != "local" or workers or known_lengths or details or overlays:
                 raise InvalidParameterError(
-                    "--measure excludes --engine, --workers, --known-lengths and --details"
+                    "--measure excludes --engine, --workers, --known-lengths, --details and "
+                    "--overlays"
                 )
             from vehanchor.cli.batch_targets import measure_table
 
             measure_table(
                 inputs,
                 measure,
-                output=output,
+                output=out,
                 engine=chosen.engine(),
                 tell=progress,
-                overwrite=overwrite,
             )
             return
 
         from vehanchor.batch import run_batch
 
-        with resumable(output, "rows"):
+        with resumable(out, "rows"):
             summary = run_batch(
                 inputs,
-                output,
+                out,
                 engine=engine,
                 address=address,
                 workers=workers,
@@ -120,11 +133,14 @@ def batch(
                 options=chosen.options(),
                 known_lengths=known_lengths,
                 details=details,
+                overlays=overlays,
                 overwrite=overwrite,
                 runtime=chosen.runtime(progress),
                 isolated=True,
             )
     _print_summary(summary, time.monotonic() - started)
+    if overlays is not None:
+        print_written([overlays])
     if summary.statuses.get("error", 0) == summary.n_rows:
         print(
             "no image could be used: the columns error_code and error explain why", file=sys.stderr
@@ -142,11 +158,11 @@ def _print_summary(summary: BatchSummary, seconds: float) -> None:
         # The text of an error contains its remedy.
         if first.advice.helps:
             words += f"; {first.advice.helps}"
-        file = printable(first.file)
-        print(f"{n_rows} x {first.reason}, as in {file}: {words}", file=sys.stderr)
+        photograph = printable(first.photograph)
+        print(f"{n_rows} x {first.reason}, as in {photograph}: {words}", file=sys.stderr)
     table = printable(str(summary.table))
     rows = f"{count(summary.n_rows, 'row')} ({counts_text(summary.statuses)})"
     if summary.n_resumed:
         rows += f", {summary.n_resumed} of them from an earlier run"
     images = count(summary.n_rows - summary.n_resumed, "image")
-    print(f"{table}: {rows}; {images} in {seconds:.1f} s", file=sys.stderr)
+    print(f"wrote {table}: {rows}; {images} in {seconds:.1f} s", file=sys.stderr)

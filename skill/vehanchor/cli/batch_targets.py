@@ -12,7 +12,7 @@ import typer
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.cli.terminal import FAILED, counts_text, printable, report
-from vehanchor.errors import OutputError, PromptError
+from vehanchor.errors import PromptError
 from vehanchor.export.geojson import SUFFIXES, check_geojson_path, write_features
 from vehanchor.imagery.sources.files import canonical_path, find_images
 from vehanchor.measure.targets import TARGET_COLUMNS, TargetRow, measure_targets, read_targets
@@ -32,8 +32,6 @@ def measure_table(
     output: Path,
     engine: Engine,
     tell: Callable[[int, int], None],
-    *,
-    overwrite: bool,
 ) -> None:
     """Measure the targets of a table, write their results, and print a summary on stderr.
 
@@ -45,11 +43,10 @@ def measure_table(
         output: a table, or the outlines and lines with their sizes as GeoJSON.
         engine: models and options of the measurements.
         tell: called with the numbers of measured and of all images.
-        overwrite: replace an existing file.
 
     Raises:
         PromptError: the table is invalid, or a target lies in another image.
-        OutputError: the file exists, or cannot be written.
+        OutputError: the file cannot be written.
         ImageNotFoundError: as ``find_images``.
     """
     as_geojson = output.suffix.lower() in SUFFIXES
@@ -57,8 +54,6 @@ def measure_table(
         check_geojson_path(output)
     else:
         check_table_path(output)
-    if output.exists() and not overwrite:
-        raise OutputError(f"{str(output)!r} exists: name another file, or pass --overwrite")
     targets_by_image = read_targets(table)
     _check_images(targets_by_image, find_images(inputs))
 
@@ -119,4 +114,4 @@ def _print_summary(output: Path, rows: Sequence[TargetRow]) -> None:
             report(row.error, name)
     file = printable(str(output))
     targets = count(len(rows), "target")
-    print(f"{file}: {targets} ({counts_text(statuses)})", file=sys.stderr)
+    print(f"wrote {file}: {targets} ({counts_text(statuses)})", file=sys.stderr)

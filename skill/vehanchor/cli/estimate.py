@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
+from vehanchor.cli.metadata import metadata_facts
 from vehanchor.cli.outputs import check_outputs, write_outputs
 from vehanchor.cli.terminal import (
     BAD_INPUT,
@@ -20,10 +21,12 @@ from vehanchor.cli.terminal import (
     contradiction_fact,
     exit_strictly,
     failures_as_json,
+    first_names,
     print_facts,
     print_json,
     print_rows,
     print_warnings,
+    print_written,
     printable,
     report,
     under_one_folder,
@@ -76,8 +79,8 @@ BoxesFile: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="OUT.geojson",
-        help="Write the vehicles as GeoJSON: degrees if georeferenced, else pixels; '{stem}' as "
-        "for --overlay.",
+        help="Write the vehicles with their sizes as GeoJSON: degrees if georeferenced, else "
+        "pixels; '{stem}' as for --overlay.",
     ),
 ]
 ScaleBarFile: TypeAlias = Annotated[
@@ -115,6 +118,9 @@ def estimate(
     boxes: BoxesFile = None,
     scale_bar: ScaleBarFile = None,
     geotiff: GeotiffFile = None,
+    details: Annotated[
+        bool, typer.Option("--details", help="Also print the camera metadata that were read.")
+    ] = False,
     strict: Strict = False,
     *,
     chosen: ParsedOptions,
@@ -135,6 +141,9 @@ def estimate(
     records, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
     if records and not as_json:
         _print_records(records, several=len(images) > 1)
+        if details:
+            for source, _ in records:
+                print_facts("", metadata_facts(source, chosen.options()))
     if n_failed:
         raise typer.Exit(BAD_INPUT)
     if n_refused:
@@ -147,7 +156,7 @@ def _check_images(images: Sequence[str], chosen: ParsedOptions) -> None:
     for source in images:
         if Path(source).is_dir():
             raise ImageNotFoundError(
-                f"{source!r} is a folder: 'vehanchor batch {source} -o scales.csv' measures all "
+                f"{source!r} is a folder: 'vehanchor batch {source} --out scales.csv' measures all "
                 "images in it"
             )
     if len(images) > 1:
@@ -195,6 +204,7 @@ def _estimate_all(
         whose outputs in metres are not written.
     """
     records: Records = []
+    all_written: list[Path] = []
     n_failed = 0
     n_refused = 0
     # A bar on the terminal would mix with the JSON lines there.
@@ -210,9 +220,10 @@ def _estimate_all(
                     analysis = engine.analyse_scale(source, progress=progress)
                 if as_json:
                     fields = analysis.estimate.model_dump(mode="json")
-                    print_json({"source": source, **fields})
+                    print_json({"photograph": source, **fields})
                 records.append((source, analysis.estimate))
-                why_refused = write_outputs(analysis, outputs[number - 1])
+                written, why_refused = write_outputs(analysis, outputs[number - 1])
+                all_written += written
             except VehAnchorError as error:
                 n_failed += 1
                 report(error, source if len(images) > 1 else "")
@@ -221,6 +232,7 @@ def _estimate_all(
                 n_refused += 1
                 message = f"{source}: no scale bar and no GeoTIFF: {why_refused}"
                 print(printable(message), file=sys.stderr)
+    print_written(all_written)
     return records, n_failed, n_refused
 
 
@@ -254,10 +266,9 @@ def _facts(record: GsdEstimate) -> Facts:
     ]
     if other_rulers:
         facts += _ruler_facts(record)
-    advice = advice_for(record)
+    advice = _advice_text(record)
     if advice is not None:
-        helps = advice.in_words({"drop": "look at --overlay, then --drop what is not a car"})
-        facts.append(("not usable", f"{advice.why}: {helps}"))
+        facts.append(("not usable", advice))
     mode_px = record.mode_length_px
     if record.gsd_m_per_px is not None and mode_px is not None:
         facts.append(("modal length", _length_text(mode_px, record.details)))
@@ -277,6 +288,15 @@ def _facts(record: GsdEstimate) -> Facts:
     sha256 = record.details.model_sha256[:_SHORT_SHA]
     facts.append(("model", f"{record.model} ({sha256})"))
     return facts
+
+
+def _advice_text(record: GsdEstimate) -> str | None:
+    """State why a scale is not usable and what helps; None for a usable one."""
+    advice = advice_for(record)
+    if advice is None:
+        return None
+    helps = advice.in_words({"drop": "look at --overlay, then --drop what is not a car"})
+    return f"{advice.why}: {helps}"
 
 
 def _ruler_facts(record: GsdEstimate) -> Facts:
@@ -329,18 +349,26 @@ def _print_table(records: Records) -> None:
     """Print a table with one row per image."""
     folder, names = under_one_folder([source for source, _ in records])
     columns = {
-        "image": "text",
+        "photograph": "file",
         "m/px": "number",
         "95 % if right": "number",
-        "confidence": "number",
-        "vehicles": "number",
+        "conf.": "number",
+        "cars": "number",
         "status": "word",
+        "reason": "word",
     }
     rows = []
     for name, (_, record) in zip(names, records, strict=True):
         rows.append((name, *_cells(record)))
-    title = f"{count(len(records), 'image')} in {folder}" if folder else ""
+    title = f"{count(len(records), 'photograph')} in {folder}" if folder else ""
     print_rows(columns, rows, title)
+    names_by_advice: dict[str, list[str]] = {}
+    for name, (_, record) in zip(names, records, strict=True):
+        advice = _advice_text(record)
+        if advice is not None:
+            names_by_advice.setdefault(advice, []).append(name)
+    for advice, advised in names_by_advice.items():
+        print(printable(f"{first_names(advised)}: {advice}"), file=sys.stderr)
 
 
 def _cells(record: GsdEstimate) -> tuple[str, ...]:
@@ -352,6 +380,7 @@ def _cells(record: GsdEstimate) -> tuple[str, ...]:
     low = record.gsd_ci95_low_m_per_px
     high = record.gsd_ci95_high_m_per_px
     if low is not None and high is not None:
-        interval = f"{significant(low, 4)} to {significant(high, 4)}"
+        interval = f"{significant(low)} to {significant(high)}"
     n_vehicles = "-" if record.n_vehicles is None else str(record.n_vehicles)
-    return scale, interval, f"{record.confidence:.2f}", n_vehicles, record.status
+    reason = record.reason or ""
+    return scale, interval, f"{record.confidence:.2f}", n_vehicles, record.status, reason

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import onnxruntime
 
+from vehanchor.errors import how_to_install
+
 if TYPE_CHECKING:
     from vehanchor.engine import Engine
     from vehanchor.records import GsdEstimate
@@ -38,7 +40,7 @@ def _version_or_remedy(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         extra = _EXTRAS.get(package)
-        remedy = f"pip install 'vehanchor[{extra}]'" if extra else "reinstall"
+        remedy = how_to_install(extra) if extra else "reinstall"
         return f"missing: {remedy}"
 
 

@@ -15,6 +15,7 @@ from vehanchor.cli.terminal import (
     print_facts,
     print_json,
     print_warnings,
+    print_written,
     printable,
     vehicles_text,
     work_progress,
@@ -72,7 +73,7 @@ def show_measurement(
     if as_json:
         dumped = [record.model_dump(mode="json") for record in records]
         fields = dumped[0] if len(records) == 1 else {"measurements": dumped}
-        print_json({"source": image, **fields})
+        print_json({"photograph": image, **fields})
     elif len(records) == 1:
         record = records[0]
         status = ("status", record.status)
@@ -82,7 +83,8 @@ def show_measurement(
         print_warnings(record.warnings)
     else:
         _print_several(image, analyses, facts)
-    write_outputs(analysis, outputs)
+    written, _ = write_outputs(analysis, outputs)
+    print_written(written)
     exit_strictly(strict, [record.status for record in records])
 
 

@@ -11,6 +11,8 @@ from vehanchor.options import Basis
 
 # Number of values by option.
 _N_VALUES = {"--known-length": 5, "--add": 4, "--point": 2, "--negative": 2}
+_FORMER_NAMES = {"--output": "--out"}
+"""Former spellings of options."""
 # Words that may follow as a further value.
 _LAST_WORDS = {"--known-length": get_args(Basis)}
 
@@ -36,13 +38,19 @@ class SpacedCommand(TyperCommand):
         joined: list[str] = []
         rest = list(args)
         while rest:
-            option = rest.pop(0)
+            option = _current_name(rest.pop(0))
             joined.append(option)
             n_values = _separate_values(option, rest)
             if n_values:
                 joined.append(" ".join(rest[:n_values]))
                 del rest[:n_values]
         return super().parse_args(ctx, joined)
+
+
+def _current_name(argument: str) -> str:
+    """Replace the former spelling of an option; its value may follow after ``=``."""
+    name, equals, value = argument.partition("=")
+    return f"{_FORMER_NAMES.get(name, name)}{equals}{value}"
 
 
 def _separate_values(option: str, rest: list[str]) -> int:

@@ -65,7 +65,7 @@ def _check_output(name: str, path: Path) -> None:
         require_plots()
 
 
-def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
+def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> tuple[list[Path], str | None]:
     """Write the files of an analysis.
 
     Args:
@@ -73,7 +73,7 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         outputs: files by the names of their options, checked by ``check_outputs``.
 
     Returns:
-        Why the files in metres were not written; None if all files were written.
+        The files that were written; why those in metres were not, None if all were.
 
     Raises:
         OutputError: a file cannot be written.
@@ -101,11 +101,13 @@ def write_outputs(analysis: Any, outputs: Mapping[str, Path]) -> str | None:
         if name in outputs:
             metric[name] = outputs[name]
     if not metric:
-        return None
+        return list(outputs.values()), None
     why_refused = why_not_resampled(analysis.estimate)
     if why_refused is None:
         _write_metric(analysis, metric)
-    return why_refused
+        return list(outputs.values()), None
+    written = [path for name, path in outputs.items() if name not in _METRIC]
+    return written, why_refused
 
 
 def _write_metric(analysis: ScaleAnalysis, outputs: Mapping[str, Path]) -> None:

@@ -18,7 +18,7 @@ from vehanchor.records.text import count
 
 TABLE = "resampled.csv"
 _COLUMNS: dict[str, type] = {
-    "file": str,
+    "photograph": str,
     "copy": str,
     "factor": float,
     "gsd_m_per_px": float,
@@ -60,7 +60,7 @@ def resample(
     names: set[str] = set()
     for image in images:
         row: dict[str, Any] = dict.fromkeys(_COLUMNS)
-        row["file"] = image
+        row["photograph"] = image
         try:
             if Path(image).stem in names:
                 raise OutputError(
@@ -77,6 +77,7 @@ def resample(
         rows.append(row)
     write_table(out / TABLE, rows, _COLUMNS)
     photographs = count(len(rows), "photograph")
-    print(f"{printable(str(out))}: {len(names)} of {photographs} resampled", file=sys.stderr)
+    table = printable(str(out / TABLE))
+    print(f"wrote {table}: {len(names)} of {photographs} resampled", file=sys.stderr)
     if not names:
         raise typer.Exit(FAILED)

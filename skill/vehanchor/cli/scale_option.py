@@ -25,7 +25,7 @@ KnownLengthsFile: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.csv",
-        help="CSV of known lengths: file,x1,y1,x2,y2,metres; files relative to the table.",
+        help="CSV of known lengths: photograph,x1,y1,x2,y2,metres; paths relative to the table.",
     ),
 ]
 

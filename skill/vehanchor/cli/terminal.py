@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
@@ -28,6 +28,11 @@ UNFORESEEN = 1
 INTERRUPTED = 130
 NOT_OK = 3  # with --strict: a result that is not usable
 FAILED = 1  # a self-test, or every image of a batch
+# Of tables, in characters: the space between columns, and the shortest name.
+_GAP = 2
+_LEAST_NAME = 8
+_ELLIPSIS = "..."
+_MAX_NAMES = 3  # listed in one sentence
 # Time between lines of progress if stderr is not a terminal.
 _LINE_EVERY_S = 10.0
 
@@ -177,7 +182,9 @@ def failures_as_json(sources: Iterable[str], as_json: bool) -> Iterator[None]:
     except VehAnchorError as error:
         if as_json:
             for source in sources:
-                print_json({"source": source, "error": {"code": error.code, "message": str(error)}})
+                print_json(
+                    {"photograph": source, "error": {"code": error.code, "message": str(error)}}
+                )
         raise
 
 
@@ -217,7 +224,8 @@ def print_rows(
 
     Args:
         columns: kinds of the columns by heading: ``text`` is folded, ``number`` is on the right,
-            ``word`` is on the left, ``name`` is coloured.
+            ``word`` is on the left, ``name`` is coloured, ``file`` is shortened in the middle, so
+            that a row takes one line.
         rows: the cells of each row.
         title: title of the table; empty for none.
         heading: print the headings of the columns.
@@ -227,10 +235,16 @@ def print_rows(
     from rich.table import Table
     from rich.text import Text
 
+    console = Console(soft_wrap=False, highlight=False)
+    printable_rows = [[printable(cell) for cell in row] for row in rows]
+    if "file" in columns.values():
+        printable_rows = _with_short_names(columns, printable_rows, console.width)
     table = Table(
         box=box.SIMPLE_HEAD,
         pad_edge=not heading,
+        padding=(0, _GAP - 1, 0, 0) if heading else (0, 1),
         show_header=heading,
+        show_edge=not heading,
         title=title and Text(printable(title)),
         title_justify="left",
         title_style="bold",
@@ -243,11 +257,52 @@ def print_rows(
             no_wrap=kind != "text",
             justify="right" if kind == "number" else "left",
         )
-    for row in rows:
-        cells = [Text(printable(cell)) for cell in row]
+    for row in printable_rows:
+        cells = [Text(cell) for cell in row]
         table.add_row(*cells)
-    console = Console(soft_wrap=False, highlight=False)
     console.print(table)
+
+
+def _with_short_names(
+    columns: Mapping[str, str], rows: Sequence[Sequence[str]], width: int
+) -> list[list[str]]:
+    """Shorten the cells of ``file`` columns, so that each row fits into one line.
+
+    Args:
+        columns: kinds of the columns by heading.
+        rows: the cells of each row.
+        width: of the terminal, columns.
+    """
+    headings = list(columns)
+    kinds = list(columns.values())
+    widths = [len(heading) for heading in headings]
+    for row in rows:
+        widths = [max(widest, len(cell)) for widest, cell in zip(widths, row, strict=True)]
+    n_left = width - _GAP * (len(kinds) - 1)
+    n_left -= sum(widest for widest, kind in zip(widths, kinds, strict=True) if kind != "file")
+    # Names that need less than their share leave the rest to the wider ones.
+    file_columns = [number for number, kind in enumerate(kinds) if kind == "file"]
+    file_columns.sort(key=widths.__getitem__)
+    for rank, number in enumerate(file_columns):
+        share = n_left // (len(file_columns) - rank)
+        least = max(_LEAST_NAME, len(headings[number]))
+        widths[number] = max(least, min(widths[number], share))
+        n_left -= widths[number]
+    shortened = [list(row) for row in rows]
+    for cells in shortened:
+        for number in file_columns:
+            cells[number] = shortened_name(cells[number], widths[number])
+    return shortened
+
+
+def shortened_name(name: str, width: int) -> str:
+    """Shorten a name in the middle: photographs of a folder differ at the end."""
+    if len(name) <= width:
+        return name
+    n_kept = width - len(_ELLIPSIS)
+    n_first = n_kept // 4
+    n_last = n_kept - n_first
+    return f"{name[:n_first]}{_ELLIPSIS}{name[-n_last:]}"
 
 
 def counts_text(counts: Mapping[str, int]) -> str:
@@ -258,10 +313,25 @@ def counts_text(counts: Mapping[str, int]) -> str:
 
 STATUS_TEXTS = {
     "ok": "ok",
-    "low_confidence": "low: use another source of scale",
-    "no_scale": "no scale: no ruler found",
+    "low_confidence": "low_confidence: use another source of scale",
+    "no_scale": "no_scale: no ruler found",
 }
 """Texts of statuses beside a confidence."""
+
+
+def first_names(names: Sequence[str]) -> str:
+    """List the first names, and the number of the others."""
+    text = ", ".join(names[:_MAX_NAMES])
+    if len(names) > _MAX_NAMES:
+        n_more = len(names) - _MAX_NAMES
+        text += f" and {n_more} more"
+    return text
+
+
+def print_written(paths: Iterable[Path]) -> None:
+    """Name the files that a command wrote, one per line on stderr."""
+    for path in paths:
+        print(printable(f"wrote {path}"), file=sys.stderr)
 
 
 def print_warnings(warnings: Iterable[Notice], about: str = "") -> None:

@@ -87,7 +87,7 @@ class AppearanceErrors(_Errors):
     length_over_width: _Ratio = 2.6
     log_sd: _Spread = 0.055
     log_mean: Annotated[float, Field(ge=-1.0, le=1.0)] = -0.015
-    kind_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.09
+    kind_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08
     kind_cars: Annotated[float, Field(ge=0.1, le=1000.0)] = 2.0
     fair_odds: Annotated[float, Field(ge=0.001, le=1e6)] = 20.0
     doubt_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.125

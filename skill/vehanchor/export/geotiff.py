@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.errors import MissingExtraError, OutputError
+from vehanchor.errors import MissingExtraError, OutputError, how_to_install
 from vehanchor.imagery.raster import Window
 from vehanchor.storage.atomic import check_output_path, whole_file
 
@@ -31,7 +31,7 @@ def check_copy_path(path: Path) -> None:
     """
     check_output_path(path, (".tif", ".tiff"), kind="a GeoTIFF")
     if find_spec("rasterio") is None:
-        raise MissingExtraError("writing a GeoTIFF needs rasterio: pip install 'vehanchor[geo]'")
+        raise MissingExtraError(f"writing a GeoTIFF needs rasterio: {how_to_install('geo')}")
 
 
 def write_metric_copy(path: Path, raster: Raster, gsd_m_per_px: float) -> None:

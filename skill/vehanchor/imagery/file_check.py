@@ -20,7 +20,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.errors import ImageDecodeError, ImageFormatError, MissingExtraError
+from vehanchor.errors import ImageDecodeError, ImageFormatError, MissingExtraError, how_to_install
 from vehanchor.imagery.formats.header import IMAGE_FORMATS, read_header
 from vehanchor.imagery.formats.tiff import decoded_by_opencv
 from vehanchor.imagery.limits import (
@@ -180,8 +180,8 @@ def missing_decoder(name: str, extra: DecoderExtra, source: str) -> MissingExtra
         source: name of the image in the message.
     """
     return MissingExtraError(
-        f"reading a {name} ({source}) needs {extra.package}: pip install "
-        f"'vehanchor[{extra.name}]', or convert it to JPEG"
+        f"reading a {name} ({source}) needs {extra.package}: {how_to_install(extra.name)}; "
+        "or convert it to JPEG"
     )
 
 
@@ -197,6 +197,6 @@ def missing_rasterio(header: ImageHeader, source: str) -> MissingExtraError:
     else:
         reason = "is georeferenced, too large or unsupported by OpenCV"
     return MissingExtraError(
-        f"the {header.format} ({source}) {reason}; reading it needs rasterio: pip install "
-        "'vehanchor[geo]'"
+        f"the {header.format} ({source}) {reason}; reading it needs rasterio: "
+        f"{how_to_install('geo')}"
     )

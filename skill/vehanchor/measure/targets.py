@@ -16,7 +16,7 @@ from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.shape_file import read_shape_file
 from vehanchor.measure.shapes import read_polygon
 from vehanchor.records.text import contradiction_text
-from vehanchor.rulers.image_table import read_image_table
+from vehanchor.rulers.image_table import PHOTOGRAPH, read_image_table
 from vehanchor.segmentation.prompt import read_prompt
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 Kind: TypeAlias = Literal["box", "point", "line", "polygon", "shapes"]
 
-_REQUIRED_COLUMNS = ("file",)
+_REQUIRED_COLUMNS = (PHOTOGRAPH,)
 _OPTIONAL_COLUMNS = ("x1", "y1", "x2", "y2", "kind", "name", "polygon", "shapes")
 _N_NUMBERS: dict[Kind, int] = {"box": 4, "point": 2, "line": 4}
 _COORDINATES = ("x1", "y1", "x2", "y2")
@@ -61,7 +61,7 @@ _NUMBER_FIELDS = (
     "mask_score",
 )
 TARGET_COLUMNS: dict[str, type] = {
-    "file": str,
+    "photograph": str,
     "name": str,
     "kind": str,
     **dict.fromkeys(_COORDINATES, float),
@@ -115,7 +115,7 @@ class TargetRow(NamedTuple):
         """Return the values by column."""
         target = self.target
         values: dict[str, Any] = dict.fromkeys(TARGET_COLUMNS)
-        values["file"] = target.file
+        values["photograph"] = target.file
         values["name"] = target.name
         values["kind"] = target.kind
         if target.kind in _N_NUMBERS:
@@ -235,7 +235,7 @@ def _read_target(folder: Path, row: Mapping[str, str | None]) -> Target:
             f"a {kind} has {len(numbers)} numbers: a point has x1, y1; a box or line has x1, y1, "
             "x2, y2"
         )
-    file = row["file"] or ""
+    file = row[PHOTOGRAPH] or ""
     name = row.get("name") or ""
     return Target(file, name, kind=kind, numbers=tuple(numbers))
 
@@ -249,7 +249,7 @@ def _read_own_shape(folder: Path, row: Mapping[str, str | None]) -> Target:
     stated_kind = row.get("kind") or kind
     if stated_kind != kind:
         raise PromptError(f"kind is {stated_kind!r} beside a {kind}: leave it empty")
-    file = row["file"] or ""
+    file = row[PHOTOGRAPH] or ""
     name = row.get("name") or ""
     if kind == "shapes":
         path = folder / (row["shapes"] or "")

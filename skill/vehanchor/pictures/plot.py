@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehanchor.errors import MissingExtraError
+from vehanchor.errors import MissingExtraError, how_to_install
 from vehanchor.pictures.scale import write_picture
 from vehanchor.records.text import NO_SCALE, count, scale_text, significant
 from vehanchor.rulers.active import ruler_class
@@ -69,7 +69,7 @@ def require_plots() -> type[Figure]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingExtraError("plots need matplotlib: pip install 'vehanchor[plots]'") from error
+        raise MissingExtraError(f"plots need matplotlib: {how_to_install('plots')}") from error
     return Figure
 
 

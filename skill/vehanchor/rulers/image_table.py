@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     Cells = Mapping[str, str | None]
 
 _Row = TypeVar("_Row")
+PHOTOGRAPH = "photograph"
+"""Column that names the image of a row."""
+# Former name of that column.
+_FORMER_COLUMN = "file"
 _MAX_BYTES = 64 << 20
 _DELIMITERS = (",", ";", "\t")
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
@@ -36,7 +40,7 @@ def read_image_table(
     *,
     optional: Sequence[str] = (),
 ) -> dict[str, tuple[_Row, ...]]:
-    """Read a CSV with a row per thing in an image, which its column ``file`` names.
+    """Read a CSV with a row per thing in an image, which its column ``photograph`` names.
 
     Args:
         path: path of the table. Files are relative to the table.
@@ -64,7 +68,8 @@ def read_image_table(
         with io.StringIO(_decoded(table.read_bytes()), newline="") as handle:
             delimiter = _delimiter(handle, needed)
             reader = csv.DictReader(handle, delimiter=delimiter)
-            columns = reader.fieldnames or ()
+            columns = _with_current_name(reader.fieldnames or ())
+            reader.fieldnames = columns
             missing = [name for name in needed if name not in columns]
             if missing:
                 first_line = ",".join((*needed, *optional))
@@ -78,10 +83,10 @@ def read_image_table(
                 cells: Cells = row_cells
                 if delimiter != ",":
                     cells = _with_decimal_points(row_cells)
-                file = cells["file"] or ""
+                file = cells[PHOTOGRAPH] or ""
                 try:
                     if not file:
-                        raise error("the file is not named")
+                        raise error("the photograph is not named")
                     row = read_row(cells)
                 except ValueError as problem:
                     raise error(f"{str(table)!r}, line {reader.line_num}: {problem}") from None
@@ -112,9 +117,16 @@ def _delimiter(handle: io.StringIO, needed: Sequence[str]) -> str:
 
     def n_found(delimiter: str) -> int:
         names = next(csv.reader([first_line], delimiter=delimiter), [])
-        return len(set(needed).intersection(names))
+        return len(set(needed).intersection(_with_current_name(names)))
 
     return max(_DELIMITERS, key=n_found)
+
+
+def _with_current_name(columns: Sequence[str]) -> list[str]:
+    """Rename the former column of the images."""
+    if PHOTOGRAPH in columns:
+        return list(columns)
+    return [PHOTOGRAPH if name == _FORMER_COLUMN else name for name in columns]
 
 
 def _with_decimal_points(cells: Cells) -> Cells:

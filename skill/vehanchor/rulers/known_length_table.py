@@ -9,7 +9,7 @@ from vehanchor.errors import KnownLengthError
 from vehanchor.imagery.sources.files import canonical_path
 from vehanchor.options.rulers import KnownLength, Rulers
 from vehanchor.records.text import count
-from vehanchor.rulers.image_table import read_image_table
+from vehanchor.rulers.image_table import PHOTOGRAPH, read_image_table
 from vehanchor.rulers.standards import check_name
 
 if TYPE_CHECKING:
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 KnownLengthTable: TypeAlias = "Mapping[str, tuple[KnownLength, ...]]"
 """Lines by the absolute path of their image."""
 
-_COLUMNS = ("file", "x1", "y1", "x2", "y2", "metres")
+_COLUMNS = (PHOTOGRAPH, "x1", "y1", "x2", "y2", "metres")
 
 
 def lines_in(
     path: str | os.PathLike[str] | None, images: Iterable[str | os.PathLike[str]]
 ) -> KnownLengthTable:
-    """Read a CSV with the columns ``file``, ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
+    """Read a CSV with the columns ``photograph``, ``x1``, ``y1``, ``x2``, ``y2`` and ``metres``.
 
     A name of ``vehanchor.rulers.standards`` may stand for the metres. The columns ``basis``,
     ``tolerance_m`` and ``what`` are optional; an empty cell is the default.

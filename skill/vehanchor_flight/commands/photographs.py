@@ -9,14 +9,17 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
+from vehanchor.cli.batch import OverlayFolder
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.scale_option import KnownLengthsFile
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
+    first_names,
     print_facts,
     print_json,
     print_rows,
     print_warnings,
+    print_written,
     resumable,
     under_one_folder,
     work_progress,
@@ -35,8 +38,6 @@ if TYPE_CHECKING:
     from vehanchor_flight.records import FlightEstimate, FlightPhotograph
 
 _MAX_SIZES = 12  # Of components, in one line.
-_MAX_NAMES = 3  # Of photographs with the same advice.
-_STATUS_WORDS = {"ok": "ok", "low_confidence": "low", "no_scale": "none", "error": "error"}
 
 Every: TypeAlias = Annotated[
     float, typer.Option(metavar="S", help="For a video: seconds between photographs.")
@@ -83,6 +84,7 @@ def photographs(
             metavar="FILE", help="Write a table with a row for each photograph, as 'batch' does."
         ),
     ] = None,
+    overlays: OverlayFolder = None,
     known_lengths: KnownLengthsFile = None,
     every: Every = 2.0,
     first: First = None,
@@ -90,7 +92,7 @@ def photographs(
     chosen: ParsedOptions,
 ) -> None:
     """Estimate the scales of the photographs of one flight from their common evidence."""
-    from vehanchor.batch.table import check_table_path, write_table
+    from vehanchor.batch.table import check_table_path
     from vehanchor_flight.verbs import estimate_flight
 
     if out is not None:
@@ -99,6 +101,8 @@ def photographs(
         table = check_table_path(table)
     journal = _journal_beside(out or table)
     images = _images(inputs, every, first, chosen.options().reading.limits)
+    if overlays is not None and not isinstance(images, Sequence):
+        raise InvalidParameterError("--overlays needs photographs: a video has none to draw over")
     last_step = "pooling the evidence of" if same_scale else "linking"
     # The length of a video is unknown: its number of photographs is never complete.
     is_counted = isinstance(images, Sequence)
@@ -116,13 +120,12 @@ def photographs(
             same_scale=same_scale,
             known_lengths_table=known_lengths,
             journal=journal,
+            overlays=overlays,
             progress=report_progress,
         )
-    if out is not None:
-        write_record(out, record)
-    if table is not None:
-        rows = (_row(record, photograph) for photograph in record.photographs)
-        write_table(table, (row.flat() for row in rows))
+    _write(record, out, table)
+    if overlays is not None:
+        print_written([overlays])
     if as_json:
         print_json(record.model_dump(mode="json"))
     else:
@@ -155,6 +158,18 @@ def _images(
     return sample_video(inputs[0], every_s, limits, first_s=first_s)
 
 
+def _write(record: FlightEstimate, out: Path | None, table: Path | None) -> None:
+    """Write the record and the table that the caller wants, and name them."""
+    from vehanchor.batch.table import write_table
+
+    if out is not None:
+        write_record(out, record)
+    if table is not None:
+        rows = [_row(record, photograph) for photograph in record.photographs]
+        write_table(table, [row.flat() for row in rows])
+    print_written(path for path in (out, table) if path is not None)
+
+
 def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
     """Make the row of ``vehanchor batch`` with the scale of the flight."""
     from vehanchor.batch.row import BatchRow
@@ -162,12 +177,12 @@ def _row(record: FlightEstimate, photograph: FlightPhotograph) -> BatchRow:
 
     if photograph.own is None:
         return BatchRow(
-            file=photograph.photograph,
+            photograph=photograph.photograph,
             error_code=photograph.error_code,
             error=photograph.error,
         )
     estimate = estimate_in_flight(record, photograph)
-    return BatchRow(file=photograph.photograph, estimate=estimate)
+    return BatchRow(photograph=photograph.photograph, estimate=estimate)
 
 
 def _print_record(record: FlightEstimate) -> None:
@@ -207,7 +222,7 @@ def _facts(record: FlightEstimate, short_names: Mapping[str, str]) -> list[tuple
         sizes_text = " and ".join(str(size) for size in sizes)
         facts.append(("sorties", f"{sizes_text} photographs, by camera and time"))
     for remedy, names in _names_by_remedy(record.photographs, short_names).items():
-        facts.append(("not usable", f"{_first_names(names)}. {remedy}"))
+        facts.append(("not usable", f"{first_names(names)}. {remedy}"))
     return facts
 
 
@@ -269,26 +284,19 @@ def _names_by_remedy(
     return names
 
 
-def _first_names(names: Sequence[str]) -> str:
-    text = ", ".join(names[:_MAX_NAMES])
-    if len(names) > _MAX_NAMES:
-        n_more = len(names) - _MAX_NAMES
-        text += f" and {n_more} more"
-    return text
-
-
 def _print_photographs(
     photographs: Sequence[FlightPhotograph],
     short_names: Mapping[str, str],
 ) -> None:
     """Print a table with a line for each photograph."""
     columns = {
-        "photograph": "text",
+        "photograph": "file",
         "m/px": "number",
         "95 % if right": "number",
         "conf.": "number",
-        "supported by": "text",
+        "ruler": "file",
         "status": "word",
+        "reason": "word",
     }
     rows = [_cells(photograph, short_names) for photograph in photographs]
     print_rows(columns, rows)
@@ -313,8 +321,16 @@ def _cells(photograph: FlightPhotograph, short_names: Mapping[str, str]) -> tupl
         interval,
         confidence,
         _support_text(photograph, short_names),
-        _STATUS_WORDS[photograph.status],
+        photograph.status,
+        _reason_word(photograph),
     )
+
+
+def _reason_word(photograph: FlightPhotograph) -> str:
+    """Return why a scale is not usable in one word; the sentences stand above the table."""
+    if photograph.status == "error":
+        return "unreadable"
+    return photograph.reason or ""
 
 
 def _support_text(photograph: FlightPhotograph, short_names: Mapping[str, str]) -> str:
@@ -323,6 +339,6 @@ def _support_text(photograph: FlightPhotograph, short_names: Mapping[str, str]) 
         return "-"
     first = photograph.supported_by[0]
     if first.photograph == photograph.photograph:
-        return f"its own {first.ruler}"
+        return f"own {first.ruler}"
     name = short_names[first.photograph]
     return f"{first.ruler} of {name}"

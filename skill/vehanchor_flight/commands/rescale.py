@@ -13,10 +13,12 @@ from vehanchor.cli.terminal import (
     STATUS_TEXTS,
     Strict,
     exit_strictly,
+    first_names,
     print_facts,
     print_json,
     print_rows,
     print_warnings,
+    print_written,
     printable,
     resumable,
     work_progress,
@@ -30,6 +32,12 @@ if TYPE_CHECKING:
     from vehanchor_flight.reconstruction.model import Reconstruction
     from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
+_NOT_USED = {
+    "outlier": "its own factor and that of the model exclude each other",
+    "unclear": "its own factor is known only within a factor of 2",
+    "nothing": "nothing of known size was found",
+}
+"""Why photographs do not carry the factor, by their status."""
 _FILES_PANEL = "Files to write"
 _METADATA_OPTIONS = ("metadata", "height_m", "height_basis", "height_tolerance_m", "focal_35mm")
 
@@ -54,8 +62,8 @@ def rescale(
         typer.Option(
             "--known-lengths",
             metavar="LINES.csv",
-            help="Lines of known length in the photographs: file, x1, y1, x2, y2, metres; files "
-            "are relative to the table.",
+            help="Lines of known length: photograph, x1, y1, x2, y2, metres; paths are relative to "
+            "the table.",
         ),
     ] = None,
     project: Annotated[
@@ -110,7 +118,8 @@ def rescale(
     if as_json:
         print_json(record.model_dump(mode="json"))
     else:
-        _print_record(record, source, written)
+        _print_record(record, source)
+    print_written(written)
     if record.status != "ok" and (project or geo):
         typer.echo("no file in metres was written: the size is not usable", err=True)
         raise typer.Exit(NOT_OK)
@@ -153,49 +162,39 @@ def _write_in_metres(
     return written
 
 
-def _print_record(record: ModelScale, source: str, written: Sequence[Path]) -> None:
-    """Print the factor, the photographs that carry it, and errors.
-
-    Args:
-        record: the result.
-        source: the model, as the caller named it.
-        written: files that were written.
-    """
-    print_facts(source, _facts(record, written))
+def _print_record(record: ModelScale, source: str) -> None:
+    """Print the factor, the photographs that carry it, and errors."""
+    print_facts(source, _facts(record))
     used = [photograph for photograph in record.photographs if photograph.status == "used"]
     if used:
         _print_photographs(used)
     for photograph in record.photographs:
         if photograph.status == "error":
-            code = photograph.error_code
-            sentence = f"not measured[{code}]: {photograph.photograph}: {photograph.error}"
+            sentence = f"not measured: {photograph.photograph}: {photograph.error}"
             typer.echo(printable(sentence), err=True)
     print_warnings(record.warnings)
 
 
-def _facts(record: ModelScale, written: Sequence[Path]) -> list[tuple[str, str]]:
+def _facts(record: ModelScale) -> list[tuple[str, str]]:
     """List what holds for the whole model, with headings."""
     facts = [("verdict", record.verdict)]
     if record.factor is not None:
         facts.append(("factor", _factor_text(record)))
     status_text = STATUS_TEXTS[record.status]
     facts.append(("confidence", f"{record.confidence:.2f}   {status_text}"))
-    if record.reason is not None:
-        facts.append(("reason", record.reason))
+    if record.advice is not None:
+        facts.append(("not usable", record.advice))
     for ruler in record.rulers:
         factor = _factor_text(ruler)
-        text = f"{factor}, n {ruler.n}, right: {ruler.p_right:.2f}"
+        text = f"{factor}, from {ruler.n}, right with a chance of {ruler.p_right:.2f}"
         facts.append((ruler.label, text))
     if record.photographs:
         n_used = sum(photograph.status == "used" for photograph in record.photographs)
         facts.append(("photographs", f"{record.n_photographs}, used for the factor: {n_used}"))
-    for photograph in record.photographs:
-        if photograph.status == "outlier":
-            rulers = ", ".join(photograph.rulers)
-            factor = _factor_text(photograph)
-            text = f"{photograph.photograph}: {rulers} {factor}"
-            facts.append(("outlier", text))
-    facts += [("written", str(path)) for path in written]
+    for status, sentence in _NOT_USED.items():
+        names = [each.photograph for each in record.photographs if each.status == status]
+        if names:
+            facts.append(("not used", f"{first_names(names)}: {sentence}"))
     return facts
 
 
@@ -207,7 +206,7 @@ def _factor_text(record: ModelScale | ModelRuler | ModelPhotograph) -> str:
 def _print_photographs(photographs: Sequence[ModelPhotograph]) -> None:
     """Print a table with a line for each photograph."""
     columns = {
-        "photograph": "text",
+        "photograph": "file",
         "factor": "number",
         "95 %": "number",
         "cars": "number",

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.05
 _RETRY_S = 1.0  # Until a lost camera is tried again.
+_FIRST_TRIALS = 3  # of a camera that never gave a frame; a choice
 _MAX_CAMERA_NUMBER = 99
 _FileState: TypeAlias = tuple[int, int]
 """Time of the last change in nanoseconds, and size in bytes."""
@@ -146,7 +147,8 @@ def folder_frames(
         folder: the folder; its own files count, those of its folders do not.
         reading: how to read the images.
         idle_s: seconds without a new image that end the source; None for never.
-        tell: receives a sentence about each image that cannot be read.
+        tell: receives a sentence about each image that cannot be read, and about those that lie
+            there before the first frame.
     """
     yielded: dict[str, _FileState] = {}
     before: dict[str, _FileState] = {}
@@ -164,6 +166,11 @@ def folder_frames(
         if not new:
             time.sleep(_POLL_S)
             continue
+        if not yielded and len(new) > 1:
+            tell(
+                f"{folder} has {len(new)} photographs: the newest one counts, and further ones as "
+                f"they arrive. 'vehanchor flight {folder}' estimates all"
+            )
         # All new files count as yielded, because the newest replaces the older ones.
         yielded |= new
         last_s = time.monotonic()
@@ -273,7 +280,8 @@ class _Newest:
         """Wait for a frame; None if none came in time.
 
         Raises:
-            Exception: an error ended the thread.
+            ImageNotFoundError: the camera never gave a frame.
+            Exception: another error ended the thread.
         """
         with self._changed:
             self._changed.wait_for(self._has_news, patience_s)
@@ -302,19 +310,32 @@ class _Newest:
                 self._changed.notify()
 
     def _read_and_reopen(self) -> None:
-        """Read the camera; after each loss, open it again."""
+        """Read the camera; after each loss, open it again.
+
+        Raises:
+            ImageNotFoundError: it never gave a frame.
+        """
         is_lost = False
+        has_given_frames = False
+        n_trials = 0
         while not self._ended.is_set():
             camera = self._open()
             if camera is not None:
                 gave_frames = self._read(camera, returned=is_lost)
                 if gave_frames:
                     is_lost = False
+                    has_given_frames = True
                 camera.release()
             if self._ended.is_set():
                 break
+            n_trials += 1
+            if not has_given_frames and n_trials == _FIRST_TRIALS:
+                raise ImageNotFoundError(
+                    f"{self._name} gives no frames: connect it, use the number of another camera, "
+                    "or name a folder or a video"
+                )
             # One sentence for each loss, not one for each trial.
-            if not is_lost:
+            if has_given_frames and not is_lost:
                 self._tell(f"{self._name} gives no frames: it is tried again every second")
             is_lost = True
             self._ended.wait(_RETRY_S)

@@ -28,7 +28,7 @@ from vehanchor_flight.reconstruction.photograph import (
     merge_cars,
     search_photograph,
 )
-from vehanchor_flight.record import Failure
+from vehanchor_flight.record import Failure, pooled_advice
 from vehanchor_flight.records import ModelPhotograph, ModelRuler, ModelScale
 
 if TYPE_CHECKING:
@@ -102,6 +102,7 @@ def conclude_model(
         **factor._asdict(),
         confidence=pooled.confidence,
         reason=pooled.reason,
+        advice=pooled_advice(pooled),
         verdict=verdict(*factor, usable=pooled.status == "ok"),
         n_photographs=len(model.shots),
         n_vehicles=pooled.n_vehicles or 0,

@@ -16,6 +16,7 @@ import pytest
 from tests.sam_models import SamFiles
 from tests.server.app_page.viewing import Person, viewing
 from tests.server.conftest import POOL_BOX, paint_scene, with_pool, write_image
+from vehanchor.batch.row import COLUMNS
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
 
@@ -167,6 +168,23 @@ def test_the_list_can_be_searched_or_passed_by_one_tab(person: Person) -> None:
     assert person.runs("document.activeElement.textContent") == "Distance"
 
 
+def test_a_known_length_says_that_the_tick_is_missing(person: Person) -> None:
+    choose_pool(person)
+    person.presses("Draw a known length")
+    person.drags((100, 300), (300, 300))
+    note = person.page.get_by_text("The tick is missing")
+    assert note.is_visible()
+    person.page.get_by_label("measured by tape, plan or survey").check()
+    assert not note.is_visible()
+
+
+def test_the_search_finds_a_folder(person: Person) -> None:
+    folder = "photographs"
+    person.page.get_by_label("Find a photograph").fill(folder)
+    assert person.page.get_by_role("button", name="pool.png").is_visible()
+    person.page.get_by_label("Find a photograph").fill("")
+
+
 def test_facts_hold_for_all_photographs_corrections_for_one(person: Person) -> None:
     choose_pool(person)
     numbers = person.page.locator(".drawn .number")
@@ -203,9 +221,12 @@ def test_all_photographs_are_measured_into_a_table(person: Person, tmp_path: Pat
     assert "not an image" in person.page.locator(".overview tr", has_text="broken.png").inner_text()
     with saved(person, "Save table", tmp_path).open(newline="") as file:
         rows = list(csv.DictReader(file))
-    status_of = {Path(row["file"]).name: row["status"] for row in rows}
+    assert list(rows[0]) == list(COLUMNS), "as the tables of 'vehanchor batch'"
+    status_of = {Path(row["photograph"]).name: row["status"] or "error" for row in rows}
+    reasons = person.page.locator(".overview tr", has_text="large.png").inner_text()
+    assert "too few vehicles" in reasons
     assert (status_of["broken.png"], status_of["pool.png"], status_of["large.png"]) == (
-        "failed",
+        "error",
         "ok",
         "no_scale",
     )

@@ -41,7 +41,7 @@ def detailed_rows(
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         run_batch(["."], table, detector=detector, workers=1, details=True)
-    return {row["file"]: row for row in read_rows(table)}
+    return {row["photograph"]: row for row in read_rows(table)}
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_images_whose_names_look_alike_have_their_own_rows(
     table = tmp_path / "table.jsonl"
     run_batch([str(images)], table, detector=detector, workers=1, engine=engine)
     rows = read_rows(table)
-    assert len({row["file"] for row in rows}) == 1
+    assert len({row["photograph"] for row in rows}) == 1
     assert sorted(row["status"] for row in rows) == ["no_scale", "ok"]
 
 
@@ -157,7 +157,7 @@ def tables(folder: Path, detector: Path, tmp_path_factory: pytest.TempPathFactor
 
 def test_a_table_of_json_lines_has_all_images_in_order(tables: Path) -> None:
     rows = read_rows(tables / "table.jsonl")
-    assert [row["file"] for row in rows] == FILES
+    assert [row["photograph"] for row in rows] == FILES
     assert [list(row) for row in rows] == [list(COLUMNS)] * len(rows)
 
 
@@ -200,13 +200,11 @@ def test_an_unwritable_table_is_refused_before_the_work(
         run_batch(["."], tmp_path / name, detector="no model is looked for")
 
 
-def test_a_complete_table_is_replaced_only_with_overwrite(detector: Path, table: Path) -> None:
+def test_a_complete_table_is_replaced_as_every_file(detector: Path, table: Path) -> None:
     run_batch(["cars.png"], table, detector=detector, workers=1)
-    with pytest.raises(OutputError, match="--overwrite"):
-        run_batch(["empty.png"], table, detector=detector, workers=1)
-    assert read_rows(table)[0]["file"] == "cars.png"
-    run_batch(["empty.png"], table, detector=detector, workers=1, overwrite=True)
-    assert [row["file"] for row in read_rows(table)] == ["empty.png"]
+    assert [row["photograph"] for row in read_rows(table)] == ["cars.png"]
+    run_batch(["empty.png"], table, detector=detector, workers=1)
+    assert [row["photograph"] for row in read_rows(table)] == ["empty.png"]
 
 
 @pytest.mark.parametrize(

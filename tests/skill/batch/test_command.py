@@ -36,7 +36,7 @@ def test_the_command_reports_progress_causes_and_numbers(
         "the picture in other programs",
         f"1 x image_not_found, as in no such.png: {read_rows(table)[-1]['error']}",
     ]
-    assert last.startswith(f"{table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")
+    assert last.startswith(f"wrote {table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")
     assert read_rows(table)[-1]["error_code"] == "image_not_found"
 
 
@@ -50,7 +50,15 @@ def test_the_command_fails_if_no_image_can_be_used(detector: Path, table: Path) 
 def test_the_summary_of_one_image_has_singular_nouns(detector: Path, table: Path) -> None:
     result = _finished(table, detector, "empty.png")
     last = result.stderr.splitlines()[-1]
-    assert last.startswith(f"{table}: 1 row (1 no_scale); 1 image in ")
+    assert last.startswith(f"wrote {table}: 1 row (1 no_scale); 1 image in ")
+
+
+def test_overlays_lie_as_their_photographs(detector: Path, table: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "overlays"
+    result = _finished(table, detector, "cars.png", "broken.jpg", "--overlays", str(folder))
+    assert result.exit_code == 0, result.output
+    assert [path.name for path in folder.iterdir()] == ["cars.png.overlay.png"]
+    assert result.stderr.splitlines()[-1] == f"wrote {folder}"
 
 
 def test_batch_takes_the_options_of_estimate(detector: Path, table: Path) -> None:
@@ -119,7 +127,7 @@ def test_lines_of_a_table_do_not_change_other_images(
             "use one of assumed, measured",
         ),
         ("file,x1,y1,x2,y2,metres\n", "no known lengths"),
-        ("", "no column file"),
+        ("", "no column photograph"),
     ],
 )
 def test_an_invalid_table_of_lines_is_refused_with_the_fault(

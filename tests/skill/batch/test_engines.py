@@ -114,7 +114,7 @@ def poisoned(
     command += ["--detector", str(detector), "--workers", str(request.param)]
     done = subprocess.run(command, cwd=path, capture_output=True, text=True, check=False)
     with (path / "t.csv").open(newline="") as file:
-        errors = {row["file"]: row["error_code"] for row in csv.DictReader(file)}
+        errors = {row["photograph"]: row["error_code"] for row in csv.DictReader(file)}
     return Poisoned(done.returncode, done.stderr, errors)
 
 
@@ -219,7 +219,7 @@ def test_the_same_command_resumes_after_ctrl_c(interrupted: Interrupted) -> None
     assert "60 rows (60 low_confidence), " in done.stderr
     assert " of them from an earlier run; " in done.stderr
     with (interrupted.folder / "t.csv").open(newline="") as file:
-        files = [row["file"] for row in csv.DictReader(file)]
+        files = [row["photograph"] for row in csv.DictReader(file)]
     assert files == [f"{n:02}.png" for n in range(60)]
 
 

@@ -66,6 +66,6 @@ def test_a_killed_node_costs_no_row(
     assert summary.n_rows == N_IMAGES
     assert progress == list(range(N_IMAGES + 1)), "each row comes once"
     assert table.read_bytes() == expected.read_bytes()
-    files = {json.loads(line)["file"] for line in table.read_text().splitlines()}
+    files = {json.loads(line)["photograph"] for line in table.read_text().splitlines()}
     assert len(files) == N_IMAGES
     assert not journal_path(table).exists()

@@ -116,12 +116,12 @@ def test_one_image_has_facts(run: Any) -> None:
     assert "if at least one ruler is right)" in _words(result.stdout)
 
 
-def test_json_is_the_record_with_its_source(run: Any, folder: Path) -> None:
+def test_json_is_the_record_with_its_photograph(run: Any, folder: Path) -> None:
     result = _estimate(run, "cars.png", "--json")
     assert result.exit_code == 0
     assert result.stderr == ""
     (line,) = _lines(result)
-    assert line.pop("source") == "cars.png"
+    assert line.pop("photograph") == "cars.png"
     # The command and the library therefore have the same defaults.
     analysis = analyse_scale(
         folder / "cars.png", detector=folder / "detector.onnx", rulers=("vehicles",)
@@ -137,11 +137,11 @@ def test_one_bad_image_does_not_stop_the_rest(run: Any) -> None:
     result = _estimate(run, *images, "--json", "--rulers", "vehicles")
     assert result.exit_code == 2
     cars, text, missing, few = _lines(result)
-    assert (cars["source"], cars["status"]) == ("cars.png", "ok")
-    assert text["source"] == "text.png"
+    assert (cars["photograph"], cars["status"]) == ("cars.png", "ok")
+    assert text["photograph"] == "text.png"
     assert text["error"]["code"] == "image_undecodable"
     assert missing["error"]["code"] == "image_not_found"
-    assert (few["source"], few["status"]) == ("few.png", "low_confidence")
+    assert (few["photograph"], few["status"]) == ("few.png", "low_confidence")
     assert [line.split(":")[0] for line in result.stderr.splitlines()] == [
         "error[image_undecodable]",
         "error[image_not_found]",
@@ -153,10 +153,10 @@ def test_several_images_have_one_table_of_names_in_their_folder(run: Any, folder
     result = _estimate(run, *images)
     assert result.exit_code == 2
     heading, *lines = result.stdout.splitlines()
-    assert heading.startswith("2 images in ")
+    assert heading.startswith("2 photographs in ")
     rows = [line.split() for line in lines if ".png" in line]
     assert [row[0] for row in rows] == ["cars.png", "few.png"]
-    assert rows[1][-1] == "low_confidence"
+    assert rows[1][-2:] == ["low_confidence", "imprecise"]
     assert f"error[image_undecodable]: {folder / 'text.png'}: " in result.stderr
 
 
@@ -195,7 +195,7 @@ def test_the_options_reach_the_method(run: Any) -> None:
 def test_a_wrong_option_gives_each_image_its_line_of_json(run: Any, wrong: tuple[str, str]) -> None:
     result = _estimate(run, "cars.png", "few.png", "--json", *wrong)
     assert result.exit_code == 2
-    errors = [(line["source"], line["error"]["code"]) for line in _lines(result)]
+    errors = [(line["photograph"], line["error"]["code"]) for line in _lines(result)]
     assert errors == [("cars.png", "invalid_parameter"), ("few.png", "invalid_parameter")]
 
 
@@ -278,7 +278,7 @@ def test_markup_in_a_name_is_printed_as_it_is(run: Any, odd_name: Path) -> None:
 
 def test_json_has_a_name_with_undecodable_bytes(run: Any, odd_name: Path) -> None:
     (line,) = _lines(_estimate(run, odd_name, "--json"))
-    assert line["source"] == str(odd_name).replace("\udcff", "\\udcff")
+    assert line["photograph"] == str(odd_name).replace("\udcff", "\\udcff")
 
 
 @pytest.mark.parametrize("as_json", [[], ["--json"]])
@@ -373,7 +373,7 @@ def test_the_progress_bar_leaves_stdout_alone(folder: Path) -> None:
             shown += part
     os.close(terminal)
     assert done.returncode == 2
-    sources = [json.loads(line)["source"] for line in done.stdout.splitlines()]
+    sources = [json.loads(line)["photograph"] for line in done.stdout.splitlines()]
     assert sources == ["cars.png", "text.png"]
     assert b"1/2 cars.png" in shown
     assert b"error[image_undecodable]" in shown

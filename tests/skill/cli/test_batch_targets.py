@@ -113,10 +113,11 @@ def test_a_target_outside_its_image_has_a_row_with_the_error(measured: Measured)
     assert measured.rows["outside"]["error_code"] == "invalid_prompt"
 
 
-def test_an_existing_table_is_replaced_only_with_overwrite(measured: Measured, place: Path) -> None:
-    again = _batch(place, measured.table)
-    assert again.exit_code == 2
-    assert "--overwrite" in again.stderr
+def test_an_existing_table_is_replaced_as_every_file(place: Path, tmp_path: Path) -> None:
+    table = tmp_path / "existing.csv"
+    table.write_text("an earlier table")
+    assert _batch(place, table).exit_code == 0
+    assert "an earlier table" not in table.read_text()
 
 
 # --- Shapes of the caller's own
@@ -197,7 +198,7 @@ def test_a_map_of_plain_images_is_in_pixels(place: Path, tmp_path: Path) -> None
     collection = json.loads((tmp_path / "out.geojson").read_text())
     facts = [feature["properties"] for feature in collection["features"]]
     assert [row["name"] for row in facts if row["distance_m"]] == ["road"]
-    measured = {(row["file"], row["name"], row["status"]) for row in facts}
+    measured = {(row["photograph"], row["name"], row["status"]) for row in facts}
     assert measured > {("photos/cars.png", "=pool", "ok")}
     assert "pixel" in collection["crs"]["properties"]["name"]
 
@@ -246,7 +247,7 @@ def test_a_map_of_georeferenced_with_plain_images_is_refused(georeferenced: Path
     [
         ("photos/cars.png,circle,1,1,2,2,\n", "line 2: kind is 'circle': use box, point, line"),
         ("photos/cars.png,line,1,1,,,\n", "line 2: a line has 2 numbers"),
-        (",box,1,1,2,2,\n", "line 2: the file is not named"),
+        (",box,1,1,2,2,\n", "line 2: the photograph is not named"),
         ("photos/cars.png,box,one,1,2,2,\n", "line 2: x1 is 'one': use a number"),
         ("photos/other.png,box,1,1,2,2,\n", "which is not one of the images"),
         ("", "has no target"),

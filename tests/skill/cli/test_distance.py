@@ -109,7 +109,7 @@ def test_estimate_of_a_folder_names_batch(tmp_path: Path) -> None:
     code, _, err = run("estimate", tmp_path)
     assert code == 2
     assert f"error[image_not_found]: {str(tmp_path)!r} is a folder: " in err
-    assert f"is a folder: 'vehanchor batch {tmp_path} -o" in err
+    assert f"is a folder: 'vehanchor batch {tmp_path} --out" in err
 
 
 def test_help_shows_commands_in_panels() -> None:

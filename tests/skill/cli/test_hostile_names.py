@@ -84,7 +84,7 @@ def test_no_cell_of_a_table_is_a_formula(run: Any, tmp_path: Path) -> None:
     assert is_harmless(result.stderr)
     with (tmp_path / "t.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert {row["file"] for row in rows} == {f"'{CARS}", f"'{BROKEN}"}
+    assert {row["photograph"] for row in rows} == {f"'{CARS}", f"'{BROKEN}"}
     cells = [cell for row in rows for cell in row.values()]
     assert not [cell for cell in cells if cell[:1] in ("=", "@", "\t", "\r")]
 

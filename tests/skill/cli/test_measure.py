@@ -56,12 +56,12 @@ def _line(result: Result) -> dict[str, Any]:
     return record
 
 
-def test_json_is_the_record_with_its_source(run: Any, folder: Path) -> None:
+def test_json_is_the_record_with_its_photograph(run: Any, folder: Path) -> None:
     result = run("cars.png", "--box", *BOX, "--json")
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
     line = _line(result)
-    assert line.pop("source") == "cars.png"
+    assert line.pop("photograph") == "cars.png"
     expected = measure_area(
         folder / "cars.png",
         box=(410.7, 273.9, 477.3, 382.1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -38,7 +39,7 @@ def run(image: Path, *arguments: object) -> tuple[int, str]:
 
 def test_the_scale_bar_has_its_length(image: Path) -> None:
     out = image.with_name("out.png")
-    assert run(image, "--scale-bar", out, *LINE) == (0, "")
+    assert run(image, "--scale-bar", out, *LINE) == (0, f"wrote {out}\n")
     before = cv2.imread(str(image))
     after = cv2.imread(str(out))
     assert before is not None
@@ -89,9 +90,28 @@ def test_a_geotiff_has_all_pixels_in_local_metres(image: Path) -> None:
     photo = np.random.default_rng(3).integers(0, 255, (700, 1100, 3), np.uint8)
     assert cv2.imwrite(str(image), photo)
     copy = image.with_name("copy.tif")
-    assert run(image, "--geotiff", copy, *LINE, "--rulers", "known_length") == (0, "")
+    assert run(image, "--geotiff", copy, *LINE, "--rulers", "known_length") == (
+        0,
+        f"wrote {copy}\n",
+    )
     with rasterio.open(copy) as written:
         assert np.array_equal(written.read().transpose(1, 2, 0), photo[:, :, ::-1])
         assert 'UNIT["metre",1' in written.crs.to_wkt()
         assert written.crs.to_epsg() is None, "the place on Earth is unknown"
         assert tuple(written.bounds) == pytest.approx((0, -70, 110, 0), rel=1e-3)
+
+
+def test_boxes_have_their_sizes_in_metres(image: Path) -> None:
+    out = image.with_name("boxes.geojson")
+    add = ("--add", "300", "300", "345", "300")
+    assert run(image, "--boxes", out, *LINE, *add)[0] == 0
+    [vehicle] = json.loads(out.read_text())["features"]
+    # The known line has 40 m on 400 px.
+    assert vehicle["properties"]["length_m"] == pytest.approx(4.5, rel=0.1)
+
+
+def test_details_show_the_metadata_that_were_read(image: Path) -> None:
+    detector = image.with_name("painted.onnx")
+    command = ["estimate", str(image), "--detector", str(detector), "--details"]
+    output = CliRunner().invoke(app, command).stdout
+    assert "metadata   none" in output

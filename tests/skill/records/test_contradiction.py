@@ -90,7 +90,7 @@ def test_the_answer_of_the_server_begins_with_it(estimate: GsdEstimate) -> None:
 
 
 def test_the_batch_table_has_it(estimate: GsdEstimate) -> None:
-    row = BatchRow(file="ortho.tif", estimate=estimate).flat()
+    row = BatchRow(photograph="ortho.tif", estimate=estimate).flat()
     assert row["contradiction"] == contradiction_text(estimate)
 
 

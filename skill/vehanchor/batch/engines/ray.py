@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.batch.engines.local import IsolatedWorker
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.worker import Task
-from vehanchor.errors import InvalidParameterError, MissingExtraError, WorkerDiedError
+from vehanchor.errors import (
+    InvalidParameterError,
+    MissingExtraError,
+    WorkerDiedError,
+    how_to_install,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -36,7 +41,7 @@ def require_ray() -> Any:
         import ray.data
     except ImportError:
         raise MissingExtraError(
-            "--engine ray needs Ray: pip install 'vehanchor[ray]', or use --engine local"
+            f"--engine ray needs Ray: {how_to_install('ray')}, or use --engine local"
         ) from None
     return ray
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.errors import ImageDecodeError, ImageTooLargeError
 from vehanchor.imagery.formats.boxes import boxes, still_format
-from vehanchor.imagery.formats.heif_items import check_items
+from vehanchor.imagery.formats.heif_items import Piece, check_items
 from vehanchor.imagery.formats.ifd import TIFF_SIGNATURES
 from vehanchor.imagery.formats.image_format import DecoderExtra, ImageFormat
 from vehanchor.imagery.formats.image_header import ImageHeader
@@ -58,23 +58,6 @@ _EXIF_HEAD_BYTES = 64
 _IN_FILE = 0
 _IN_IDAT = 1
 """Construction methods: where the pieces of an item lie. The third is within another item."""
-
-
-class Piece(NamedTuple):
-    """Piece of an item's data.
-
-    Attributes:
-        item: number of the item.
-        start: offset in the file.
-        length: bytes; 0 if the file does not declare it.
-        in_file: False if the piece lies within another item, whose offset counts from there, or in
-            a box that the file lacks.
-    """
-
-    item: int
-    start: int
-    length: int
-    in_file: bool
 
 
 def read_heic(read_at: ReadAt) -> ImageHeader:

@@ -18,8 +18,25 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from vehanchor.imagery.formats.boxes import Box
-    from vehanchor.imagery.formats.heif import Piece
     from vehanchor.imagery.formats.ifd import ReadAt
+
+
+class Piece(NamedTuple):
+    """Piece of an item's data.
+
+    Attributes:
+        item: number of the item.
+        start: offset in the file.
+        length: bytes; 0 if the file does not declare it.
+        in_file: False if the piece lies within another item, whose offset counts from there, or in
+            a box that the file lacks.
+    """
+
+    item: int
+    start: int
+    length: int
+    in_file: bool
+
 
 _MAX_LEVELS = 8
 """Maximum number of pictures made of each other; phones write two, a grid of tiles."""
