@@ -139,13 +139,9 @@ def run_batch(
 
     paths = find_images(inputs)
     tasks = [Task.of(path) for path in paths]
+    lines_by_image = lines_in(known_lengths, [task.path for task in tasks])
     job = _make_job(detector, classes, options=options, runtime=runtime)
-    job = replace(
-        job,
-        known_lengths=lines_in(known_lengths, [task.path for task in tasks]),
-        overlays=_overlays(overlays, engine, tasks),
-    )
-
+    job = replace(job, known_lengths=lines_by_image, overlays=_overlays(overlays, engine, tasks))
     with open_journal(table, job, anew=overwrite) as journal:
         # A key contains the state of its image, so the row of a replaced image is missing.
         keys = {task: task.key() for task in tasks}
@@ -155,10 +151,8 @@ def run_batch(
         # Closing the generator stops the workers if this process is interrupted.
         new_rows = _compute_rows(engine, address, job, missing, workers=workers, isolated=isolated)
         with closing(new_rows):
-            n_finished = n_resumed
-            for task, row in new_rows:
+            for n_finished, (task, row) in enumerate(new_rows, n_resumed + 1):
                 journal.add(keys[task], row)
-                n_finished += 1
                 runtime.report_progress(n_finished, len(tasks))
         keys_in_order = [keys[task] for task in tasks]
         statuses, causes = _write_rows(table, journal, keys_in_order, details=details)

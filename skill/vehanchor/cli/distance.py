@@ -17,7 +17,7 @@ from vehanchor.cli.scale_option import (
     SearchAnyway,
     read_scale,
 )
-from vehanchor.cli.terminal import Strict
+from vehanchor.cli.terminal import AsJson, Strict
 from vehanchor.records.text import with_interval
 
 if TYPE_CHECKING:
@@ -46,9 +46,7 @@ def distance(
             "pixels.",
         ),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
-    ] = False,
+    as_json: AsJson = False,
     overlay: Annotated[
         Path | None,
         typer.Option(

@@ -18,7 +18,7 @@ from vehanchor.cli.scale_option import (
     SearchAnyway,
     read_scale,
 )
-from vehanchor.cli.terminal import Strict
+from vehanchor.cli.terminal import AsJson, Strict
 from vehanchor.errors import PromptError
 from vehanchor.measure.shape_file import read_shape_file
 from vehanchor.measure.shapes import read_polygon
@@ -116,9 +116,7 @@ def measure(
     scale: ScaleFile = None,
     object_height: ObjectHeight = None,
     search: SearchAnyway = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
-    ] = False,
+    as_json: AsJson = False,
     overlay: Annotated[
         Path | None,
         typer.Option(

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vehanchor.cli.cli_options import read_classes
-from vehanchor.cli.terminal import FAILED, exit_on_error, failures_as_json, print_facts, print_json
+from vehanchor.cli.terminal import (
+    FAILED,
+    AsJson,
+    exit_on_error,
+    failures_as_json,
+    print_facts,
+    print_json,
+)
 from vehanchor.records.text import scale_text
 
 if TYPE_CHECKING:
@@ -164,9 +171,7 @@ def show_model(
     file: Annotated[
         str, typer.Argument(metavar="FILE", help="An ONNX file, or the name of a bundled model.")
     ],
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
-    ] = False,
+    as_json: AsJson = False,
     classes: Annotated[
         list[str] | None,
         typer.Option(

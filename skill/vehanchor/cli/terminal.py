@@ -36,6 +36,10 @@ _MAX_NAMES = 3  # listed in one sentence
 # Time between lines of progress if stderr is not a terminal.
 _LINE_EVERY_S = 10.0
 
+AsJson: TypeAlias = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+]
+
 Strict: TypeAlias = Annotated[
     bool,
     typer.Option(

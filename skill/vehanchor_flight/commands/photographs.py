@@ -14,6 +14,7 @@ from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.scale_option import KnownLengthsFile
 from vehanchor.cli.terminal import (
     STATUS_TEXTS,
+    AsJson,
     first_names,
     print_facts,
     print_json,
@@ -67,9 +68,7 @@ def photographs(
             "evidence.",
         ),
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
-    ] = False,
+    as_json: AsJson = False,
     out: Annotated[
         Path | None,
         typer.Option(

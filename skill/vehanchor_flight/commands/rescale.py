@@ -11,6 +11,7 @@ from vehanchor.cli.cli_options import ParsedOptions, scale_command
 from vehanchor.cli.terminal import (
     NOT_OK,
     STATUS_TEXTS,
+    AsJson,
     Strict,
     exit_strictly,
     first_names,
@@ -88,9 +89,7 @@ def rescale(
             rich_help_panel=_FILES_PANEL,
         ),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
-    ] = False,
+    as_json: AsJson = False,
     strict: Strict = False,
     *,
     chosen: ParsedOptions,

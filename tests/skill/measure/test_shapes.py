@@ -15,7 +15,7 @@ from vehanchor.measure.shapes import MAX_SHAPES, CallerPolygon, read_shapes
 from vehanchor.records import AreaMeasurement
 
 GSD = 0.1
-IMAGE = np.random.default_rng(8).integers(80, 100, (120, 200, 3), np.uint8)
+IMAGE = np.random.default_rng(8).integers(0, 256, (120, 200, 3), np.uint8)
 # 60 x 40 px.
 RECTANGLE = [(20, 30), (80, 30), (80, 70), (20, 70)]
 FLAT = [20, 30, 80, 30, 80, 70, 20, 70]
