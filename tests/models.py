@@ -44,11 +44,12 @@ _IR_VERSION = 8
 
 
 def blank_image(
-    width_px: int, height_px: int, level: int = 70, noise_levels: int = 4
+    width_px: int, height_px: int, level: int = 70, noise_levels: int = 16
 ) -> NDArray[np.uint8]:
     """Make a picture ``[h, w, 3]`` uint8 of one grey level, with a photograph's noise.
 
-    Without noise, painted vehicles make a drawing of it, which has no scale.
+    Without noise, painted vehicles make a drawing of it, which has no scale. With few levels of
+    grey it is faint, and stretched.
     """
     rng = np.random.default_rng(0)
     noise = rng.integers(-noise_levels, noise_levels + 1, size=(height_px, width_px, 1))

@@ -300,7 +300,9 @@ def _draw_area(image: np.ndarray, scale: KnownScale) -> np.ndarray:
 
 def _n_white(picture: np.ndarray) -> int:
     """Number of white pixels above the caption: those of the scale bar and its letters."""
-    height = round(360 * picture.shape[1] / 480)
+    background = picture[-1, 0]
+    is_caption = (picture[:, 0] == background).all(axis=1)
+    height = int(np.flatnonzero(~is_caption)[-1]) + 1
     return int((picture[:height] == 255).all(axis=2).sum())
 
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.camera import CameraMetadata
-from vehanchor.imagery.sources.opening import open_raster
-
 if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
     from vehanchor.options import ScaleOptions
@@ -26,6 +23,9 @@ def metadata_facts(source: str, options: ScaleOptions) -> Facts:
     Raises:
         ImageError: the photograph cannot be read again.
     """
+    from vehanchor.imagery.metadata.camera import CameraMetadata
+    from vehanchor.imagery.sources.opening import open_raster
+
     with open_raster(source, options.reading) as raster:
         camera = raster.camera
     if camera is None:

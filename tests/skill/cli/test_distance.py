@@ -147,6 +147,6 @@ def test_help_of_estimate_shows_outputs() -> None:
     assert {"--scale-bar", "--geotiff"} <= set(_shown_options("estimate"))
 
 
-def test_help_of_estimate_shows_at_most_18_options() -> None:
+def test_help_of_estimate_shows_at_most_19_options() -> None:
     options = _shown_options("estimate")
-    assert len(options) - ("--help" in options) <= 18
+    assert len(options) - ("--help" in options) <= 19

@@ -84,7 +84,7 @@ def test_every_record_of_a_type_has_the_same_columns(
 
 def test_a_table_of_a_batch_has_the_columns_of_a_data_frame() -> None:
     columns = set(flat_columns(GsdEstimate, without=("frame",)))
-    assert set(ALL_COLUMNS) - {"file", "contradiction", "error_code", "error"} == columns
+    assert set(ALL_COLUMNS) - {"photograph", "contradiction", "error_code", "error"} == columns
 
 
 def test_a_missing_pandas_is_named(estimate: GsdEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
