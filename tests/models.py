@@ -44,16 +44,18 @@ _IR_VERSION = 8
 
 
 def blank_image(
-    width_px: int, height_px: int, level: int = 70, noise_levels: int = 16
+    width_px: int, height_px: int, level: int = 70, shade_levels: int = 16
 ) -> NDArray[np.uint8]:
-    """Make a picture ``[h, w, 3]`` uint8 of one grey level, with a photograph's noise.
+    """Make a picture ``[h, w, 3]`` uint8 of nearly one grey level, with a photograph's noise.
 
     Without noise, painted vehicles make a drawing of it, which has no scale. With few levels of
-    grey it is faint, and stretched.
+    grey it is faint, and stretched: therefore it becomes lighter from left to right. It has no
+    features by which two pictures could be linked.
     """
     rng = np.random.default_rng(0)
-    noise = rng.integers(-noise_levels, noise_levels + 1, size=(height_px, width_px, 1))
-    grey = np.clip(level + noise, 0, 255).astype(np.uint8)
+    noise = rng.integers(-4, 5, size=(height_px, width_px, 1))
+    shade = np.linspace(-shade_levels, shade_levels, width_px)[:, None]
+    grey = np.clip(np.rint(level + shade) + noise, 0, 255).astype(np.uint8)
     return np.repeat(grey, 3, axis=2)
 
 

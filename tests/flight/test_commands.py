@@ -136,7 +136,7 @@ def folder_of_one_scale(run: Any, tmp_path: Path) -> Result:
 
 def test_one_scale_is_printed_for_all(folder_of_one_scale: Result) -> None:
     assert "scale of all" in folder_of_one_scale.stdout
-    assert "0.168" in folder_of_one_scale.stdout
+    assert "0.1677" in folder_of_one_scale.stdout
     assert _progress(folder_of_one_scale)[-1] == "pooling the evidence of 5 of 5 images"
 
 

@@ -50,7 +50,7 @@ def _no_operator_variables(monkeypatch: pytest.MonkeyPatch) -> None:
 def paint_scene(width_px: int, height_px: int, n_vehicles: int = N_VEHICLES) -> np.ndarray:
     """An RGB image with vehicles of nearly one length on textured ground."""
     # Without noise it is a drawing, which has no scale.
-    noise = blank_image(width_px, height_px, level=4, noise_levels=4)
+    noise = blank_image(width_px, height_px, level=4, shade_levels=0)
     image = np.clip(_ground(width_px, height_px).astype(int) + noise - 4, 0, 255).astype(np.uint8)
     generator = np.random.default_rng(7)
     columns = max(1, (width_px - 100) // 70)

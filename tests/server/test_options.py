@@ -107,9 +107,10 @@ def _command(*, chosen: ParsedOptions) -> None:
 SHOWN = {keyword: declared.option for keyword, declared in DECLARED.items() if declared.option.cli}
 
 
-def test_the_command_line_has_all_options_but_six() -> None:
+def test_the_command_line_has_all_options_but_seven() -> None:
     assert set(DECLARED) - set(SHOWN) == {
         "limits",
+        "file_scale",
         "bgr",
         "verify",
         "gsd_m_per_px",

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from rasterio.warp import transform
 from typer.testing import CliRunner
 
 from tests.analyses import analyse_found, made_card, make_analysis
-from tests.models import blank_image, car_park, write_detector
+from tests.models import car_park, write_detector
 from vehanchor import analyse_scale
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.cli.app import app
@@ -60,7 +59,8 @@ def _count(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
     return int(_near(picture, colour).sum())
 
 
-_grey = partial(blank_image, level=100, noise_levels=0)
+def _grey(width_px: int, height_px: int) -> NDArray[np.uint8]:
+    return np.full((height_px, width_px, 3), 100, np.uint8)
 
 
 def _judged(analysis: ScaleAnalysis, status: str, reason: str | None) -> ScaleAnalysis:

@@ -11,9 +11,9 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from vehanchor.batch.row import COLUMNS
 from vehanchor.imagery.formats.header import SUFFIXES
 from vehanchor.options import declared_options
+from vehanchor.records.columns import COLUMNS
 from vehanchor.rulers.standards import standards
 from vehanchor.scale.countries import COUNTRY_LENGTHS_M, REGIONS
 from vehanchor.scale.defaults import INTERVAL_PREMISE

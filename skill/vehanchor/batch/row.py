@@ -8,31 +8,12 @@ from pydantic import BaseModel, ConfigDict
 
 from vehanchor.records import GsdEstimate
 from vehanchor.records.advice import Advice, advice_for
-from vehanchor.records.flat import flat_columns, flat_row
+from vehanchor.records.columns import ALL_COLUMNS, NOT_IN_TABLES
+from vehanchor.records.flat import flat_row
 from vehanchor.records.text import contradiction_text
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError
-
-# A frame belongs to one image, so a batch has none.
-_NOT_IN_TABLES = ("frame",)
-_ONLY_WITH_DETAILS = ("rulers", "tilt", "scale", "details")
-_ADDED_COLUMNS = {"contradiction": str, "error_code": str, "error": str}
-
-COLUMNS: dict[str, type] = {
-    "photograph": str,
-    **flat_columns(GsdEstimate, without=(*_NOT_IN_TABLES, *_ONLY_WITH_DETAILS)),
-    "tilt_deg": float,
-    **_ADDED_COLUMNS,
-}
-"""Columns of a table and the types of their values, in order; see ``vehanchor.records.flat``."""
-
-ALL_COLUMNS: dict[str, type] = {
-    "photograph": str,
-    **flat_columns(GsdEstimate, without=_NOT_IN_TABLES),
-    **_ADDED_COLUMNS,
-}
-"""Columns of a table with details."""
 
 
 class BatchRow(BaseModel):
@@ -78,7 +59,7 @@ class BatchRow(BaseModel):
         """Flatten the row to values by column; an image with an error has no estimate."""
         values: dict[str, Any] = dict.fromkeys(ALL_COLUMNS)
         if self.estimate is not None:
-            values |= flat_row(self.estimate, without=_NOT_IN_TABLES)
+            values |= flat_row(self.estimate, without=NOT_IN_TABLES)
             values["contradiction"] = contradiction_text(self.estimate) or None
         values["photograph"] = self.photograph
         values["error_code"] = self.error_code

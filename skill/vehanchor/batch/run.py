@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from vehanchor.analysis.pipeline import checked_detector
 from vehanchor.batch.engines.local import local_rows, local_workers
 from vehanchor.batch.engines.ray import ray_rows, require_ray
-from vehanchor.batch.row import ALL_COLUMNS, COLUMNS, BatchRow
+from vehanchor.batch.row import BatchRow
 from vehanchor.batch.table import check_table_path, write_table
 from vehanchor.batch.worker import BatchJob, Task
 from vehanchor.detection.detector import networks_sha256
@@ -36,6 +36,7 @@ from vehanchor.options import ScaleOptions
 from vehanchor.options.option import Limits
 from vehanchor.pictures.overlays import Overlays
 from vehanchor.records import SCHEMA_VERSION
+from vehanchor.records.columns import ALL_COLUMNS, COLUMNS
 from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.storage.atomic import beside
 from vehanchor.storage.journal import Journal

@@ -7,8 +7,8 @@ from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from vehanchor.batch.row import COLUMNS
 from vehanchor.errors import MissingExtraError, how_to_install
+from vehanchor.records.columns import COLUMNS
 from vehanchor.records.escaping import as_json, in_cell
 from vehanchor.storage.atomic import check_output_path, whole_file
 

@@ -16,7 +16,7 @@ import pytest
 from tests.sam_models import SamFiles
 from tests.server.app_page.viewing import Person, viewing
 from tests.server.conftest import POOL_BOX, paint_scene, with_pool, write_image
-from vehanchor.batch.row import COLUMNS
+from vehanchor.records.columns import COLUMNS
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
 

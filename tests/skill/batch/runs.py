@@ -8,9 +8,9 @@ from typing import Any
 
 from typer.testing import CliRunner, Result
 
-from vehanchor.batch.row import COLUMNS
 from vehanchor.cli import app as cli
 from vehanchor.records import GsdEstimate
+from vehanchor.records.columns import COLUMNS
 
 FILES = ["broken.jpg", "cars.png", "deep/below/cars.PNG", "empty.png"]
 """Images in the fixture ``folder``, in the order of a table."""

@@ -13,7 +13,6 @@ import pytest
 from tests.skill.batch.runs import FILES, assert_same_fields, read_rows
 from vehanchor import estimate_gsd
 from vehanchor.batch import BatchJob, run_batch
-from vehanchor.batch.row import ALL_COLUMNS, COLUMNS
 from vehanchor.batch.worker import Task, Worker
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import (
@@ -24,6 +23,7 @@ from vehanchor.errors import (
 )
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
+from vehanchor.records.columns import ALL_COLUMNS, COLUMNS
 
 # The scene-scale prior does not know painted pictures, and takes time.
 ALONE = {"rulers": ("vehicles",)}

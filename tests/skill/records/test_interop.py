@@ -18,7 +18,6 @@ import vehanchor
 from tests.analyses import make_analysis
 from tests.conftest import ROOT
 from tests.records import CASES, KEPT, records_of, renewed
-from vehanchor.batch.row import ALL_COLUMNS
 from vehanchor.errors import MissingExtraError, PromptError
 from vehanchor.measure.distance import read_path
 from vehanchor.records import (
@@ -33,6 +32,7 @@ from vehanchor.records import (
     OutlinePolygon,
     OutlineRing,
 )
+from vehanchor.records.columns import ALL_COLUMNS
 from vehanchor.records.flat import flat_columns, flat_row
 from vehanchor.records.record import Record
 from vehanchor.records.text import significant, with_interval
