@@ -30,7 +30,6 @@ from vehanchor_evaluation.figures import interval_coverage, plot_cumulative_erro
 from vehanchor_evaluation.gsd import ScaleTrial, run_trials, summarise
 from vehanchor_evaluation.known_scale import KnownScaleImage
 
-
 # The noise of painted pictures moves the length of a car by up to 0.5 %.
 OF_NOISE = 5e-3
 
