@@ -43,9 +43,18 @@ byId("photographs").addEventListener("keydown", (event) => {
   next.focus();
 });
 
+function startOfCommonFolder(paths) {
+  let folder = paths[0] ?? "";
+  do folder = folder.slice(0, Math.max(folder.lastIndexOf("/"), 0));
+  while (folder && !paths.every((path) => path.startsWith(`${folder}/`)));
+  return folder.lastIndexOf("/") + 1;
+}
+
 function listMatching() {
   const words = byId("find").value.toLowerCase();
-  for (const [path, { button }] of known) button.parentElement.hidden = !path.toLowerCase().includes(words);
+  // The folders above the one that all have in common are in every path: they find nothing.
+  const start = startOfCommonFolder([...known.keys()]);
+  for (const [path, { button }] of known) button.parentElement.hidden = !path.slice(start).toLowerCase().includes(words);
   stopAt(byId("photographs").querySelector("li:not([hidden]) button"));
 }
 

@@ -250,7 +250,7 @@ def test_ray_resumes_a_run_of_the_local_engine(
     assert table.read_bytes() == expected
     assert done.stdout == ""
     last = done.stderr.splitlines()[-1]
-    assert "4 rows (2 low_confidence, 1 no_scale, 1 error), 2 of them from an earlier run" in last
+    assert "4 rows (2 ok, 1 no_scale, 1 error), 2 of them from an earlier run" in last
     assert "earlier run; 2 images in" in last
     assert not journal_path(table).exists()
 
