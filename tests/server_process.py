@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from research.scenes import render_scene
 from tests.packaging.container import free_port, wait_until_ready
 
 SERVE = [
@@ -41,6 +40,9 @@ class HttpServer(NamedTuple):
 
 def write_images(directory: Path) -> list[Path]:
     """Scenes of several sizes and scales, one of them without vehicles."""
+    # Confined workers unpickle work of modules that import this one, and may not read research.
+    from research.scenes import render_scene
+
     paths = []
     for name, gsd, side, seed in (
         ("parking", 0.15, 1024, 5),

@@ -29,7 +29,6 @@ from unicodedata import normalize
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from vehanchor.imagery.sources.sidecars import OpenPath
 from vehanchor_server.errors import CallError, shortened
 from vehanchor_server.images.argument import MAX_PATH_CHARS
 
@@ -84,6 +83,9 @@ class PathAccess:
                 files outside the roots; ``image_not_found`` for a path below a root that is not a
                 regular file.
         """
+        # The process that listens imports no decoder.
+        from vehanchor.imagery.sources.sidecars import OpenPath
+
         self._check_enabled()
         path = self._local_path(named)
         descriptor = self._descriptor(path)

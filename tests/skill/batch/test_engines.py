@@ -216,7 +216,7 @@ def test_the_same_command_resumes_after_ctrl_c(interrupted: Interrupted) -> None
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "60 rows (60 low_confidence), " in done.stderr
+    assert "60 rows (60 ok), " in done.stderr
     assert " of them from an earlier run; " in done.stderr
     with (interrupted.folder / "t.csv").open(newline="") as file:
         files = [row["photograph"] for row in csv.DictReader(file)]
