@@ -191,27 +191,9 @@ def distinct_vehicles(
             kept[member][row] = True
             scores[member][row] = car.score
     return [
-        _selected(part, own_kept, own_scores)
+        replace(part, scores=own_scores).take(own_kept)
         for part, own_kept, own_scores in zip(detections, kept, scores, strict=True)
     ]
-
-
-def _selected(detections: Detections, kept: Flags, scores: NDArray[np.float64]) -> Detections:
-    """Select vehicles by a mask ``[n]``, with other scores ``[n]``."""
-    reductions = detections.reductions
-    if reductions is not None:
-        reductions = reductions[kept]
-    appearance = detections.appearance
-    if appearance is not None:
-        # Only the first detections have an appearance.
-        appearance = appearance.take(kept[: len(appearance)])
-    return replace(
-        detections,
-        boxes=detections.boxes[kept],
-        scores=scores[kept],
-        reductions=reductions,
-        appearance=appearance,
-    )
 
 
 def _boxes_of(

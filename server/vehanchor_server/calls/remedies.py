@@ -27,7 +27,6 @@ _IN_WORDS: Mapping[Remedy, str] = {
     "nadir": "send an image taken straight down",
     "lower": "send the original image",
     "drop": "drop boxes that are not cars, see view_image (drop)",
-    "cars": "add a car that has no box (add)",
     "add": "add a car that has no box (add)",
     "region": "give the region (region)",
     "line": _DRAW_LINE,

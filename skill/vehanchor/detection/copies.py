@@ -92,21 +92,7 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
             distinct.append(picture)
     if not is_copy.any():
         return detections
-    kept = ~is_copy
-    reductions = detections.reductions
-    if reductions is not None:
-        reductions = reductions[kept]
-    appearance = detections.appearance
-    if appearance is not None:
-        appearance = appearance.take(kept[: len(appearance)])
-    return replace(
-        detections,
-        boxes=detections.boxes[kept],
-        scores=detections.scores[kept],
-        reductions=reductions,
-        appearance=appearance,
-        n_copies=int(is_copy.sum()),
-    )
+    return replace(detections.take(~is_copy), n_copies=int(is_copy.sum()))
 
 
 def _picture(raster: Raster, box: Box) -> _Picture | None:

@@ -207,6 +207,27 @@ class Detections:
         n_vehicles = len(self.boxes)
         return np.arange(n_vehicles) >= n_vehicles - n_added
 
+    def take(self, kept: NDArray[np.bool_]) -> Detections:
+        """Select vehicles by a mask ``[n]``; corrections by hand come after it.
+
+        Args:
+            kept: which vehicles to keep.
+        """
+        reductions = self.reductions
+        if reductions is not None:
+            reductions = reductions[kept]
+        appearance = self.appearance
+        if appearance is not None:
+            # Only the first detections have an appearance.
+            appearance = appearance.take(kept[: len(appearance)])
+        return replace(
+            self,
+            boxes=self.boxes[kept],
+            scores=self.scores[kept],
+            reductions=reductions,
+            appearance=appearance,
+        )
+
 
 NOT_SEARCHED = Detections(
     boxes=np.zeros((0, 5)),
@@ -256,12 +277,10 @@ def corrected(
     kept = ~is_dropped & ~is_replaced
     n_kept = int(kept.sum())
 
-    reductions = detections.reductions
+    remaining = detections.take(kept)
+    reductions = remaining.reductions
     if reductions is not None:
-        reductions = np.concatenate([reductions[kept], np.ones(n_added)])
-    appearance = detections.appearance
-    if appearance is not None:
-        appearance = appearance.take(kept[: len(appearance)])
+        reductions = np.concatenate([reductions, np.ones(n_added)])
     added_numbers = n_detected + 1 + np.arange(n_added)
     added_scores = np.full(n_added, _STATED_SCORE)
     corrections = Corrections(
@@ -271,11 +290,10 @@ def corrected(
         n_added=n_added,
     )
     return replace(
-        detections,
-        boxes=np.concatenate([detections.boxes[kept], added]),
-        scores=np.concatenate([detections.scores[kept], added_scores]),
+        remaining,
+        boxes=np.concatenate([remaining.boxes, added]),
+        scores=np.concatenate([remaining.scores, added_scores]),
         reductions=reductions,
-        appearance=appearance,
         corrections=corrections,
     )
 

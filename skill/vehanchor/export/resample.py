@@ -15,7 +15,7 @@ import numpy as np
 
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.metadata.resized import metadata_of_copy, with_metadata
-from vehanchor.imagery.raster import Window, oriented, stored_size, swaps_sides
+from vehanchor.imagery.raster import Window, oriented, swaps_sides
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -252,8 +252,8 @@ def resample_raster(
         estimate=estimate,
         source=raster.source,
         ground=_ground_of_copy(raster, width, height),
-        stored_size_px=stored_size(raster.in_file),
-        orientation=raster.in_file.file_orientation,
+        stored_size_px=raster.in_file.stored_size_px(),
+        orientation=raster.in_file.orientation,
     )
 
 

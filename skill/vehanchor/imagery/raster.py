@@ -111,7 +111,6 @@ class Raster(ABC):
         in_memory: whether all pixels are decoded.
         encoded: path or bytes of the file that is read by windows; None if unknown.
         cached_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
-        file_orientation: EXIF orientation of the file, 1 to 8, whoever applies it; 1 without one.
     """
 
     orientation = 1
@@ -143,7 +142,6 @@ class Raster(ABC):
         self.warnings = notes
         self.orientation = orientation
         self._orientation = orientation
-        self.file_orientation = orientation
         self._stretch: Stretch | None = None
         self._no_data: float | None = None
 
@@ -378,13 +376,6 @@ def oriented_points(
     if turn.flip_columns:
         points[:, 0] = width_px - points[:, 0]
     return points
-
-
-def stored_size(raster: Raster) -> tuple[int, int]:
-    """Return width and height of the stored frame, by the file's orientation."""
-    if _TURNS[raster.file_orientation].swap:
-        return raster.height_px, raster.width_px
-    return raster.width_px, raster.height_px
 
 
 def stored_window(window: Window, width_px: int, *, height_px: int, orientation: int) -> Window:

@@ -14,7 +14,7 @@ import numpy as np
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.errors import PromptError
 from vehanchor.measure.fit import find_fit
-from vehanchor.measure.placing import check_edge, place_shape
+from vehanchor.measure.placed_shape import check_edge, place_shape
 from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.measure.shapes import check_orientation
 from vehanchor.options import ScaleOptions
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.measure.fit import MustFit
-    from vehanchor.measure.placing import PlacedShape
+    from vehanchor.measure.placed_shape import PlacedShape
     from vehanchor.measure.polygon import Part
     from vehanchor.measure.scale_source import MeasurementScale, ScaleInput
     from vehanchor.measure.shapes import CallerShape, Orientation

@@ -470,24 +470,9 @@ def _select_boxes(detections: Detections, kept: Flags, lengths: Lengths) -> Dete
     """Select boxes ``[n]`` and replace their lengths."""
     boxes = detections.boxes.copy()
     boxes[:, 2] = lengths
-    reductions = detections.reductions
-    if reductions is not None:
-        reductions = reductions[kept]
-    appearance = detections.appearance
-    if appearance is not None:
-        # Only the first boxes have an appearance.
-        with_appearance = kept[: len(appearance)]
-        appearance = appearance.take(with_appearance)
-    return replace(
-        detections,
-        boxes=boxes[kept],
-        scores=detections.scores[kept],
-        reductions=reductions,
-        appearance=appearance,
-        # Width and height have the scales that the model gives them.
-        stretch=None,
-        stretch_log_odds=None,
-    )
+    # Width and height have the scales that the model gives them.
+    rescaled = replace(detections, boxes=boxes, stretch=None, stretch_log_odds=None)
+    return rescaled.take(kept)
 
 
 def _undistorted_line(line: KnownLength, above_ground: ShotAboveGround) -> KnownLength:

@@ -146,7 +146,7 @@ def _open_in_file_pixels(image: ImageSource, reading: Reading) -> Raster:
     if is_pillow(image):
         pixels = pillow_pixels(image, reading.limits)
         raster = ArrayRaster(pixels, "image", reading.bands, alpha=True)
-        raster.file_orientation = pillow_orientation(image)
+        raster.orientation = pillow_orientation(image)
         return raster
     if is_dataset(image):
         return open_dataset(image, reading.bands, reading.limits)
@@ -244,7 +244,6 @@ def _open_bytes(
     raster.orientation = header.orientation
     raster.warnings = (*raster.warnings, *notes)
     raster.camera = read_camera(read_at, header)
-    raster.file_orientation = header.orientation
     _georeference_by_sidecars(raster, sidecars)
     _read_density(raster, read_at, header)
     return raster

@@ -10,7 +10,7 @@ import numpy as np
 
 from vehanchor.errors import ImageTooLargeError, PromptError
 from vehanchor.imagery.metadata.georeference import to_pixels
-from vehanchor.imagery.raster import Window, oriented, oriented_points, stored_size
+from vehanchor.imagery.raster import Window, oriented, oriented_points
 from vehanchor.measure.polygon import (
     area_of,
     bounds_of,
@@ -188,7 +188,7 @@ def _parts_in_degrees(polygon: CallerPolygon, raster: Raster) -> tuple[Part, ...
 
 def _stored_parts(polygon: CallerPolygon, raster: Raster) -> tuple[Part, ...]:
     in_file = raster.in_file
-    width_px, height_px = stored_size(in_file)
+    width_px, height_px = in_file.stored_size_px()
     parts = []
     for part in polygon.parts:
         rings = []
@@ -196,7 +196,7 @@ def _stored_parts(polygon: CallerPolygon, raster: Raster) -> tuple[Part, ...]:
             _check_inside(ring, width_px, height_px, read_as="pixels as stored")
             upright = oriented_points(
                 ring,
-                in_file.file_orientation,
+                in_file.orientation,
                 width_px=in_file.width_px,
                 height_px=in_file.height_px,
             )
@@ -284,19 +284,19 @@ def _is_stored(
 ) -> bool:
     """Decide whether a mask is of the stored pixels, by its size or by the caller's word."""
     upright_size = options.frame.size or (raster.width_px, raster.height_px)
-    size_in_file = stored_size(raster)
+    size_in_file = raster.stored_size_px()
     if orientation == "stored":
         _check_no_frame(options)
         _check_size(size, size_in_file, "the stored image")
         return True
-    is_turned = raster.file_orientation != 1
+    is_turned = raster.orientation != 1
     if options.frame.size is not None:
         _check_size(size, upright_size, "the frame")
         return False
     if orientation is None and is_turned and size == size_in_file:
         if size == upright_size:
             raise PromptError(
-                f"the photograph's EXIF orientation is {raster.file_orientation}, and a mask of "
+                f"the photograph's EXIF orientation is {raster.orientation}, and a mask of "
                 "its stored pixels has the same size as an upright one: say orientation "
                 '"oriented" (as viewers and supervision show it) or "stored"'
             )
@@ -355,10 +355,10 @@ def _upright(pixels: ObjectMask, raster: Raster) -> ObjectMask:
         dtype=np.float64,
     )
     turned = oriented_points(
-        corners, raster.file_orientation, width_px=raster.width_px, height_px=raster.height_px
+        corners, raster.orientation, width_px=raster.width_px, height_px=raster.height_px
     )
     left, top = turned.min(axis=0).astype(int).tolist()
-    mask = np.ascontiguousarray(oriented(pixels.mask, raster.file_orientation))
+    mask = np.ascontiguousarray(oriented(pixels.mask, raster.orientation))
     height, width = mask.shape
     return ObjectMask(mask, Window(left, top, width_px=width, height_px=height))
 
