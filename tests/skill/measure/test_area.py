@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from rasterio.transform import Affine
 
 from tests.models import POOL, POOL_RGB, blank_image, pool_among_cars, write_detector
 from tests.sam_models import EMPTY, FULL, write_sam
+from tests.skill.imagery.files import geotiff
 from vehanchor import analyse_area, estimate_gsd, measure_area
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.detection.detector import Detector
@@ -354,20 +356,9 @@ def test_the_warnings_of_the_image_are_among_them(segmenter: Segmenter) -> None:
 @pytest.fixture(scope="module")
 def georeferenced(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a GeoTIFF of 0.15 metres per pixel."""
-    rasterio = pytest.importorskip("rasterio")
-    path: Path = tmp_path_factory.mktemp("geo") / "a.tif"
-    profile = {
-        "driver": "GTiff",
-        "width": 800,
-        "height": 600,
-        "count": 3,
-        "dtype": "uint8",
-        "crs": "EPSG:32631",
-        "transform": rasterio.Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000),
-    }
-    with rasterio.open(path, "w", **profile) as dataset:
-        dataset.write(pool_among_cars().transpose(2, 0, 1))
-    return path
+    path = tmp_path_factory.mktemp("geo") / "a.tif"
+    transform = Affine(0.15, 0, 500_000, 0, -0.15, 5_000_000)
+    return geotiff(path, pool_among_cars(), transform=transform)
 
 
 @pytest.mark.parametrize(("gsd", "codes"), [(0.15, []), (0.2, ["georeference_differs"])])

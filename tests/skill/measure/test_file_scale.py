@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from rasterio.transform import Affine
 
 import vehanchor
 from tests.models import pool_among_cars, write_detector
+from tests.skill.imagery.files import geotiff
 from vehanchor.records.text import file_scale_text
 from vehanchor.scale.defaults import USABLE_CHANCE
 
@@ -21,19 +23,8 @@ LINE = [(100.0, 100.0), (400.0, 100.0)]
 
 
 def _write(path: Path, across_m: float = FILE_GSD, down_m: float = FILE_GSD) -> Path:
-    rasterio = pytest.importorskip("rasterio")
-    profile = {
-        "driver": "GTiff",
-        "width": 800,
-        "height": 600,
-        "count": 3,
-        "dtype": "uint8",
-        "crs": "EPSG:32631",
-        "transform": rasterio.Affine(across_m, 0, 500_000, 0, -down_m, 5_000_000),
-    }
-    with rasterio.open(path, "w", **profile) as dataset:
-        dataset.write(pool_among_cars().transpose(2, 0, 1))
-    return path
+    transform = Affine(across_m, 0, 500_000, 0, -down_m, 5_000_000)
+    return geotiff(path, pool_among_cars(), transform=transform)
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from rasterio.transform import Affine
 from typer.testing import CliRunner
 
 import vehanchor
 from tests.models import pool_among_cars, write_detector
+from tests.skill.imagery.files import geotiff
 from vehanchor.batch.row import BatchRow
 from vehanchor.cli import app as cli
 from vehanchor.records import GsdEstimate, Notice, RulerScale
@@ -32,20 +34,9 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def wrong_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a GeoTIFF whose scale is nearly twice that of its cars."""
-    rasterio = pytest.importorskip("rasterio")
-    path: Path = tmp_path_factory.mktemp("wrong_map") / "ortho.tif"
-    profile = {
-        "driver": "GTiff",
-        "width": 800,
-        "height": 600,
-        "count": 3,
-        "dtype": "uint8",
-        "crs": "EPSG:32631",
-        "transform": rasterio.Affine(FILE_GSD, 0, 500_000, 0, -FILE_GSD, 5_000_000),
-    }
-    with rasterio.open(path, "w", **profile) as dataset:
-        dataset.write(pool_among_cars().transpose(2, 0, 1))
-    return path
+    path = tmp_path_factory.mktemp("wrong_map") / "ortho.tif"
+    transform = Affine(FILE_GSD, 0, 500_000, 0, -FILE_GSD, 5_000_000)
+    return geotiff(path, pool_among_cars(), transform=transform)
 
 
 @pytest.fixture(scope="module")
