@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
-from scipy.special import expit
 
 from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
@@ -129,7 +128,8 @@ class ChipAnswers(NamedTuple):
     @property
     def drawn_chances(self) -> Answers:
         """``[n]`` chances, 0..1, of something drawn; negligible ones are 0."""
-        chances = expit(self.drawn)
+        # The logistic function, by a formula that does not overflow.
+        chances = (1.0 + np.tanh(self.drawn / 2)) / 2
         excess = (chances - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE)
         return np.asarray(np.maximum(excess, 0.0))
 

@@ -7,11 +7,11 @@ on dark water comes nearest to a drawing.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-from scipy.special import expit
 
 from vehanchor.imagery.raster import Window
 
@@ -94,7 +94,8 @@ def measure_drawing_chance(raster: Raster) -> float:
         + _WEIGHTS.both * flat * sharp
         + _WEIGHTS.offset
     )
-    return float(expit(log_odds))
+    # The logistic function, by a formula that does not overflow.
+    return (1.0 + math.tanh(log_odds / 2)) / 2
 
 
 def _starts(side_px: int) -> list[int]:
