@@ -500,6 +500,23 @@ finally:
     assert done.stderr.decode().strip() == "[]"
 
 
+def test_an_estimate_does_not_load_scipy(folder: Path) -> None:
+    code = """
+import sys
+from vehanchor.cli.app import main
+sys.argv = ["vehanchor", "estimate", "cars.png"]
+try:
+    main()
+finally:
+    print("scipy" in sys.modules, file=sys.stderr)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, check=False
+    )
+    assert done.returncode == 0
+    assert done.stderr.decode().strip() == "False"
+
+
 def test_every_error_of_the_library_has_a_code_of_its_own() -> None:
     kinds = [VehAnchorError]
     for kind in kinds:
