@@ -39,6 +39,8 @@ _IN_WORDS: Mapping[Remedy, str] = {
     "perspective": "send one photograph that was taken straight down",
     "photograph": "send a photograph from above",
     "apart": "send each picture alone, as it was taken",
+    "georeference": "measure with file_scale false if the image is a resized copy, else give the "
+    "file's scale as gsd_m_per_px with gsd_basis measured",
 }
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"

@@ -15,6 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
+from vehanchor.analysis.georeference import georeference_notice
 from vehanchor.analysis.image_doubts import with_image_doubts
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.copies import without_copies
@@ -39,7 +40,6 @@ from vehanchor.records import (
     SceneScaleEstimate,
     VehiclesByHand,
 )
-from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class
 from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice
 from vehanchor.rulers.reference import reference_length
@@ -79,8 +79,6 @@ if TYPE_CHECKING:
 _MODEL_DIGITS = 12
 # Images whose errors are shown if many images of a list fail.
 _MAX_SHOWN_FAILURES = 10
-# Largest relative difference of the file's own scale without a warning.
-GEOREFERENCE_TOLERANCE = 0.10
 # Fields of ``EstimateDetails`` that are None without the ruler ``vehicles``.
 _VEHICLE_DETAILS = (
     "n_detections",
@@ -295,7 +293,10 @@ def conclude(
     if decided is not None:
         warnings += disagreements(witnesses, decided)
     warnings += georeference_notice(
-        view.image.georeference_gsd_m_per_px, decision.gsd_m_per_px, "the rulers give"
+        view.image.georeference_gsd_m_per_px,
+        decision.gsd_m_per_px,
+        "the rulers give",
+        interval=decision.interval,
     )
     record = _record(view, witnesses, decision, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
@@ -540,29 +541,6 @@ def _with_ci95(
 def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
     """Convert the warnings of an image and of rulers to notices."""
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
-
-
-def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: str) -> list[Notice]:
-    """Warn if the file's own scale differs from another by more than a tenth.
-
-    Args:
-        own: the file's scale, metres per pixel; None without one.
-        gsd_m_per_px: the other scale; None without one.
-        source: source of the other scale, as the middle of a sentence.
-
-    Returns:
-        One notice, or none.
-    """
-    if own is None or gsd_m_per_px is None:
-        return []
-    if abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
-        return []
-    percent = 100 * (gsd_m_per_px / own - 1)
-    message = (
-        f"The file's own scale is {own:.4g} m/px, {source} {gsd_m_per_px:.4g} m/px: "
-        f"{percent:+.0f} %. Check which of the two is wrong before using either."
-    )
-    return [Notice(code=NoticeCode.GEOREFERENCE_DIFFERS, message=message)]
 
 
 def frame_scale(

@@ -20,7 +20,7 @@ from vehanchor.cli.terminal import (
     vehicles_text,
     work_progress,
 )
-from vehanchor.records.text import file_scale_text, scale_text
+from vehanchor.records.text import comparison_text, file_scale_text, scale_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +34,7 @@ SCALE_SOURCES = {
     "estimated": "estimated",
     "given": "given",
     "reused": "reused",
-    "file": "the file's own, not checked: --search compares it with cars",
+    "file": "the file's own",
 }
 """Texts of the sources of a scale."""
 
@@ -107,7 +107,7 @@ def _print_several(
 def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> Facts:
     """List the facts of the scale behind a measurement."""
     estimate = record.estimate
-    if estimate is not None:
+    if estimate is not None and record.scale_source == "estimated":
         status = estimate.status
         facts = [
             ("scale", scale_text(estimate)),
@@ -116,6 +116,8 @@ def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> Facts:
     else:
         status = record.status
         source = SCALE_SOURCES[record.scale_source]
+        if record.scale_source == "file":
+            source = f"{source}, {comparison_text(record.n_vehicles)}"
         facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {source}")]
     if record.scale_confidence is not None:
         text = f"{record.scale_confidence:.2f}   {STATUS_TEXTS[status]}"

@@ -48,7 +48,7 @@ SearchAnyway: TypeAlias = Annotated[
     bool,
     typer.Option(
         "--search",
-        help="Estimate the scale of a georeferenced file, too, and compare it with the file's own.",
+        help="Estimate the scale of a georeferenced file, too, and leave out the file's own.",
     ),
 ]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
+from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import count
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ Remedy: TypeAlias = Literal[
     "perspective",
     "apart",
     "photograph",
+    "georeference",
 ]
 
 IN_WORDS: Mapping[Remedy, str] = {
@@ -54,6 +56,8 @@ IN_WORDS: Mapping[Remedy, str] = {
     "image",
     "apart": "send each picture alone",
     "photograph": "send a photograph from above",
+    "georeference": "find out whether the image is a resized copy with the georeference of the "
+    "original: measure one length in it, or ask for the original",
 }
 """Remedies for people, as clauses in the imperative."""
 
@@ -151,6 +155,8 @@ def _too_coarse(estimate: GsdEstimate) -> Advice:
 
 
 def _disagreement(estimate: GsdEstimate) -> Advice:
+    if _warns(estimate, NoticeCode.GEOREFERENCE_DIFFERS):
+        return Advice("what the image shows contradicts its georeference", ("georeference",))
     is_orthophoto = estimate.georeference_gsd_m_per_px is not None
     if _warns(estimate, "tilt_suspected"):
         why = "the camera was tilted by an unknown angle"

@@ -32,14 +32,18 @@ MeasuredGsd = Annotated[
 ]
 MeasuredVehicles = Annotated[
     int | None,
-    Field(ge=0, description="N': vehicles behind the scale; null unless it was estimated now."),
+    Field(
+        ge=0,
+        description="N': vehicles behind the scale, or with which the file's own was compared; "
+        "null without a search.",
+    ),
 ]
 ScaleSourceField = Annotated[
     ScaleSource,
     Field(
         description="estimated: from this image, by the rulers in estimate. given: a number from "
         "the caller. reused: an earlier estimate of this image, which the caller gave back. file: "
-        "the georeference of the file, without a search."
+        "the georeference of the file, which nothing in the image outweighs."
     ),
 ]
 FileGsd = Annotated[
@@ -58,7 +62,10 @@ ScaleField = Annotated[
 ]
 EstimateField = Annotated[
     GsdEstimate | None,
-    Field(description="The whole estimate of the scale; null unless it was estimated now."),
+    Field(
+        description="The whole estimate of the scale; null unless it was estimated now, or "
+        "contradicts the file's own."
+    ),
 ]
 ImageWidth = Annotated[int, Field(gt=0, description="Width of the full image, pixels.")]
 ImageHeight = Annotated[int, Field(gt=0, description="Height of the full image, pixels.")]
