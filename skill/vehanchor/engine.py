@@ -10,12 +10,11 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from vehanchor.analysis.pipeline import (
     analyse_image,
@@ -23,12 +22,12 @@ from vehanchor.analysis.pipeline import (
     checked_detector,
     estimate_each,
 )
-from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.detector import Detector, open_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.export.resample import MAX_ENLARGEMENT, Resampled, resample_raster
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.models.runtime import Cancellation, Runtime
-from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model
+from vehanchor.models.zoo import load_ruler_networks
 from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.rulers import GSD_M_PER_PX
 from vehanchor.options.signature import list_keywords, share_keywords
@@ -37,6 +36,7 @@ from vehanchor.rulers.active import check_rulers
 if TYPE_CHECKING:
     from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
+    from vehanchor.detection.detector import DetectorSource
     from vehanchor.measure.scale_source import ScaleInput
     from vehanchor.measure.shapes import Orientation
     from vehanchor.options.reading import Place
@@ -49,8 +49,6 @@ __all__ = ["Cancellation", "Detector", "Engine", "ImageSource", "Runtime"]
 _MODEL_KEYWORDS = frozenset({"detector", "segmenter"})
 _RUNTIME_KEYWORDS = frozenset(field.name for field in fields(Runtime))
 T = TypeVar("T")
-DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
-"""A bundled model's name, the path of an ONNX oriented-box model, or a loaded detector."""
 
 
 class Engine:
@@ -121,10 +119,7 @@ class Engine:
         Raises:
             ModelError: a model cannot be used.
         """
-        runtime = self.detector.runtime.idle
-        for model in BUNDLED_MODELS:
-            if model.loader is not None:
-                model.load(runtime)
+        load_ruler_networks(self.detector.runtime.idle)
 
     def replace(
         self,
@@ -556,31 +551,6 @@ for _name in (
     "resample",
 ):
     list_keywords(getattr(Engine, _name), declared_options(), _RUNTIME_KEYWORDS, _MODEL_KEYWORDS)
-
-
-def open_detector(
-    source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime
-) -> Detector:
-    """Open a detector.
-
-    Args:
-        source: a bundled model's name, a path, or a loaded detector, which keeps its runtime; None
-            for the bundled one.
-        classes: classes that count as vehicles, also of a loaded detector; None or empty keeps the
-            detector's own.
-        runtime: how to open it.
-
-    Raises:
-        ModelError: it cannot be used.
-        InvalidParameterError: the model lacks a class.
-    """
-    if isinstance(source, Detector):
-        if classes:
-            return source.with_classes(classes)
-        return source
-    name = None if source is None else str(source)
-    path = resolve_model(name)
-    return load_detector(path, runtime, classes=classes or None)
 
 
 def _open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:

@@ -136,8 +136,7 @@ def estimate(
             "geotiff": geotiff,
         }
         outputs = _output_files(images, files)
-        engine = chosen.engine()
-        engine.load()
+        engine = chosen.loaded_engine()
     records, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
     if records and not as_json:
         _print_records(records, several=len(images) > 1)
