@@ -22,6 +22,7 @@ from vehanchor.analysis.pipeline import (
     checked_detector,
     estimate_each,
 )
+from vehanchor.detection.chips import prepare_colours
 from vehanchor.detection.detector import Detector, open_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.export.resample import MAX_ENLARGEMENT, Resampled, resample_raster
@@ -120,6 +121,7 @@ class Engine:
             ModelError: a model cannot be used.
         """
         load_ruler_networks(self.detector.runtime.idle)
+        prepare_colours()
 
     def replace(
         self,
