@@ -312,7 +312,8 @@ def _arms(steps: _Steps, arm: int) -> Shares:
     brighter = cv2.blur(steps.brighter, (1, arm), anchor=below)
     darker = cv2.blur(steps.darker, (1, arm), anchor=below)
     share = brighter + darker
-    share[np.minimum(brighter, darker) < _MIN_ALTERNATING] = 0.0
+    # A product, because an assignment by a mask of the whole image takes five times as long.
+    share *= cv2.min(brighter, darker) >= _MIN_ALTERNATING
     mean_share = (steps.brighter + steps.darker).mean(axis=0)
     usual = [float(np.median(mean_share[phase::_BLOCK_PX])) for phase in range(_BLOCK_PX)]
     for phase in range(_BLOCK_PX):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from numpy.typing import NDArray
 
 from tests.bombs import png_of_text
 from tests.skill.imagery.samples import SAMPLES
@@ -200,11 +201,13 @@ def test_a_missing_file_is_refused(photo: Path) -> None:
 def test_zipped_texts_in_an_image_of_ids_are_not_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    decoded = []
-    monkeypatch.setattr(
-        "vehanchor.imagery.formats.decoding.cv2.imdecode",
-        lambda data, _: decoded.append(bytes(data)) or np.ones((64, 64), np.uint8),
-    )
+    decoded: list[bytes] = []
+
+    def decode(data: NDArray[np.uint8], _: int) -> NDArray[np.uint8]:
+        decoded.append(bytes(data))
+        return np.ones((64, 64), np.uint8)
+
+    monkeypatch.setattr("vehanchor.imagery.formats.decoding.cv2.imdecode", decode)
     (tmp_path / "ids.png").write_bytes(png_of_text(3))
     read_shape_file(tmp_path / "ids.png", "photo.png")
     assert b"zTXt" not in decoded[0]
