@@ -350,7 +350,7 @@ def _ceiling_of_contradiction(witnesses: Sequence[Witness], gsd_m_per_px: float)
         return 1.0
     chance_here = mass_within(by_sight.posterior, gsd_m_per_px)
     excluded_share = max(0.0, 1.0 - chance_here / by_sight.chance)
-    return 1.0 - by_sight.chance * excluded_share**CONTRADICTION_POWER
+    return 1.0 - by_sight.chance * math.pow(excluded_share, CONTRADICTION_POWER)
 
 
 def _is_stated(witness: Witness) -> bool:
