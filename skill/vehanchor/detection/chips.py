@@ -46,6 +46,8 @@ CHIP_COLUMNS = 96
 # The candidate's length on its chip, along the columns.
 CHIP_LENGTH_PX = 36.0
 KINDS = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
+# Kinds of vehicles for work: one of ``KINDS`` from here on.
+_FIRST_OF_WORK = KINDS.index("van")
 
 # Rows of a chip that a car's body fills.
 _BODY_ROWS = 16
@@ -126,6 +128,11 @@ class ChipAnswers(NamedTuple):
         return np.asarray(size_sd / self.sizes)
 
     @property
+    def work_chances(self) -> Answers:
+        """``[n]`` chances, 0..1, of a van, a lorry or another work vehicle."""
+        return np.asarray(self.kinds[:, _FIRST_OF_WORK:].sum(axis=1))
+
+    @property
     def drawn_chances(self) -> Answers:
         """``[n]`` chances, 0..1, of something drawn; negligible ones are 0."""
         # The logistic function, by a formula that does not overflow.
@@ -194,6 +201,7 @@ def with_appearance(
         np.hypot(appearance.log_sds, hidden),
         logits=appearance.logits,
         tones=body_tones(chips),
+        work_chances=answers.work_chances,
     )
 
     boxes = candidates.boxes.copy()
