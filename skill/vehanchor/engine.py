@@ -31,7 +31,7 @@ from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.measure.area import ShapeReading, analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.fit import read_must_fit
-from vehanchor.measure.scale_source import read_scale_argument
+from vehanchor.measure.scale_source import find_measurement_scale, read_scale_argument
 from vehanchor.measure.shapes import read_shapes
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
@@ -428,7 +428,7 @@ class Engine:
         max_enlargement: float = MAX_ENLARGEMENT,
         **keywords: Any,
     ) -> Resampled:
-        """Resample a photograph to a scale that another model expects.
+        """Resample a photograph to a scale that another model expects, by that of measurements.
 
         Args:
             image: as in ``estimate``.
@@ -448,10 +448,10 @@ class Engine:
         engine, call_options = self.for_call(options, keywords)
         detector = checked_detector(engine.detector, call_options)
         with open_raster(image, call_options.reading) as raster:
-            analysis = analyse_raster(detector, raster, call_options)
+            scale = find_measurement_scale(raster, partial(analyse_raster, detector), call_options)
             return resample_raster(
                 raster,
-                analysis.estimate,
+                scale,
                 gsd_m_per_px,
                 max_enlargement=max_enlargement,
                 max_pixels=call_options.reading.limits.max_pixels,

@@ -25,6 +25,7 @@ _COLUMNS: dict[str, type] = {
     "gsd_ci95_low_m_per_px": float,
     "gsd_ci95_high_m_per_px": float,
     "confidence": float,
+    "scale_source": str,
     "error_code": str,
     "error": str,
 }
