@@ -196,7 +196,7 @@ def _fit_sentence(area: AreaMeasurement) -> str:
     """State whether the shape that must fit fits, and where."""
     fit = area.fit
     assert fit is not None
-    words = fit_in_words(fit)
+    words = fit_in_words(fit, has_scale=area.area_m2 is not None)
     sentence = f"{words[0].upper()}{words[1:]}"
     if area.status != "ok":
         return f"{sentence}: do not act on it."

@@ -69,12 +69,14 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def fit_in_words(fit: Fit) -> str:
-    """State what must fit, and with which probability it does."""
+def fit_in_words(fit: Fit, *, has_scale: bool = True) -> str:
+    """State what must fit, and with which probability it does; unknown without a scale."""
     if fit.diameter_m is not None:
         shape = f"a circle of {fit.diameter_m:g} m"
     else:
         shape = f"{fit.length_m:g} x {fit.width_m:g} m"
+    if not has_scale:
+        return f"whether {shape} fits is unknown without a scale"
     # Never rounded up to a limit that the probability does not reach.
     probability = math.floor(fit.fit_probability * 100) / 100
     text = f"{shape} fits with probability {probability:.2f}"
