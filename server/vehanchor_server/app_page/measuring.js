@@ -38,8 +38,6 @@ const SCALE_ARGUMENTS = document.body.dataset.scaleArguments.split(" ");
 
 async function measureBetween(kind, ends, record, given = call.arguments) {
   const asked = Object.fromEntries(SCALE_ARGUMENTS.filter((name) => given[name] !== undefined).map((name) => [name, given[name]]));
-  // The cars contradict the file's own scale: measure with the one that the page shows.
-  if (isContradicted(record)) asked.file_scale = false;
   const places = ends.map((end) => inCallerUnits(record, end));
   const tool = kind === "distance" ? "measure_distance" : "measure_area";
   const found = recordOf(await callTool(tool, { ...asked, ...SUBJECTS[kind](places), detail: "full" }));

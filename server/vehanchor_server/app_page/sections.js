@@ -16,13 +16,13 @@ function scaleReading(scale) {
   return measuredReading("Scale", scale.gsd_m_per_px, "scale", bounds && `${bounds} ${PREMISE}`);
 }
 
-// The file's own scale: an estimate does not use it, measurements do.
+// The file's own scale: an estimate does not use it, measurements do unless something contradicts it.
 const fileScale = (record) => (isArea(record) ? null : record.georeference_gsd_m_per_px);
-const isContradicted = (record) => record.warnings.some(({ code }) => code === "georeference_differs");
 function fileScaleReading(record) {
   const gsd = fileScale(record);
   if (gsd === null) return undefined;
-  const note = isContradicted(record) ? "contradicted by the estimate" : "by its georeference";
+  const differs = record.warnings.some(({ code }) => code === "georeference_differs");
+  const note = differs ? "differs from the estimate" : "by its georeference";
   return measuredReading("The file's own scale", gsd, "scale", note);
 }
 

@@ -146,6 +146,15 @@ def _intervals_meet(first: RulerScale, second: RulerScale) -> bool:
     return low <= high
 
 
+def file_source_text(record: AreaMeasurement | DistanceMeasurement) -> str:
+    """State what the file's own scale, with which a record was measured, was compared with."""
+    if record.n_vehicles is None:
+        return "too large a file to be compared with cars"
+    if not record.n_vehicles:
+        return "no cars to compare with"
+    return f"not contradicted by {count(record.n_vehicles, 'vehicle')}"
+
+
 def file_scale_text(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:
     """Format the scale of the file's georeference; empty without one.
 

@@ -230,7 +230,7 @@ def test_the_search_finds_a_folder(person: Person) -> None:
 
 
 def test_the_files_own_scale_measures_unless_cars_contradict_it(surveyor: Person) -> None:
-    scales = {"east/map.tif": "contradicted by the estimate", "west/map.tif": "by its georeference"}
+    scales = {"east/map.tif": "differs from the estimate", "west/map.tif": "by its georeference"}
     for name, note in scales.items():
         surveyor.presses(name)
         surveyor.reads(".readings > div:has-text('own scale')", re.compile(f"0.300m/px{note}$"))
