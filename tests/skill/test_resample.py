@@ -129,7 +129,6 @@ def test_a_jpeg_keeps_its_camera_and_has_true_sizes(tmp_path: Path) -> None:
 
 def test_the_facts_stand_beside_the_copy(tmp_path: Path) -> None:
     source = _photo(tmp_path, {})
-    (tmp_path / "out").mkdir()
     copy = _resample(source, 0.2)
     path = copy.write(tmp_path / "out")
     facts = json.loads(path.with_name("photo.jpg.json").read_text())

@@ -12,7 +12,7 @@ from vehanchor.batch.table import write_table
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import FAILED, printable, report
 from vehanchor.errors import OutputError, VehAnchorError
-from vehanchor.export.resample import MAX_ENLARGEMENT
+from vehanchor.export.resample import MAX_ENLARGEMENT, make_folder
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.records.text import count
 
@@ -53,10 +53,7 @@ def resample(
     """
     engine = chosen.engine()
     images = find_images(inputs)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot make the folder {str(out)!r}: {error.strerror}") from None
+    make_folder(out)
     rows = []
     names: set[str] = set()
     for image in images:

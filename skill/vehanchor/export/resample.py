@@ -116,7 +116,7 @@ class Resampled:
         A JPEG stays one with its position and camera; any other becomes a PNG.
 
         Args:
-            folder: folder of the copy, which exists; the name is that of the photograph.
+            folder: folder of the copy, made if it is missing; the name is that of the photograph.
 
         Returns:
             Path of the copy.
@@ -134,6 +134,7 @@ class Resampled:
         path = Path(folder) / f"{source.stem or 'image'}{suffix}"
         if self.source and path.resolve() == source.resolve():
             raise OutputError(f"{str(path)!r} is the photograph itself: choose another folder")
+        make_folder(path.parent)
         with whole_file(path) as partial:
             if suffix == ".tif":
                 _write_tiff(partial, bands or _Bands.of_rgb(self.pixels), self.ground)
@@ -210,6 +211,18 @@ class Resampled:
             down=self.factor,
         )
         return with_metadata(encoded.tobytes(), segments)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for copies.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the folder {str(folder)!r}: {error.strerror}") from None
 
 
 def why_not_resampled(estimate: GsdEstimate) -> str | None:
