@@ -427,7 +427,7 @@ class Engine:
         max_enlargement: float = MAX_ENLARGEMENT,
         **keywords: Any,
     ) -> Resampled:
-        """Resample a photograph to a scale that another model expects.
+        """Resample a photograph to a scale that another model expects, by that of measurements.
 
         Args:
             image: as in ``estimate``.
@@ -443,14 +443,16 @@ class Engine:
             InvalidParameterError: the photograph has no single usable scale, or would grow more.
             VehAnchorError: as ``estimate``.
         """
+        from vehanchor.measure.scale_source import find_measurement_scale
+
         GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
         engine, call_options = self.for_call(options, keywords)
         detector = checked_detector(engine.detector, call_options)
         with open_raster(image, call_options.reading) as raster:
-            analysis = analyse_raster(detector, raster, call_options)
+            scale = find_measurement_scale(raster, partial(analyse_raster, detector), call_options)
             return resample_raster(
                 raster,
-                analysis.estimate,
+                scale,
                 gsd_m_per_px,
                 max_enlargement=max_enlargement,
                 max_pixels=call_options.reading.limits.max_pixels,

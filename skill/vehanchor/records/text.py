@@ -84,12 +84,14 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def fit_in_words(fit: Fit) -> str:
-    """State what must fit, and with which probability it does."""
+def fit_in_words(fit: Fit, *, has_scale: bool = True) -> str:
+    """State what must fit, and with which probability it does; unknown without a scale."""
     if fit.diameter_m is not None:
         shape = f"a circle of {fit.diameter_m:g} m"
     else:
         shape = f"{fit.length_m:g} x {fit.width_m:g} m"
+    if not has_scale:
+        return f"whether {shape} fits is unknown without a scale"
     # Never rounded up to a limit that the probability does not reach.
     probability = math.floor(fit.fit_probability * 100) / 100
     text = f"{shape} fits with probability {probability:.2f}"
@@ -170,6 +172,15 @@ def _intervals_meet(first: RulerScale, second: RulerScale) -> bool:
     low = max(first.gsd_ci95_low_m_per_px, second.gsd_ci95_low_m_per_px)
     high = min(first.gsd_ci95_high_m_per_px, second.gsd_ci95_high_m_per_px)
     return low <= high
+
+
+def file_source_text(record: AreaMeasurement | DistanceMeasurement) -> str:
+    """State what the file's own scale, with which a record was measured, was compared with."""
+    if record.n_vehicles is None:
+        return "too large a file to be compared with cars"
+    if not record.n_vehicles:
+        return "no cars to compare with"
+    return f"not contradicted by {count(record.n_vehicles, 'vehicle')}"
 
 
 def file_scale_text(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:

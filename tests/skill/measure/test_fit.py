@@ -225,6 +225,12 @@ def test_a_probability_is_never_rounded_up() -> None:
     assert fit_in_words(circle) == "a circle of 8 m fits with probability 0.50"
 
 
+def test_without_a_scale_nobody_knows_whether_it_fits() -> None:
+    fit = Fit(fit_probability=0.0, length_m=12, width_m=5)
+    words = fit_in_words(fit, has_scale=False)
+    assert words == "whether 12 x 5 m fits is unknown without a scale"
+
+
 @pytest.mark.parametrize(
     ("must_fit", "message"),
     [
