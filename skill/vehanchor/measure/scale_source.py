@@ -296,7 +296,7 @@ def _is_contradicted(file_scale: StatedScale, analysis: ScaleAnalysis) -> bool:
     gsd = file_scale.gsd_m_per_px
     if not on_grid(gsd):
         return estimate.status == "ok"
-    together = answer([*analysis.witnesses, stated_witness(file_scale)])
+    together = judge([*analysis.witnesses, stated_witness(file_scale)])
     assert together is not None
     difference = abs(together.gsd_m_per_px - gsd)
     return together.chance < USABLE_CHANCE or difference > GEOREFERENCE_TOLERANCE * gsd
