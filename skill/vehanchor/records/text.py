@@ -96,7 +96,7 @@ def fit_in_words(fit: Fit, *, has_scale: bool = True) -> str:
     probability = math.floor(fit.fit_probability * 100) / 100
     text = f"{shape} fits with probability {probability:.2f}"
     if fit.n_fits_at_least is not None and fit.n_fits_at_least > 1:
-        text += f", at least {fit.n_fits_at_least} in rows"
+        text += f", at least {fit.n_fits_at_least} in rows even if the scale is at its low end"
     return text
 
 
