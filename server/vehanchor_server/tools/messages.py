@@ -9,7 +9,7 @@ from vehanchor.records.advice import advice_for
 from vehanchor.records.contradiction import contradiction_of
 from vehanchor.records.text import (
     by_hand_text,
-    comparison_text,
+    file_source_text,
     fit_in_words,
     pixel_text,
     ruler_names,
@@ -218,7 +218,7 @@ def _fit_sentence(area: AreaMeasurement) -> str:
     """State whether the shape that must fit fits, and where."""
     fit = area.fit
     assert fit is not None
-    words = fit_in_words(fit)
+    words = fit_in_words(fit, has_scale=area.area_m2 is not None)
     sentence = f"{words[0].upper()}{words[1:]}"
     if area.status != "ok":
         return f"{sentence}: do not act on it."
@@ -295,7 +295,7 @@ def _scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     assert measured.gsd_m_per_px is not None
     source = "as stated"
     if measured.scale_source == "file":
-        source = f"by the file's georeference ({comparison_text(measured.n_vehicles)})"
+        source = f"by the file's georeference, {file_source_text(measured)}"
     elif measured.estimate is not None:
         source = f"from {ruler_names(measured.estimate)}"
     confidence = f"scale confidence {measured.scale_confidence or 0.0:.2f}"

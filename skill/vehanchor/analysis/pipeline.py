@@ -15,7 +15,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
-from vehanchor.analysis.georeference import georeference_notice
 from vehanchor.analysis.image_doubts import with_image_doubts
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.copies import without_copies
@@ -40,7 +39,8 @@ from vehanchor.records import (
     SceneScaleEstimate,
     VehiclesByHand,
 )
-from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class
+from vehanchor.records.notices import NoticeCode
+from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class, unused_facts
 from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
@@ -79,6 +79,8 @@ if TYPE_CHECKING:
 _MODEL_DIGITS = 12
 # Images whose errors are shown if many images of a list fail.
 _MAX_SHOWN_FAILURES = 10
+# Largest relative difference of the file's own scale without a warning.
+GEOREFERENCE_TOLERANCE = 0.10
 # Fields of ``EstimateDetails`` that are None without the ruler ``vehicles``.
 _VEHICLE_DETAILS = (
     "n_detections",
@@ -290,6 +292,7 @@ def conclude(
             decision = decision._replace(reason="no_photograph")
     warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
     warnings += notices
+    warnings += unused_facts(view.options.rulers)
     if decided is not None:
         warnings += disagreements(witnesses, decided)
     warnings += georeference_notice(
@@ -541,6 +544,38 @@ def _with_ci95(
 def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
     """Convert the warnings of an image and of rulers to notices."""
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
+
+
+def georeference_notice(
+    own: float | None,
+    gsd_m_per_px: float | None,
+    source: str,
+    *,
+    interval: Interval | None = None,
+) -> list[Notice]:
+    """Warn if the file's own scale differs by more than a tenth, and lies outside the interval.
+
+    Args:
+        own: the file's scale, metres per pixel; None without one.
+        gsd_m_per_px: the other scale; None without one.
+        source: source of the other scale, as the middle of a sentence.
+        interval: 95 % interval of the other scale; None if unknown.
+
+    Returns:
+        One notice, or none.
+    """
+    if own is None or gsd_m_per_px is None:
+        return []
+    if abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
+        return []
+    if interval is not None and interval.low <= own <= interval.high:
+        return []
+    percent = 100 * (gsd_m_per_px / own - 1)
+    message = (
+        f"The file's own scale is {own:.4g} m/px, {source} {gsd_m_per_px:.4g} m/px: "
+        f"{percent:+.0f} %. Check which of the two is wrong before using either."
+    )
+    return [Notice(code=NoticeCode.GEOREFERENCE_DIFFERS, message=message)]
 
 
 def frame_scale(

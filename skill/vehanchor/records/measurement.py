@@ -34,8 +34,8 @@ MeasuredVehicles = Annotated[
     int | None,
     Field(
         ge=0,
-        description="N': vehicles behind the scale, or with which the file's own was compared; "
-        "null without a search.",
+        description="N': vehicles behind the scale, or compared with the file's own; null without "
+        "a search.",
     ),
 ]
 ScaleSourceField = Annotated[
@@ -43,7 +43,7 @@ ScaleSourceField = Annotated[
     Field(
         description="estimated: from this image, by the rulers in estimate. given: a number from "
         "the caller. reused: an earlier estimate of this image, which the caller gave back. file: "
-        "the georeference of the file, which nothing in the image outweighs."
+        "the georeference of the file, which no vehicles contradict."
     ),
 ]
 FileGsd = Annotated[
@@ -62,10 +62,7 @@ ScaleField = Annotated[
 ]
 EstimateField = Annotated[
     GsdEstimate | None,
-    Field(
-        description="The whole estimate of the scale; null unless it was estimated now, or "
-        "contradicts the file's own."
-    ),
+    Field(description="The whole estimate of the scale; null unless it was estimated now."),
 ]
 ImageWidth = Annotated[int, Field(gt=0, description="Width of the full image, pixels.")]
 ImageHeight = Annotated[int, Field(gt=0, description="Height of the full image, pixels.")]

@@ -79,17 +79,19 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def fit_in_words(fit: Fit) -> str:
-    """State what must fit, and with which probability it does."""
+def fit_in_words(fit: Fit, *, has_scale: bool = True) -> str:
+    """State what must fit, and with which probability it does; unknown without a scale."""
     if fit.diameter_m is not None:
         shape = f"a circle of {fit.diameter_m:g} m"
     else:
         shape = f"{fit.length_m:g} x {fit.width_m:g} m"
+    if not has_scale:
+        return f"whether {shape} fits is unknown without a scale"
     # Never rounded up to a limit that the probability does not reach.
     probability = math.floor(fit.fit_probability * 100) / 100
     text = f"{shape} fits with probability {probability:.2f}"
     if fit.n_fits_at_least is not None and fit.n_fits_at_least > 1:
-        text += f", at least {fit.n_fits_at_least} in rows"
+        text += f", at least {fit.n_fits_at_least} in rows even if the scale is at its low end"
     return text
 
 
@@ -134,13 +136,13 @@ def pixel_text(gsd_m_per_px: float | None, pixel_aspect: float | None) -> str:
     return f"{significant(across_m)} m across, {significant(down_m)} m down"
 
 
-def comparison_text(n_vehicles: int | None) -> str:
-    """State with how many vehicles the file's own scale was compared; None: none were searched."""
-    if n_vehicles is None:
-        return "not compared with vehicles"
-    if n_vehicles == 0:
-        return "no vehicle was found to compare it with"
-    return f"compared with {count(n_vehicles, 'vehicle')}"
+def file_source_text(record: AreaMeasurement | DistanceMeasurement) -> str:
+    """State what the file's own scale, with which a record was measured, was compared with."""
+    if record.n_vehicles is None:
+        return "too large a file to be compared with cars"
+    if not record.n_vehicles:
+        return "no cars to compare with"
+    return f"not contradicted by {count(record.n_vehicles, 'vehicle')}"
 
 
 def file_scale_text(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:

@@ -9,7 +9,6 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.rulers.ruler import Ruler, as_assumed, point_witness
 from vehanchor.scale.density import GRID, on_grid
 from vehanchor.scale.lengths import Z95
-from vehanchor.scale.posterior import judge
 from vehanchor.scale.reliability import MEASURING, RELIABILITY
 
 if TYPE_CHECKING:
@@ -61,16 +60,3 @@ def stated_witness(stated: Stated) -> Witness:
         shared=[MEASURING] if stated.basis == "measured" else [],
     )
     return as_assumed(witness) if stated.basis == "assumed" else witness
-
-
-def chance_alone(stated: Stated) -> float:
-    """Compute the chance of a stated scale without other evidence.
-
-    It depends on the relative tolerance alone, so that a scale off the grid of the rulers, such as
-    a satellite's, is judged like one on it.
-    """
-    relative_tolerance = stated.tolerance / stated.gsd_m_per_px
-    on_the_grid = stated._replace(gsd_m_per_px=1.0, tolerance=relative_tolerance)
-    decision = judge([stated_witness(on_the_grid)])
-    assert decision is not None
-    return decision.chance

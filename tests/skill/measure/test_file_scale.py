@@ -4,55 +4,36 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 from rasterio.transform import Affine
 
 import vehanchor
 from tests.models import pool_among_cars, write_detector
 from tests.skill.imagery.files import geotiff
-from vehanchor.measure.file_scale import compare
-from vehanchor.options.rulers import StatedScale
-from vehanchor.records.contradiction import contradiction_text
-from vehanchor.records.text import file_scale_text
+from vehanchor.records.text import file_scale_text, file_source_text
 from vehanchor.scale.defaults import USABLE_CHANCE
-from vehanchor.scale.density import lognormal
-from vehanchor.scale.posterior import Witness, answer
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from vehanchor.records import DistanceMeasurement
 
-# The cars show 0.168 m/px.
-FILE_GSD = 0.17
-STALE_GSD = 0.09
+# Within the interval of the cars, and not their scale.
+FILE_GSD = 0.16
 LINE = [(100.0, 100.0), (400.0, 100.0)]
 
 
 def _write(
-    path: Path,
-    across_m: float = FILE_GSD,
-    down_m: float = FILE_GSD,
-    rgb: NDArray[np.uint8] | None = None,
+    path: Path, across_m: float = FILE_GSD, down_m: float = FILE_GSD, *, n_cars: int = 30
 ) -> Path:
     transform = Affine(across_m, 0, 500_000, 0, -down_m, 5_000_000)
-    return geotiff(path, pool_among_cars() if rgb is None else rgb, transform=transform)
+    return geotiff(path, pool_among_cars(n_cars), transform=transform)
 
 
 @pytest.fixture(scope="module")
 def orthophoto(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a GeoTIFF whose scale is that of its cars."""
+    """Write a GeoTIFF whose scale is not quite that of its cars."""
     return _write(tmp_path_factory.mktemp("file_scale") / "ortho.tif")
-
-
-@pytest.fixture(scope="module")
-def stale(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a GeoTIFF with the georeference of a picture that was larger."""
-    folder = tmp_path_factory.mktemp("stale")
-    return _write(folder / "copy.tif", across_m=STALE_GSD, down_m=STALE_GSD)
 
 
 @pytest.fixture(scope="module")
@@ -72,41 +53,32 @@ def test_a_distance_takes_the_scale_of_the_file(orthophoto: Path, detector: Path
     assert record.distance_m == pytest.approx(300 * FILE_GSD)
 
 
-def test_vehicles_confirm_the_scale_of_the_file(orthophoto: Path, detector: Path) -> None:
+def test_the_scale_of_the_file_is_compared_with_cars(orthophoto: Path, detector: Path) -> None:
     record = _distance(orthophoto, detector)
-    alone = vehanchor.estimate_gsd(orthophoto, detector=detector)
-    assert record.n_vehicles == alone.n_vehicles
-    assert record.scale_confidence is not None
-    assert record.scale_confidence > alone.confidence
+    assert record.estimate is None
+    assert record.n_vehicles == 30
+    assert file_source_text(record) == "not contradicted by 30 vehicles"
 
 
-def test_vehicles_that_contradict_the_file_measure(stale: Path, detector: Path) -> None:
-    record = _distance(stale, detector)
+def test_cars_that_contradict_the_file_measure(detector: Path, tmp_path: Path) -> None:
+    image = _write(tmp_path / "stale.tif", across_m=2 * FILE_GSD, down_m=2 * FILE_GSD)
+    record = _distance(image, detector)
     assert record.scale_source == "estimated"
-    assert f"own scale is {STALE_GSD} m/px, the rulers give 0.168" in contradiction_text(record)
+    assert record.distance_m == pytest.approx(300 * FILE_GSD, rel=0.1)
+    assert record.warnings[0].message.startswith("The file's own scale is 0.32 m/px, the rulers")
 
 
-def test_a_stale_georeference_lowers_the_confidence(stale: Path, detector: Path) -> None:
-    record = _distance(stale, detector)
-    alone = _distance(stale, detector, file_scale=False)
-    assert record.scale_confidence is not None
-    assert alone.scale_confidence is not None
-    assert record.scale_confidence < alone.scale_confidence
-    assert (record.status == "ok") == (record.scale_confidence >= USABLE_CHANCE)
-
-
-def test_without_vehicles_nothing_contradicts_the_file(detector: Path, tmp_path: Path) -> None:
-    plain = np.full((400, 600, 3), 120, np.uint8)
-    record = _distance(_write(tmp_path / "plain.tif", rgb=plain), detector)
+def test_a_file_without_cars_has_its_own_scale(detector: Path, tmp_path: Path) -> None:
+    record = _distance(_write(tmp_path / "field.tif", n_cars=0), detector)
     assert (record.status, record.scale_source, record.n_vehicles) == ("ok", "file", 0)
 
 
-@pytest.mark.parametrize("gsd", [0.0011, 60.0])
-def test_a_scale_off_the_grid_yields_to_a_usable_estimate(gsd: float) -> None:
-    stated = StatedScale(gsd, "measured", tolerance=0.02 * gsd)
-    cars = answer([Witness("vehicles", 0.17, right=lognormal(0.17, 0.05))])
-    assert not compare(stated, cars).prefers_file
-    assert compare(stated, None).prefers_file
+def test_a_survey_is_too_large_to_be_compared(
+    orthophoto: Path, detector: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vehanchor.measure.scale_source._MAX_COMPARED_PX", 1000)
+    record = _distance(orthophoto, detector)
+    assert (record.scale_source, record.n_vehicles) == ("file", None)
 
 
 def test_the_scale_of_the_file_has_a_stated_interval(orthophoto: Path, detector: Path) -> None:
@@ -151,8 +123,7 @@ def test_a_file_without_a_scale_is_searched(detector: Path) -> None:
 
 
 def test_pixels_that_are_not_square_show_both_sides(detector: Path, tmp_path: Path) -> None:
-    plain = np.full((400, 600, 3), 120, np.uint8)
-    image = _write(tmp_path / "oblong.tif", across_m=0.2, down_m=0.3, rgb=plain)
+    image = _write(tmp_path / "oblong.tif", across_m=0.2, down_m=0.3, n_cars=0)
     record = _distance(image, detector)
     assert record.distance_m == pytest.approx(300 * 0.2, rel=0.01)
     assert file_scale_text(record) == "0.2000 m/px (0.200 m across, 0.300 m down)"

@@ -235,15 +235,22 @@ def test_a_probability_is_never_rounded_up() -> None:
     assert fit_in_words(circle) == "a circle of 8 m fits with probability 0.50"
 
 
+def test_without_a_scale_nobody_knows_whether_it_fits() -> None:
+    fit = Fit(fit_probability=0.0, length_m=12, width_m=5)
+    words = fit_in_words(fit, has_scale=False)
+    assert words == "whether 12 x 5 m fits is unknown without a scale"
+
+
 @pytest.mark.parametrize(
     ("must_fit", "message"),
     [
         (12, 'give {"diameter_m": 12}'),
         ({}, "has no size"),
-        ({"diameter_m": 0}, "use metres above 0"),
-        ({"diameter_m": math.nan}, "use metres above 0"),
-        ({"diameter_m": True}, "use metres above 0"),
-        ({"diameter_m": "12"}, "use metres above 0"),
+        ({"diameter_m": 0}, "use 0.001 to 100000 metres"),
+        ({"length_m": 1e-200, "width_m": 1e-200}, "use 0.001 to 100000 metres"),
+        ({"diameter_m": math.nan}, "use 0.001 to 100000 metres"),
+        ({"diameter_m": True}, "use 0.001 to 100000 metres"),
+        ({"diameter_m": "12"}, "use 0.001 to 100000 metres"),
         ({"length_m": 12}, "has length_m"),
         ({"length_m": 12, "width_m": 5, "diameter_m": 3}, "has length_m, width_m, diameter_m"),
         ({"radius_m": 12}, "has radius_m"),
