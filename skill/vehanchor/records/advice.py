@@ -6,14 +6,15 @@ the server has those for models.
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from vehanchor.records.text import count
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
-    from vehanchor.records import GsdEstimate, Reason
+    from vehanchor.records import GsdEstimate, Reason, RulerScale
 
 Remedy: TypeAlias = Literal[
     "original",
@@ -172,13 +173,15 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
         why = "the image is stretched in one direction"
         return Advice(why, ("line",) if is_orthophoto else ("original", "aspect"))
     setting = [ruler for ruler in estimate.rulers if ruler.sets_scale]
-    facts = [ruler for ruler in setting if ruler.kind != "vehicles"]
+    facts = [ruler for ruler in setting if ruler.kind not in ("vehicles", "positions")]
     remedies: tuple[Remedy, ...] = ("drop", "line")
     if len(facts) > 1:
         remedies = ("facts", "elsewhere")
     elif facts:
         remedies = ("facts", "second")
-    if len(setting) > 1 and _warns(estimate, "rulers_disagree"):
+    # The record of a photograph in a flight has the flight's rulers, without their warnings.
+    disagree = _warns(estimate, "rulers_disagree") or _some_exclude_each_other(setting)
+    if len(setting) > 1 and disagree:
         labels = " and ".join(ruler.label for ruler in setting)
         return Advice(f"{labels} contradict each other", remedies)
     # If the rulers that set the scale agree, the scene-scale prior is what contradicts them.
@@ -186,6 +189,18 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
     if scene is None:
         return Advice("the evidence contradicts itself", remedies)
     return Advice(f"the scene suggests a scale of about {scene.gsd_m_per_px:.2g} m/px", remedies)
+
+
+def _some_exclude_each_other(rulers: Sequence[RulerScale]) -> bool:
+    """Test whether two rulers exist of which each lies outside the other's 95 % interval."""
+    for first, second in combinations(rulers, 2):
+        if not (_allows(first, second) or _allows(second, first)):
+            return True
+    return False
+
+
+def _allows(ruler: RulerScale, other: RulerScale) -> bool:
+    return ruler.gsd_ci95_low_m_per_px <= other.gsd_m_per_px <= ruler.gsd_ci95_high_m_per_px
 
 
 def _imprecise(estimate: GsdEstimate) -> Advice:
