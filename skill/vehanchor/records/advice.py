@@ -128,6 +128,9 @@ def _too_few(estimate: GsdEstimate) -> Advice:
     why = "too little evidence"
     if estimate.n_vehicles is None:
         return Advice(why, ("vehicles", "line"))
+    # More cars do not help before the original image does.
+    if _warns(estimate, "detail_missing"):
+        return _ENLARGED
     if estimate.n_vehicles == 0:
         return Advice("no car was found", _without_cars(estimate))
     vehicles = count(estimate.n_vehicles, "vehicle")
@@ -145,12 +148,12 @@ def _without_cars(estimate: GsdEstimate) -> tuple[Remedy, ...]:
 
 
 def _too_coarse(estimate: GsdEstimate) -> Advice:
+    if _warns(estimate, "detail_missing"):
+        return _ENLARGED
     if not estimate.n_vehicles:
         return Advice(
             "no car was found, and the scene looks too coarse for cars", ("original", "thing")
         )
-    if _warns(estimate, "detail_missing"):
-        return Advice("the image is enlarged or blurred", ("original", "line"))
     if estimate.mode_length_px is None:
         return Advice("the vehicles have too little detail", ("lower", "line"))
     return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ("lower", "line"))
@@ -216,6 +219,7 @@ def _warns(estimate: GsdEstimate, code: str) -> bool:
     return any(notice.code == code for notice in estimate.warnings)
 
 
+_ENLARGED = Advice("the image is enlarged or blurred", ("original", "line"))
 _SEVERAL_PICTURES = Advice("the image seems to consist of several pictures", ("apart",))
 # A strong tilt looks like a second scale, too.
 _VARIES = Advice(
