@@ -449,6 +449,11 @@ class Vehicles(Ruler):
         log_odds = None
         if plane is None and detections.stretch_log_odds is not None:
             log_odds = detections.stretch_log_odds + log_odds_by_density(view.image.density_aspect)
+            # One network's verdict is no doubt if the odds by both contradict it. Of 524 images of
+            # true proportions with two to six vehicles 7 are then doubted instead of 10, and of 139
+            # stretched by 1.4 there are 71 instead of 76. The chance by the odds stays.
+            if log_odds < 0.0:
+                stretch = None
         voting = vehicles.with_votes()
         return replace(
             voting,
