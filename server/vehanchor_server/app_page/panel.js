@@ -20,6 +20,7 @@ function show(result) {
   const scale = scaleOf(record);
   byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";
   flag(record.status);
+  byId("units").hidden = false;
   const sections = [
     readings(record),
     warningSection(record),

@@ -26,6 +26,8 @@ PHOTOGRAPH = "photograph"
 # Former name of that column.
 _FORMER_COLUMN = "file"
 _MAX_BYTES = 64 << 20
+# A choice above what spreadsheets of measurements have.
+_MAX_COLUMNS = 1_000
 _DELIMITERS = (",", ";", "\t")
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # Encoding of the spreadsheets of Western Europe, if a table is not UTF-8.
@@ -62,7 +64,7 @@ def read_image_table(
             row is invalid.
     """
     table = Path(path)
-    rows: dict[str, tuple[_Row, ...]] = {}
+    rows: dict[str, list[_Row]] = {}
     try:
         if table.stat().st_size > _MAX_BYTES:
             raise error(
@@ -85,13 +87,12 @@ def read_image_table(
             except ValueError as problem:
                 raise error(f"{str(table)!r}, line {number}: {problem}") from None
             image = canonical_path(table.parent / file)
-            earlier_rows = rows.get(image, ())
-            rows[image] = (*earlier_rows, row)
+            rows.setdefault(image, []).append(row)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None
     if not rows:
         raise error(f"{str(table)!r} has no {content}: give at least one")
-    return rows
+    return {image: tuple(own_rows) for image, own_rows in rows.items()}
 
 
 class Table(NamedTuple):
@@ -115,12 +116,16 @@ def read_table(content: bytes, needed: Sequence[str]) -> Table:
 
     Raises:
         UnicodeDecodeError: the encoding is unknown.
-        csv.Error: it is not a CSV, a column has two places, or a line has more cells than columns.
+        csv.Error: it is not a CSV, has too many columns or one column twice, or a line has more
+            cells than columns.
     """
     with io.StringIO(_decoded(content), newline="") as handle:
         delimiter = _delimiter(handle, needed)
         reader = csv.DictReader(handle, delimiter=delimiter)
         columns = _with_current_name(reader.fieldnames or ())
+        # A row is completed by an empty cell for each column that it lacks.
+        if len(columns) > _MAX_COLUMNS:
+            raise csv.Error(f"it has {len(columns)} columns: give at most {_MAX_COLUMNS}")
         reader.fieldnames = columns
         for name in needed:
             if columns.count(name) > 1:

@@ -8,12 +8,16 @@ import cv2
 import numpy as np
 import pytest
 from affine import Affine
+from numpy.typing import NDArray
 
+from tests.bombs import png_of_text
 from tests.skill.imagery.files import geotiff
+from tests.skill.imagery.samples import SAMPLES
 from vehanchor import analyse_areas, measure_areas
 from vehanchor.errors import PromptError
 from vehanchor.export.geojson import write_shapes
 from vehanchor.measure.shape_file import read_shape_file
+from vehanchor.options import ImageLimits
 
 IMAGE = np.full((120, 200, 3), 90, np.uint8)
 FLAT = [20, 30, 80, 30, 80, 70, 20, 70]
@@ -54,6 +58,15 @@ def test_coco_names_the_image_by_its_file_name(photo: Path, tmp_path: Path) -> N
     assert _areas(file, photo) == pytest.approx([24.0, 240.0])
     names = [shape.name for shape in read_shape_file(file, str(photo))]
     assert names == ["roof 12", "13"]
+
+
+def test_a_file_of_very_many_empty_lists_is_refused(
+    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vehanchor.measure.shape_file._MAX_CONTAINERS", 100)
+    file = _json(tmp_path, {**COCO, "licenses": [[]] * 100})
+    with pytest.raises(PromptError, match="more than 100 lists and objects"):
+        read_shape_file(file, str(photo))
 
 
 def test_of_equal_names_in_folders_the_path_decides(photo: Path, tmp_path: Path) -> None:
@@ -170,6 +183,39 @@ def test_a_bad_file_is_refused(
 def test_a_missing_file_is_refused(photo: Path) -> None:
     with pytest.raises(PromptError, match="cannot be read"):
         _areas(photo.with_name("none.json"), photo)
+
+
+def test_zipped_texts_in_an_image_of_ids_are_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[bytes] = []
+
+    def decode(data: NDArray[np.uint8], _: int) -> NDArray[np.uint8]:
+        decoded.append(bytes(data))
+        return np.ones((64, 64), np.uint8)
+
+    monkeypatch.setattr("vehanchor.imagery.formats.decoding.cv2.imdecode", decode)
+    (tmp_path / "ids.png").write_bytes(png_of_text(3))
+    read_shape_file(tmp_path / "ids.png", "photo.png")
+    assert b"zTXt" not in decoded[0]
+
+
+def test_an_image_of_ids_is_a_png(tmp_path: Path) -> None:
+    (tmp_path / "ids.png").write_bytes(SAMPLES["BMP"])
+    with pytest.raises(PromptError, match="it is a BMP"):
+        read_shape_file(tmp_path / "ids.png", "photo.png")
+
+
+def test_ids_whose_boxes_are_far_larger_than_the_image_are_refused(tmp_path: Path) -> None:
+    """Each number in two opposite corners has the whole image as its box."""
+    ids = np.zeros((200, 400), np.uint16)
+    numbers = np.arange(1, 101)
+    ids[0, :100] = numbers
+    ids[-1, -100:] = numbers
+    cv2.imwrite(str(tmp_path / "ids.png"), ids)
+    limits = ImageLimits(max_decoded_bytes=1 << 20)
+    with pytest.raises(PromptError, match="measure fewer at a time"):
+        read_shape_file(tmp_path / "ids.png", "photo.png", limits=limits)
 
 
 def test_a_picture_is_not_an_image_of_ids(photo: Path, tmp_path: Path) -> None:

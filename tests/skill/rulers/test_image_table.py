@@ -54,6 +54,19 @@ def test_a_missing_column_is_named(tmp_path: Path) -> None:
         _metres(SEMICOLONS.replace("metres", "length").encode(), tmp_path)
 
 
+def test_a_table_of_very_many_columns_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(KnownLengthError, match="it has 1007 columns"):
+        _metres(("," * 1000 + COMMAS).encode(), tmp_path)
+
+
+def test_many_lines_of_one_image_keep_their_order(tmp_path: Path) -> None:
+    table = tmp_path / "lines.csv"
+    rows = [f"photo.jpg,0,0,100,0,{number}," for number in range(1, 200)]
+    table.write_text("\n".join([COMMAS.splitlines()[0], *rows]))
+    (lines,) = lines_in(table, [tmp_path / "photo.jpg"]).values()
+    assert [line.metres for line in lines] == list(range(1, 200))
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -1,8 +1,9 @@
 """Pixel of a georeferenced raster on the ground: its ground sampling distance (GSD) and its shape.
 
 Estimates never use the GSD. Records report it next to the estimate, and the evaluation uses it as
-ground truth. Measurements use it without a search (``vehanchor.measure.scale_source``). The shape
-is a fact without a scale: images are analysed in square pixels.
+ground truth. Measurements use it if nothing contradicts it
+(``vehanchor.measure.scale_source``). The shape is a fact without a scale: images are analysed in
+square pixels.
 """
 
 from __future__ import annotations
