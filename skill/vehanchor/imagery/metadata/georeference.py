@@ -270,6 +270,8 @@ def _by_degrees(
     a, b, _, d, e, _ = transform
     xs = [x, x + a, x + b]
     ys = [y, y + d, y + e]
+    if max(map(abs, (*xs, *ys))) > _MAX_COORDINATE:
+        return None
     longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
     longitude, longitude_right, longitude_below = longitudes
     latitude, latitude_right, latitude_below = latitudes
