@@ -265,6 +265,8 @@ def _by_degrees(
     Returns:
         Its transform to degrees; None if the projection has no degrees there.
     """
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import RasterioError
     from rasterio.warp import transform as reproject
 
     a, b, _, d, e, _ = transform
@@ -272,7 +274,10 @@ def _by_degrees(
     ys = [y, y + d, y + e]
     if max(map(abs, (*xs, *ys))) > _MAX_COORDINATE:
         return None
-    longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
+    try:
+        longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
+    except (CPLE_BaseError, RasterioError, ValueError):  # outside the projection
+        return None
     longitude, longitude_right, longitude_below = longitudes
     latitude, latitude_right, latitude_below = latitudes
     if not all(map(math.isfinite, (*longitudes, *latitudes))):
