@@ -208,3 +208,13 @@ def test_another_page_of_a_tiff_is_named(tmp_path: Path) -> None:
     with open_raster(path) as raster:
         assert _codes(raster) == ["pages_unused"]
         assert "300 x 240 px" in raster.warnings[0].message
+
+
+@pytest.mark.parametrize("suffix", ["png", "webp"])
+def test_further_pictures_of_an_animation_are_named(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"animated.{suffix}"
+    others = [Image.fromarray(255 - PIXELS)]
+    Image.fromarray(PIXELS).save(path, save_all=True, append_images=others, lossless=True)
+    with open_raster(path) as raster:
+        np.testing.assert_array_equal(raster.read(), PIXELS)
+        assert _codes(raster) == ["pages_unused"]
