@@ -40,7 +40,7 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class
+from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class, unused_facts
 from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
@@ -292,6 +292,7 @@ def conclude(
             decision = decision._replace(reason="no_photograph")
     warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
     warnings += notices
+    warnings += unused_facts(view.options.rulers)
     if decided is not None:
         warnings += disagreements(witnesses, decided)
     warnings += georeference_notice(

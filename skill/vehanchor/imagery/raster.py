@@ -170,17 +170,26 @@ class Raster(ABC):
     def georeference(self, pixel: GroundPixel, ground: Ground) -> None:
         """Take the place of the image, and the size and shape of a pixel on the ground."""
         self.ground = ground
-        self.georeference_gsd_m_per_px = pixel.gsd_m_per_px
+        if self.take_shape(pixel):
+            self.georeference_gsd_m_per_px = pixel.gsd_m_per_px
+
+    def take_shape(self, pixel: GroundPixel) -> bool:
+        """Take the shape of a pixel on the ground, in any unit of length.
+
+        Returns:
+            Whether its picture can be brought to square pixels; otherwise a warning says so.
+        """
         elongation = max(pixel.aspect, 1 / pixel.aspect)
         if pixel.is_upright and elongation <= MAX_ASPECT:
             self.pixel_aspect = usable_aspect(pixel.aspect)
-            return
+            return True
         message = (
-            f"A pixel of the file is {pixel.across_m:.4g} m along a row and {pixel.down_m:.4g} m "
-            "along a column, and no rectangle or too long: no single scale holds. Reproject the "
+            "By its map coordinates, a pixel of the file is not a rectangle on the ground, or is "
+            f"more than {MAX_ASPECT:g} times as long as wide: no single scale holds. Reproject the "
             "image to UTM, with square pixels."
         )
         self.warnings = (*self.warnings, RasterNote("stretched", message))
+        return False
 
     @property
     def grid(self) -> PixelGrid:

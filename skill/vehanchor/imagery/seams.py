@@ -224,10 +224,14 @@ def _strip_between(grey: Grey, share: Line) -> int | None:
         near_behind = share[behind - 1 : behind + 2].max()
         if min(near_first, near_behind) < _MIN_STRIP_EDGE:
             continue
-        # The ground of a drawing is plain, too, but its colour is everywhere.
+        # The ground of a drawing is plain, too, but its colour is everywhere. So is paper between a
+        # picture and its caption: between the letters, it goes on.
         colour = float(grey[:, first:behind].mean())
-        of_same_colour = np.abs(grey[:, ~is_plain] - colour) <= _MARGIN_SD
-        if of_same_colour.mean() <= _MAX_SAME_COLOUR:
+        has_colour = np.abs(grey - colour) <= _MARGIN_SD
+        beside = has_colour[:, [max(0, first - 2), min(behind + 1, len(share) - 1)]]
+        if beside.mean(axis=0).max() > 1.0 - _MIN_STRIP_EDGE:
+            continue
+        if has_colour[:, ~is_plain].mean() <= _MAX_SAME_COLOUR:
             return int(first)
     return None
 
@@ -312,7 +316,8 @@ def _arms(steps: _Steps, arm: int) -> Shares:
     brighter = cv2.blur(steps.brighter, (1, arm), anchor=below)
     darker = cv2.blur(steps.darker, (1, arm), anchor=below)
     share = brighter + darker
-    share[np.minimum(brighter, darker) < _MIN_ALTERNATING] = 0.0
+    # A product, because an assignment by a mask of the whole image takes five times as long.
+    share *= cv2.min(brighter, darker) >= _MIN_ALTERNATING
     mean_share = (steps.brighter + steps.darker).mean(axis=0)
     usual = [float(np.median(mean_share[phase::_BLOCK_PX])) for phase in range(_BLOCK_PX)]
     for phase in range(_BLOCK_PX):

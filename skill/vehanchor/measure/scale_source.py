@@ -22,7 +22,7 @@ from vehanchor.rulers.stated_scale import stated_witness
 from vehanchor.scale.defaults import MAX_GSD_M_PER_PX, MIN_GSD_M_PER_PX, USABLE_CHANCE
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95, Spread
-from vehanchor.scale.posterior import answer
+from vehanchor.scale.posterior import judge
 from vehanchor.scale.reliability import GEOREFERENCE_LOG_SD, RELIABILITY
 
 if TYPE_CHECKING:
@@ -296,7 +296,7 @@ def _is_contradicted(file_scale: StatedScale, analysis: ScaleAnalysis) -> bool:
     gsd = file_scale.gsd_m_per_px
     if not on_grid(gsd):
         return estimate.status == "ok"
-    together = answer([*analysis.witnesses, stated_witness(file_scale)])
+    together = judge([*analysis.witnesses, stated_witness(file_scale)])
     assert together is not None
     difference = abs(together.gsd_m_per_px - gsd)
     return together.chance < USABLE_CHANCE or difference > GEOREFERENCE_TOLERANCE * gsd
@@ -315,15 +315,19 @@ def _use_stated_scale(
     # rulers, such as a satellite's, is judged like one on it.
     relative_tolerance = stated.tolerance / gsd
     judged = stated._replace(gsd_m_per_px=1.0, tolerance=relative_tolerance)
-    decision = answer([stated_witness(judged)])
+    decision = judge([stated_witness(judged)])
     assert decision is not None
+    # Off the grid there is no posterior: interval and chance stand for it.
+    posterior = None
+    if on_grid(gsd):
+        posterior = stated_witness(stated).density
     spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
     scale = MeasurementScale(
         gsd_m_per_px=gsd,
         spread=spread,
         confidence=decision.chance,
         source="given",
-        posterior=decision.posterior,
+        posterior=posterior,
     )
     return _with_metadata(raster, options, scale, "the stated scale is")
 

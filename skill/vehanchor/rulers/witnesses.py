@@ -217,7 +217,8 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
         if p_right < PROBABLY_RIGHT:
             doubted.append(witness)
     if answer.reason == "disagree" and not doubted:
-        doubted = setting
+        # Rulers that allow the answer are contradicted by a prior, not by each other.
+        doubted = [witness for witness in setting if not witness.allows(answer.gsd_m_per_px)]
     for pair in answer.contradictions:
         contradicting = [informative[k] for k in pair]
         doubted += [witness for witness in contradicting if witness not in doubted]
@@ -235,11 +236,14 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
 
 
 def _unit_notices(witnesses: Sequence[Witness]) -> list[Notice]:
-    """Warn of stated facts that differ from another ruler by a factor of about 100."""
+    """Warn of stated facts that differ from another ruler by a factor of about 100.
+
+    A prior alone is too rough to doubt a unit.
+    """
     notices = {}
     for fact, other in permutations(witnesses, 2):
         is_fact = ruler_class(fact.kind).fact is not None
-        if not is_fact:
+        if not is_fact or not other.sets_scale:
             continue
         if fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
             continue

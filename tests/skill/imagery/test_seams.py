@@ -51,6 +51,18 @@ def test_a_white_strip_between_pictures_is_a_seam() -> None:
     assert _near(_seam(np.hstack([LEFT, strip, RIGHT])), 400, None)
 
 
+def test_a_white_strip_of_three_pixels_between_pictures_is_a_seam() -> None:
+    strip = np.full((400, 3, 3), 255, np.uint8)
+    assert _near(_seam(np.hstack([LEFT, strip, RIGHT])), 400, None)
+
+
+def test_a_caption_below_a_photograph_is_no_seam() -> None:
+    caption = np.full((40, 400, 3), 255, np.uint8)
+    # The letters begin two pixels below the photograph: a thin strip is between them.
+    cv2.putText(caption, "HIT 12 LINE", (10, 29), cv2.FONT_HERSHEY_SIMPLEX, 1.3, (0, 0, 0), 2)
+    assert _seam(np.vstack([LEFT, caption])) is None
+
+
 def test_a_white_frame_is_no_seam() -> None:
     framed = cv2.copyMakeBorder(LEFT, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=(255, 255, 255))
     assert _seam(np.asarray(framed, np.uint8)) is None

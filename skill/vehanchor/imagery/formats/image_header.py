@@ -25,6 +25,7 @@ class TiffLayout:
         alpha: whether a band is declared to be alpha.
         block_px: pixels of a strip or tile, which is decoded whole.
         mask_block_px: pixels of a strip or tile of its mask; 0 without one.
+        has_no_data_value: whether it states a value of pixels without data.
         other_pages: width and height of further pages, which are neither overviews nor masks.
     """
 
@@ -37,6 +38,7 @@ class TiffLayout:
     alpha: bool
     block_px: int
     mask_block_px: int
+    has_no_data_value: bool = False
     other_pages: tuple[tuple[int, int], ...] = ()
 
     @property
