@@ -134,9 +134,10 @@ def folder_of_one_scale(run: Any, tmp_path: Path) -> Result:
     return done
 
 
-def test_one_scale_is_printed_for_all(folder_of_one_scale: Result) -> None:
+def test_one_scale_is_printed_for_all(folder_of_one_scale: Result, tmp_path: Path) -> None:
+    row = json.loads((tmp_path / "scales.jsonl").read_text().splitlines()[0])
     assert "scale of all" in folder_of_one_scale.stdout
-    assert "0.1677" in folder_of_one_scale.stdout
+    assert f"{row['gsd_m_per_px']:.4g}" in folder_of_one_scale.stdout
     assert _progress(folder_of_one_scale)[-1] == "pooling the evidence of 5 of 5 images"
 
 

@@ -9,6 +9,7 @@ from vehanchor.records.advice import advice_for
 from vehanchor.records.text import (
     by_hand_text,
     contradiction_text,
+    file_source_text,
     fit_in_words,
     pixel_text,
     ruler_names,
@@ -196,7 +197,7 @@ def _fit_sentence(area: AreaMeasurement) -> str:
     """State whether the shape that must fit fits, and where."""
     fit = area.fit
     assert fit is not None
-    words = fit_in_words(fit)
+    words = fit_in_words(fit, has_scale=area.area_m2 is not None)
     sentence = f"{words[0].upper()}{words[1:]}"
     if area.status != "ok":
         return f"{sentence}: do not act on it."
@@ -273,6 +274,6 @@ def _scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     if measured.estimate is not None:
         source = f"from {ruler_names(measured.estimate)}"
     elif measured.scale_source == "file":
-        source = "by the file's georeference, not compared with cars"
+        source = f"by the file's georeference, {file_source_text(measured)}"
     confidence = f"scale confidence {measured.scale_confidence or 0.0:.2f}"
     return f"scale {significant(measured.gsd_m_per_px)} m/px {source}, {confidence}"

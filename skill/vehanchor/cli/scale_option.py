@@ -48,7 +48,7 @@ SearchAnyway: TypeAlias = Annotated[
     bool,
     typer.Option(
         "--search",
-        help="Estimate the scale of a georeferenced file, too, and compare it with the file's own.",
+        help="Measure in a georeferenced file with the estimate, not with the file's own scale.",
     ),
 ]
 
@@ -74,7 +74,7 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
             record = _scale_in(record["photographs"], image)
         return read_known_scale(record)
     # An InvalidParameterError is a ValueError, too.
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise InvalidParameterError(
             f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate "
             "IMAGE --json'"

@@ -261,7 +261,7 @@ def _area_text(record: AreaMeasurement) -> str:
     if record.mask_score is not None:
         text = f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
     if record.fit is not None:
-        text += f"; {fit_in_words(record.fit)}"
+        text += f"; {fit_in_words(record.fit, has_scale=record.area_m2 is not None)}"
     return text
 
 

@@ -162,8 +162,7 @@ async def test_a_mask_that_the_segmenter_doubts_comes_with_a_warning(
     assert record_of(result)["status"] == "low_confidence"
     assert (
         "do not rely on it; look at it with view_image, and give a tight box, or its outline "
-        "(polygon), by eye."
-        in text_of(result)
+        "(polygon), by eye." in text_of(result)
     )
     assert (
         "Warning mask_score_low: The expected overlap with the object is 0.40, below 0.7."
