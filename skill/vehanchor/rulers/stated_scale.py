@@ -48,8 +48,8 @@ def stated_witness(stated: Stated) -> Witness:
     if not on_grid(stated.gsd_m_per_px):
         raise InvalidParameterError(
             f"gsd_m_per_px is {stated.gsd_m_per_px:g}: rulers are compared from "
-            f"{math.exp(GRID[0]):.2g} to {math.exp(GRID[-1]):.2g} m/px. Measure areas and "
-            "distances with it, without an estimate"
+            f"{math.exp(GRID[0]):.2g} to {math.exp(GRID[-1]):.2g} m/px. Check its unit; areas "
+            "and distances need no estimate if gsd_basis is measured"
         )
     witness = point_witness(
         StatedScale.kind,
