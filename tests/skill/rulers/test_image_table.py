@@ -43,6 +43,7 @@ def test_a_missing_column_is_named(tmp_path: Path) -> None:
         _metres(SEMICOLONS.replace("metres", "length").encode(), tmp_path)
 
 
+@pytest.mark.promise("sidecars")
 def test_a_table_of_very_many_columns_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KnownLengthError, match="has 1007 columns"):
         _metres(("," * 1000 + COMMAS).encode(), tmp_path)
@@ -54,3 +55,8 @@ def test_many_lines_of_one_image_keep_their_order(tmp_path: Path) -> None:
     table.write_text("\n".join([COMMAS.splitlines()[0], *rows]))
     (lines,) = lines_in(table, [tmp_path / "photo.jpg"]).values()
     assert [line.metres for line in lines] == list(range(1, 200))
+
+
+def test_a_name_with_a_nul_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(KnownLengthError, match="line 2: embedded null"):
+        _metres(COMMAS.replace("photo.jpg", "pho\0to.jpg").encode(), tmp_path)
