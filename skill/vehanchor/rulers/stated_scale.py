@@ -52,7 +52,7 @@ def stated_witness(stated: Stated) -> Witness:
     if not on_grid(low) or not on_grid(high):
         raise InvalidParameterError(
             f"gsd_m_per_px is {stated.gsd_m_per_px:g} +- {stated.tolerance:.2g}: rulers are "
-            f"compared from {math.exp(GRID[0]):.2g} to {math.exp(GRID[-1]):.2g} m/px. Check its "
+            f"compared from {math.exp(GRID[0]):.3g} to {math.exp(GRID[-1]):.3g} m/px. Check its "
             "unit; areas and distances need no estimate if gsd_basis is measured"
         )
     witness = point_witness(
