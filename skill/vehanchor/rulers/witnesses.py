@@ -215,7 +215,8 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
         if not witness.sets_scale:
             continue
         setting.append(witness)
-        if p_right < PROBABLY_RIGHT:
+        # One that shares an error with all others, and has their scale, does not disagree.
+        if p_right < PROBABLY_RIGHT and not witness.allows(answer.gsd_m_per_px):
             doubted.append(witness)
     if answer.reason == "disagree" and not doubted:
         # Rulers that allow the answer are contradicted by a prior, not by each other.
@@ -225,14 +226,14 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
         doubted += [witness for witness in contradicting if witness not in doubted]
     notices = []
     # A single ruler has none to disagree with.
-    if len(setting) > 1:
-        for witness in doubted:
-            message = (
-                f"{_stated_scale(witness)} m/px, and all rulers together "
-                f"{answer.gsd_m_per_px:.2g}. Check which is wrong before using either."
-            )
-            notice = Notice(code=NoticeCode.RULERS_DISAGREE, message=message)
-            notices.append(notice)
+    if doubted and len(setting) > 1:
+        first, *others = [f"{_stated_scale(witness)} m/px" for witness in doubted]
+        scales = [first, *(f"{scale[0].lower()}{scale[1:]}" for scale in others)]
+        message = (
+            f"{', '.join(scales)}, and all rulers together {answer.gsd_m_per_px:.2g}. Check which "
+            "is wrong before using either."
+        )
+        notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
     return notices + _unit_notices(informative)
 
 
