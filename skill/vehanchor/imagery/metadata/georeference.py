@@ -283,8 +283,8 @@ def _by_degrees(
     if not all(map(math.isfinite, (*longitudes, *latitudes))):
         return None
     in_degrees = (
-        longitude_right - longitude,
-        longitude_below - longitude,
+        _step_deg(longitude, longitude_right),
+        _step_deg(longitude, longitude_below),
         0.0,
         latitude_right - latitude,
         latitude_below - latitude,
@@ -292,6 +292,11 @@ def _by_degrees(
     )
     latitude_m, longitude_m = metres_per_degree(latitude)
     return _MetricTransform(in_degrees, longitude_m, latitude_m)
+
+
+def _step_deg(first_deg: float, second_deg: float) -> float:
+    """Compute the difference of two longitudes, which jump by a full turn at the 180th meridian."""
+    return (second_deg - first_deg + 180) % 360 - 180
 
 
 def is_in_pixels(collection: Mapping[str, Any]) -> bool:
