@@ -16,7 +16,7 @@ pytestmark = pytest.mark.browser
 
 
 def test_the_page_shows_a_photograph_before_its_answer(
-    chromium: Any,  # noqa: F811
+    chromium: Any,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
