@@ -40,7 +40,7 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class
+from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class, unused_facts
 from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice, unknown_tilt_chance
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
@@ -297,10 +297,14 @@ def conclude(
             decision = decision._replace(reason="no_photograph")
     warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
     warnings += notices
+    warnings += unused_facts(view.options.rulers)
     if decided is not None:
         warnings += disagreements(witnesses, decided)
     warnings += georeference_notice(
-        view.image.georeference_gsd_m_per_px, decision.gsd_m_per_px, "the rulers give"
+        view.image.georeference_gsd_m_per_px,
+        decision.gsd_m_per_px,
+        "the rulers give",
+        interval=decision.interval,
     )
     record = _record(view, witnesses, decision, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
@@ -547,13 +551,20 @@ def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
-def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: str) -> list[Notice]:
-    """Warn if the file's own scale differs from another by more than a tenth.
+def georeference_notice(
+    own: float | None,
+    gsd_m_per_px: float | None,
+    source: str,
+    *,
+    interval: Interval | None = None,
+) -> list[Notice]:
+    """Warn if the file's own scale differs by more than a tenth, and lies outside the interval.
 
     Args:
         own: the file's scale, metres per pixel; None without one.
         gsd_m_per_px: the other scale; None without one.
         source: source of the other scale, as the middle of a sentence.
+        interval: 95 % interval of the other scale; None if unknown.
 
     Returns:
         One notice, or none.
@@ -561,6 +572,8 @@ def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: s
     if own is None or gsd_m_per_px is None:
         return []
     if abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
+        return []
+    if interval is not None and interval.low <= own <= interval.high:
         return []
     percent = 100 * (gsd_m_per_px / own - 1)
     message = (

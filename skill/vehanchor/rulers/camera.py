@@ -124,6 +124,11 @@ class Camera(Ruler):
         if view.options.rulers.height_m is not None and not camera.refused:
             return None
         cause = f"the height is {height_m:g} m, but the focal length is missing: give focal_35mm"
+        if camera.focal_px and camera.centre_x_px:
+            cause = (
+                f"the optical centre at x = {camera.centre_x_px:.0f} px is not in the middle: the "
+                "image is a crop, or a copy of another size. Give the original file"
+            )
         return self._unusable(cause, camera.refused)
 
     def _measured(

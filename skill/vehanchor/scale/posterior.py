@@ -171,6 +171,11 @@ class Witness:
         low, high = credible_interval(blurred_by(self.right_with_guess, self.shared))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
 
+    def allows(self, gsd_m_per_px: float) -> bool:
+        """Test whether a scale lies in the 95 % interval."""
+        interval = self.interval
+        return interval is not None and interval.low <= gsd_m_per_px <= interval.high
+
     def factor(self, errors: Sequence[Shared]) -> Density:
         """Compute the factor ``[g]`` of the posterior.
 
@@ -415,13 +420,7 @@ def _exclude_each_other(first: Witness, second: Witness) -> bool:
     """Test whether the scale of each of two witnesses lies outside the other's 95 % interval."""
     if first.gsd_m_per_px is None or second.gsd_m_per_px is None:
         return False
-    return not (_allows(first, second.gsd_m_per_px) or _allows(second, first.gsd_m_per_px))
-
-
-def _allows(witness: Witness, gsd_m_per_px: float) -> bool:
-    """Test whether a scale lies in the 95 % interval of a witness."""
-    interval = witness.interval
-    return interval is not None and interval.low <= gsd_m_per_px <= interval.high
+    return not (first.allows(second.gsd_m_per_px) or second.allows(first.gsd_m_per_px))
 
 
 def _hull(interval: Interval, others: Iterable[Interval | None]) -> Interval:

@@ -164,6 +164,20 @@ def test_witnesses_of_one_lens_do_not_confirm_each_other() -> None:
     assert both.chance > apart.chance or abs(both.gsd_m_per_px - 0.0417) > 0.01
 
 
+def test_an_error_acts_only_on_the_witnesses_that_have_it() -> None:
+    stretched = Shared("stretched image", 0.0, 0.001)
+    look_alikes = Shared("look-alikes", 0.0, 0.999)
+    cars = replace(_cars(40, gsd=0.2), shared=(stretched, look_alikes))
+    prior = replace(_prior(0.2), shared=(stretched, look_alikes))
+    line = replace(_point(0.12), shared=(stretched,))
+    alone = answer([line])
+    together = answer([cars, prior, line])
+    assert alone is not None
+    assert together is not None
+    assert together.chance == pytest.approx(alone.chance, abs=0.01)
+    assert together.p_right[2] > 0.9
+
+
 def test_an_error_in_common_widens_the_product_of_its_members() -> None:
     one = replace(_point(0.1, 0.02), shared=(HEIGHT,))
     two = replace(_point(0.1, 0.02, kind="other"), shared=(HEIGHT,))
