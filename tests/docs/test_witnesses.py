@@ -10,8 +10,6 @@ from tests.conftest import ROOT
 from vehanchor import Engine
 from vehanchor.records import GsdEstimate
 
-_EXAMPLES = examples()
-_IDS = [example.name for example in _EXAMPLES]
 # What the page states about each scene. A ruler stands for its scale, n for the number of cars.
 _QUOTES: dict[str, tuple[str, ...]] = {
     "many_cars": ("Cars and prior have densities around {gsd:.2f} m/px", "{n} cars and the prior"),
@@ -28,6 +26,8 @@ _QUOTES: dict[str, tuple[str, ...]] = {
     "height_repeated": (),
     "too_coarse": ("{n} cars of ten pixels give a wide density around {vehicles:.2f} m/px",),
 }
+# The scenes themselves take seconds, in each process that collects tests.
+_NAMES = sorted(_QUOTES)
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,20 @@ def engine() -> Engine:
     return Engine()
 
 
-@pytest.mark.parametrize("example", _EXAMPLES, ids=_IDS)
-def test_a_picture_shows_the_answer_of_this_version(example: Example, engine: Engine) -> None:
+@pytest.fixture(scope="module")
+def scenes() -> dict[str, Example]:
+    return {example.name: example for example in examples()}
+
+
+def test_what_the_page_states_about_each_scene_is_listed(scenes: dict[str, Example]) -> None:
+    assert sorted(scenes) == _NAMES
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_a_picture_shows_the_answer_of_this_version(
+    name: str, scenes: dict[str, Example], engine: Engine
+) -> None:
+    example = scenes[name]
     with Image.open(picture_of(example)) as picture:
         shown = picture.info.get("comment", b"").decode()
     analysis = engine.analyse_scale(example.image, **example.options)

@@ -41,8 +41,8 @@ from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.records.advice import advice_for
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.text import (
-    contradiction_text,
     count,
     file_scale_text,
     pixel_text,

@@ -256,9 +256,12 @@ def _file_scale(raster: Raster, options: ScaleOptions) -> StatedScale | None:
 
 
 def _asks_for_estimate(options: ScaleOptions) -> bool:
-    """Test whether the caller asks for an estimate, or states what only an estimate can use."""
+    """Test whether the caller asks for an estimate, or states what only an estimate can use.
+
+    A caller who does not trust the file's metadata does not trust its georeference either.
+    """
     rulers = options.rulers
-    if not rulers.file_scale or rulers.rulers is not None:
+    if not rulers.file_scale or not rulers.metadata or rulers.rulers is not None:
         return True
     has_facts = rulers.height_m is not None or rulers.stated_scale is not None
     by_hand = bool(rulers.known_lengths) or options.by_hand.given is not None
@@ -270,7 +273,7 @@ def _camera_contradicts(raster: Raster, gsd_m_per_px: float, options: ScaleOptio
 
     A tilted camera has no single scale, so its picture is no map.
     """
-    if raster.camera is None or not options.rulers.metadata:
+    if raster.camera is None:
         return False
     image = ImageFacts(raster.width_px, raster.height_px, camera=raster.camera)
     if metadata_tilt(image, options) is not None:

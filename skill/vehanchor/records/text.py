@@ -6,15 +6,10 @@ import math
 from typing import TYPE_CHECKING, Protocol
 
 from vehanchor.records.gsd_estimate import GsdEstimate
-from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.defaults import INTERVAL_PREMISE
 
 if TYPE_CHECKING:
-    from vehanchor.records import (
-        AreaMeasurement,
-        DistanceMeasurement,
-        RulerScale,
-    )
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor.records.measurement import Fit
 
 NO_SCALE = "no scale: nothing of known size found"
@@ -139,39 +134,6 @@ def pixel_text(gsd_m_per_px: float | None, pixel_aspect: float | None) -> str:
     across_m = gsd_m_per_px * max(1.0, 1 / pixel_aspect)
     down_m = gsd_m_per_px * max(1.0, pixel_aspect)
     return f"{significant(across_m)} m across, {significant(down_m)} m down"
-
-
-def contradiction_text(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:
-    """State the scale of the file and the one that contradicts it; empty if nothing does.
-
-    The file's scale is that of its georeference, or that of its camera against the vehicles.
-    """
-    for notice in record.warnings:
-        if notice.code == NoticeCode.GEOREFERENCE_DIFFERS:
-            return notice.message.partition(". ")[0]
-    estimate = record if isinstance(record, GsdEstimate) else record.estimate
-    return "" if estimate is None else _camera_contradiction(estimate)
-
-
-def _camera_contradiction(estimate: GsdEstimate) -> str:
-    """State the scales of camera and vehicles if their intervals do not meet."""
-    if not any(notice.code == NoticeCode.RULERS_DISAGREE for notice in estimate.warnings):
-        return ""
-    rulers = {ruler.kind: ruler for ruler in estimate.rulers}
-    camera = rulers.get("camera")
-    vehicles = rulers.get("vehicles")
-    if camera is None or vehicles is None or _intervals_meet(camera, vehicles):
-        return ""
-    file_gsd = significant(camera.gsd_m_per_px)
-    own_gsd = significant(vehicles.gsd_m_per_px)
-    return f"The camera in the file gives {file_gsd} m/px, the vehicles {own_gsd} m/px"
-
-
-def _intervals_meet(first: RulerScale, second: RulerScale) -> bool:
-    """Test whether the 95 % intervals of two rulers have a common scale."""
-    low = max(first.gsd_ci95_low_m_per_px, second.gsd_ci95_low_m_per_px)
-    high = min(first.gsd_ci95_high_m_per_px, second.gsd_ci95_high_m_per_px)
-    return low <= high
 
 
 def file_source_text(record: AreaMeasurement | DistanceMeasurement) -> str:

@@ -84,9 +84,10 @@ def read_image_table(
                 if not file:
                     raise error("the photograph is not named")
                 row = read_row(cells)
+                # A name with a NUL is none.
+                image = canonical_path(table.parent / file)
             except ValueError as problem:
                 raise error(f"{str(table)!r}, line {number}: {problem}") from None
-            image = canonical_path(table.parent / file)
             rows.setdefault(image, []).append(row)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None

@@ -184,6 +184,7 @@ def poisoned(
     return subprocess.run(command, cwd=path, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.promise("crashes")
 def test_an_image_that_crashes_its_decoder_has_an_error(
     poisoned: subprocess.CompletedProcess[str],
 ) -> None:
@@ -192,6 +193,7 @@ def test_an_image_that_crashes_its_decoder_has_an_error(
     assert lines[1]["error"]["code"] == "worker_died"
 
 
+@pytest.mark.promise("crashes")
 def test_the_images_after_a_crash_are_estimated(
     poisoned: subprocess.CompletedProcess[str],
 ) -> None:

@@ -184,6 +184,17 @@ def test_unusable_coordinates_are_named(
     assert reason in note.message
 
 
+def test_gdal_writes_nothing_of_a_damaged_reference_system(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = _write(tmp_path / "plain.png")
+    _write_sidecars(path, WORLD, 'GEOGCS["secret",DATUM["b"', None)
+    with open_raster(path):
+        pass
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.promise("sidecars")
 def test_entities_beside_an_image_are_refused(tmp_path: Path) -> None:
     path = _write(tmp_path / "plain.png")
     pam = path.with_name("plain.png.aux.xml")

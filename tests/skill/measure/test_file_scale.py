@@ -98,6 +98,7 @@ def test_the_scale_of_the_file_is_usable(orthophoto: Path, detector: Path) -> No
     "asked",
     [
         {"file_scale": False},
+        {"metadata": False},
         {"rulers": ("vehicles", "scene_scale")},
         {"height_m": 100.0, "focal_35mm": 24.0},
         {"gsd_m_per_px": None, "known_lengths": [(100, 100, 400, 100, 45.0)]},

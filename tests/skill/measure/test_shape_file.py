@@ -60,6 +60,7 @@ def test_coco_names_the_image_by_its_file_name(photo: Path, tmp_path: Path) -> N
     assert names == ["roof 12", "13"]
 
 
+@pytest.mark.promise("sidecars")
 def test_a_file_of_very_many_empty_lists_is_refused(
     photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -185,6 +186,7 @@ def test_a_missing_file_is_refused(photo: Path) -> None:
         _areas(photo.with_name("none.json"), photo)
 
 
+@pytest.mark.promise("sidecars")
 def test_zipped_texts_in_an_image_of_ids_are_not_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
