@@ -203,10 +203,12 @@ def test_zipped_texts_in_an_image_of_ids_are_not_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     decoded = []
-    monkeypatch.setattr(
-        "vehanchor.imagery.formats.decoding.cv2.imdecode",
-        lambda data, _: decoded.append(bytes(data)) or np.ones((64, 64), np.uint8),
-    )
+
+    def imdecode(data: Any, _: int) -> Any:
+        decoded.append(bytes(data))
+        return np.ones((64, 64), np.uint8)
+
+    monkeypatch.setattr("vehanchor.imagery.formats.decoding.cv2.imdecode", imdecode)
     (tmp_path / "ids.png").write_bytes(png_of_text(3))
     read_shape_file(tmp_path / "ids.png", "photo.png")
     assert b"zTXt" not in decoded[0]
