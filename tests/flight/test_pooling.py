@@ -72,6 +72,7 @@ def test_appearances_stay_with_their_boxes() -> None:
             log_lengths=np.array([1.9, 1.5]),
             log_sds=np.array([0.1, 0.2]),
             logits=np.array([9.0, 5.0]),
+            work_chances=np.array([0.1, 0.3]),
         ),
     )
     second = Detections(
@@ -81,12 +82,15 @@ def test_appearances_stay_with_their_boxes() -> None:
             log_lengths=np.array([1.8, 1.4]),
             log_sds=np.array([0.3, 0.4]),
             logits=np.array([8.0, 4.0]),
+            work_chances=np.array([0.2, 0.4]),
         ),
     )
     both = pooled_detections([first, second], np.zeros(2))
     assert both.appearance is not None
     assert list(both.appearance.logits) == [9.0, 8.0, 5.0, 4.0]
     assert list(both.appearance.log_lengths) == [1.9, 1.8, 1.5, 1.4]
+    assert both.appearance.work_chances is not None
+    assert list(both.appearance.work_chances) == [0.1, 0.2, 0.3, 0.4]
     assert list(both.scores) == [0.9, 0.8, 0.5, 0.4, 0.3]
     assert list(both.boxes[:, 0]) == [1, 2, 1, 2, 1]
 

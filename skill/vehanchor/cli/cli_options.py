@@ -154,6 +154,33 @@ class ParsedOptions:
             self.detector, segmenter, classes=self.classes, options=options, runtime=runtime
         )
 
+    def loaded_engine(self) -> Engine:
+        """Make an engine whose networks are loaded.
+
+        Raises:
+            ModelError: a model cannot be used.
+            VehAnchorError: as ``engine``.
+        """
+        from concurrent.futures import ThreadPoolExecutor
+
+        from vehanchor.detection.chips import prepare_colours
+        from vehanchor.detection.detector import open_detector
+        from vehanchor.models.zoo import load_ruler_networks
+
+        options = self.options()
+        runtime = self.runtime()
+        # ONNX Runtime and OpenCV leave the interpreter to this thread, which imports the rest
+        # meanwhile. Nobody waits for the colours, which are the last things that a search needs.
+        thread = ThreadPoolExecutor(1)
+        opening = thread.submit(open_detector, self.detector, self.classes, runtime)
+        thread.submit(prepare_colours)
+        thread.shutdown(wait=False)
+        from vehanchor.engine import Engine
+
+        load_ruler_networks(runtime)
+        detector = opening.result()
+        return Engine(detector, options=options, runtime=runtime)
+
 
 def read_classes(values: Iterable[object]) -> list[str | int] | None:
     """Read classes of a model; digits are indices. None without any."""

@@ -41,11 +41,12 @@ from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.records.advice import advice_for
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.text import (
-    contradiction_text,
     count,
     file_scale_text,
     pixel_text,
+    scale_cells,
     scale_text,
     significant,
 )
@@ -381,14 +382,7 @@ def _print_table(records: Records) -> None:
 
 def _cells(record: GsdEstimate) -> tuple[str, ...]:
     """Format the cells of a record in the table of several images; "-" for a missing value."""
-    scale = "-"
-    if record.gsd_m_per_px is not None:
-        scale = significant(record.gsd_m_per_px, 4)
-    interval = "-"
-    low = record.gsd_ci95_low_m_per_px
-    high = record.gsd_ci95_high_m_per_px
-    if low is not None and high is not None:
-        interval = f"{significant(low)} to {significant(high)}"
+    scale, interval = scale_cells(record)
     n_vehicles = "-" if record.n_vehicles is None else str(record.n_vehicles)
     reason = record.reason or ""
     return scale, interval, f"{record.confidence:.2f}", n_vehicles, record.status, reason

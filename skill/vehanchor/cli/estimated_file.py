@@ -72,7 +72,7 @@ class Estimator:
     def __init__(self, chosen: ParsedOptions, *, isolated: bool) -> None:
         self._process: IsolatedProcess[PhotographFile, EstimatedFile] | None = None
         if not isolated:
-            self._estimate = partial(_estimate, _loaded_engine(chosen))
+            self._estimate = partial(_estimate, chosen.loaded_engine())
             return
         from vehanchor.analysis.isolated_process import IsolatedProcess
 
@@ -98,17 +98,11 @@ class Estimator:
             self._process.close()
 
 
-def _loaded_engine(chosen: ParsedOptions) -> Engine:
-    engine = chosen.engine()
-    engine.load()
-    return engine
-
-
 def _prepare_process(
     chosen: ParsedOptions,
 ) -> Callable[[PhotographFile, Callable[..., None]], EstimatedFile]:
     """Load the models in a process of its own; return the function that estimates there."""
-    engine = _loaded_engine(chosen)
+    engine = chosen.loaded_engine()
 
     def estimate(photograph: PhotographFile, progress: Callable[..., None]) -> EstimatedFile:
         try:

@@ -48,7 +48,7 @@ SearchAnyway: TypeAlias = Annotated[
     bool,
     typer.Option(
         "--search",
-        help="Estimate the scale of a georeferenced file, too, and compare it with the file's own.",
+        help="Measure in a georeferenced file with the estimate, not with the file's own scale.",
     ),
 ]
 

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.escaping import as_json, on_one_line
-from vehanchor.records.text import by_hand_text, contradiction_text
+from vehanchor.records.text import by_hand_text
 
 if TYPE_CHECKING:
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, Notice

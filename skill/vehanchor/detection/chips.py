@@ -46,6 +46,8 @@ CHIP_COLUMNS = 96
 # The candidate's length on its chip, along the columns.
 CHIP_LENGTH_PX = 36.0
 KINDS = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
+# Kinds of vehicles for work: one of ``KINDS`` from here on.
+_FIRST_OF_WORK = KINDS.index("van")
 
 # Rows of a chip that a car's body fills.
 _BODY_ROWS = 16
@@ -126,6 +128,11 @@ class ChipAnswers(NamedTuple):
         return np.asarray(size_sd / self.sizes)
 
     @property
+    def work_chances(self) -> Answers:
+        """``[n]`` chances, 0..1, of a van, a lorry or another work vehicle."""
+        return np.asarray(self.kinds[:, _FIRST_OF_WORK:].sum(axis=1))
+
+    @property
     def drawn_chances(self) -> Answers:
         """``[n]`` chances, 0..1, of something drawn; negligible ones are 0."""
         # The logistic function, by a formula that does not overflow.
@@ -194,6 +201,7 @@ def with_appearance(
         np.hypot(appearance.log_sds, hidden),
         logits=appearance.logits,
         tones=body_tones(chips),
+        work_chances=answers.work_chances,
     )
 
     boxes = candidates.boxes.copy()
@@ -252,6 +260,12 @@ def _cut_by_border(boxes: Boxes, image_px: tuple[int, int]) -> NDArray[np.bool_]
     beyond = (ends < 1) | (ends > last_pixel)
     is_cut = beyond.any(axis=(1, 3))
     return np.asarray(is_cut.T)
+
+
+def prepare_colours() -> None:
+    """Convert a pixel to CIELAB: at the first conversion OpenCV makes tables, for some 0.05 s."""
+    pixel = np.zeros((1, 1, 3), np.uint8)
+    cv2.cvtColor(pixel, cv2.COLOR_RGB2LAB)
 
 
 def body_tones(chips: Chips) -> Tones:

@@ -85,12 +85,15 @@ class Appearance(NamedTuple):
         logits: ``[n]`` float64, log odds of a small vehicle in a fitting box, before calibration.
         tones: ``[n, 3]`` float64, mean colours of the bodies in CIELAB, scaled to 0..255; None in
             journals of earlier versions.
+        work_chances: ``[n]`` float64, chances, 0..1, of a van, a lorry or another work vehicle;
+            None in journals of earlier versions.
     """
 
     log_lengths: PerVehicle
     log_sds: PerVehicle
     logits: PerVehicle
     tones: Tones | None = None
+    work_chances: PerVehicle | None = None
 
     def __len__(self) -> int:
         return len(self.log_lengths)
@@ -100,26 +103,37 @@ class Appearance(NamedTuple):
         tones = None
         if self.tones is not None:
             tones = self.tones[which]
+        work_chances = None
+        if self.work_chances is not None:
+            work_chances = self.work_chances[which]
         return Appearance(
             self.log_lengths[which],
             self.log_sds[which],
             logits=self.logits[which],
             tones=tones,
+            work_chances=work_chances,
         )
 
     @classmethod
     def joined(cls, parts: Sequence[Appearance]) -> Appearance:
         """Concatenate the vehicles of at least one part."""
-        tones = [part.tones for part in parts if part.tones is not None]
-        all_tones = None
-        if len(tones) == len(parts):
-            all_tones = np.concatenate(tones)
         return cls(
             np.concatenate([part.log_lengths for part in parts]),
             np.concatenate([part.log_sds for part in parts]),
             logits=np.concatenate([part.logits for part in parts]),
-            tones=all_tones,
+            tones=_joined_if_known([part.tones for part in parts]),
+            work_chances=_joined_if_known([part.work_chances for part in parts]),
         )
+
+
+def _joined_if_known(
+    parts: Sequence[NDArray[np.float64] | None],
+) -> NDArray[np.float64] | None:
+    """Concatenate measurements of vehicles; None if those of a part are not known."""
+    known = [part for part in parts if part is not None]
+    if len(known) < len(parts):
+        return None
+    return np.concatenate(known)
 
 
 class Corrections(NamedTuple):

@@ -80,6 +80,8 @@ class AppearanceErrors(_Errors):
         kind_log_sd: further standard deviation of that log for a fleet of one kind of car, such as
             golf carts. It falls with the number of cars, which are of more and more kinds.
         kind_cars: number of cars at which half of the variance of ``kind_log_sd`` is left.
+        work_log_sd: standard deviation that is added to ``kind_log_sd``, as independent errors add,
+            if all vehicles are vans, lorries or other work vehicles; of fewer, in proportion.
         fair_odds: odds of a car at which its length by appearance errs as the network states.
         doubt_power: power of that error at other odds.
     """
@@ -87,20 +89,22 @@ class AppearanceErrors(_Errors):
     length_over_width: _Ratio = 2.6
     log_sd: _Spread = 0.055
     log_mean: Annotated[float, Field(ge=-1.0, le=1.0)] = -0.015
-    kind_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08
+    kind_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.06
     kind_cars: Annotated[float, Field(ge=0.1, le=1000.0)] = 2.0
+    work_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.25
     fair_odds: Annotated[float, Field(ge=0.001, le=1e6)] = 20.0
     doubt_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.125
 
-    def fleet_log_sd(self, n_cars: float) -> float:
+    def fleet_log_sd(self, n_cars: float, work_share: float = 0.0) -> float:
         """Compute the error of a fleet's log length by appearance.
 
         Args:
             n_cars: expected number of cars in the fleet.
+            work_share: expected share of vans, lorries and other work vehicles among them, 0..1.
         """
         kind_share = self.kind_cars / (self.kind_cars + n_cars)
-        kind_log_sd = self.kind_log_sd * math.sqrt(kind_share)
-        return math.hypot(self.log_sd, kind_log_sd)
+        of_one_kind = math.hypot(self.kind_log_sd, self.work_log_sd * work_share)
+        return math.hypot(self.log_sd, of_one_kind * math.sqrt(kind_share))
 
 
 class SpreadErrors(_Errors):
@@ -135,8 +139,8 @@ class LookAlikeErrors(_Errors):
         logit_half_n: number of vehicles at which their mean logit counts half.
     """
 
-    log_odds: _LogOdds = -8.0
-    log_odds_per_log_n: Annotated[float, Field(ge=0.0, le=10.0)] = 2.0
+    log_odds: _LogOdds = -12.0
+    log_odds_per_log_n: Annotated[float, Field(ge=0.0, le=10.0)] = 4.0
     spread_power: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
     lengths: SpreadErrors = SpreadErrors(
         cars=0.106, cars_log_sd=0.3, things=0.04, things_log_sd=0.5
@@ -147,7 +151,7 @@ class LookAlikeErrors(_Errors):
     tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.45, things=8.0, things_log_sd=0.9)
     mean_logit: _LogOdds = 3.4
     log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 6.0
-    logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 5.4
+    logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 9.0
 
 
 class StretchLimits(_Errors):

@@ -110,7 +110,7 @@ def reference_length(
             card.bodies,
             appearance,
             errors=errors,
-            log_sd=errors.fleet_log_sd(n_cars),
+            log_sd=errors.fleet_log_sd(n_cars, _work_share(appearance)),
             region=reference.region,
         )
     if reference.region is not None:
@@ -120,6 +120,13 @@ def reference_length(
             return ReferenceLength(region_length_m, "region", log_sd)
     length_m = card.reference_length_m
     return ReferenceLength(length_m, "model", sd_m / length_m)
+
+
+def _work_share(appearance: Appearance) -> float:
+    """Compute the expected share of work vehicles in a fleet; 0 if nobody has looked for them."""
+    if appearance.work_chances is None or len(appearance) == 0:
+        return 0.0
+    return float(appearance.work_chances.mean())
 
 
 def _box_lengths_m(card: DetectorCard) -> Mapping[str, float]:
@@ -190,8 +197,8 @@ def unmeasured_region(card: DetectorCard, reference: Reference) -> tuple[Notice,
     if region is None or _region_length(region, _box_lengths_m(card)) is not None:
         return ()
     message = (
-        f"Nobody has measured the cars of {region}: for them, the region counts as unknown. Things "
-        "of known size there keep their sizes."
+        f"Nobody has measured the cars of {region}: their lengths are those of an unknown region, "
+        "and there is nothing to do about it. Things of known size there keep their sizes."
     )
     return (Notice(code=NoticeCode.REGION_UNMEASURED, message=message),)
 

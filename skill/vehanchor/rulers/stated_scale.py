@@ -52,8 +52,8 @@ def stated_witness(stated: Stated) -> Witness:
     if not on_grid(low) or not on_grid(high):
         raise InvalidParameterError(
             f"gsd_m_per_px is {stated.gsd_m_per_px:g} +- {stated.tolerance:.2g}: rulers are "
-            f"compared from {math.exp(GRID[0]):.3g} to {math.exp(GRID[-1]):.3g} m/px. Areas and "
-            "distances are measured with it as it is if its gsd_basis is measured"
+            f"compared from {math.exp(GRID[0]):.3g} to {math.exp(GRID[-1]):.3g} m/px. Check its "
+            "unit; areas and distances need no estimate if gsd_basis is measured"
         )
     witness = point_witness(
         StatedScale.kind,

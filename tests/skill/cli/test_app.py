@@ -333,7 +333,7 @@ def test_a_missing_extra_ends_the_command_before_the_work(
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr.startswith("error[missing_extra]: ")
-    assert "vehanchor[plots]" in result.stderr
+    assert "pip install '.[plots]'" in result.stderr
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from vehanchor import analyse_scale
 from vehanchor.analysis import pipeline
 from vehanchor.detection.chips import (
     CHIP_LENGTH_PX,
+    KINDS,
     ChipAnswers,
     ChipNetwork,
     bodies,
@@ -95,6 +96,17 @@ def test_a_body_lies_between_its_edges() -> None:
     candidate = np.array([[50.0, 40.0, 20.0, 9.0, 0.0]])
     (body,) = bodies(candidate, _made_answers(1, edges=np.array([[-0.4, 0.5, -0.1, 0.2]])))
     assert body == pytest.approx([51.0, 41.0, 18.0, 6.0, 0.0])
+
+
+def test_vans_and_lorries_are_work_vehicles() -> None:
+    work = [kind for k, kind in enumerate(KINDS) if _work_chance(k) == 1.0]
+    assert work == ["van", "lorry", "trailer", "other"]
+
+
+def _work_chance(kind: int) -> float:
+    """Chance of a work vehicle for a certain kind."""
+    (chance,) = _made_answers(1, kinds=np.eye(len(KINDS))[[kind]]).work_chances
+    return float(chance)
 
 
 _CAR = np.array([[500.0, 400.0, 43.0, 20.0, 0.0]])

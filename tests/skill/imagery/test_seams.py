@@ -51,6 +51,18 @@ def test_a_white_strip_between_pictures_is_a_seam() -> None:
     assert _near(_seam(np.hstack([LEFT, strip, RIGHT])), 400, None)
 
 
+def test_a_white_strip_of_three_pixels_between_pictures_is_a_seam() -> None:
+    strip = np.full((400, 3, 3), 255, np.uint8)
+    assert _near(_seam(np.hstack([LEFT, strip, RIGHT])), 400, None)
+
+
+def test_a_caption_below_a_photograph_is_no_seam() -> None:
+    caption = np.full((40, 400, 3), 255, np.uint8)
+    # The letters begin two pixels below the photograph: a thin strip is between them.
+    cv2.putText(caption, "HIT 12 LINE", (10, 29), cv2.FONT_HERSHEY_SIMPLEX, 1.3, (0, 0, 0), 2)
+    assert _seam(np.vstack([LEFT, caption])) is None
+
+
 def test_a_white_frame_is_no_seam() -> None:
     framed = cv2.copyMakeBorder(LEFT, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=(255, 255, 255))
     assert _seam(np.asarray(framed, np.uint8)) is None
@@ -60,6 +72,26 @@ def test_an_inset_has_a_corner() -> None:
     image = LEFT.copy()
     image[250:, 230:] = RIGHT[250:, 230:]
     assert _near(_seam(image), 230, 250)
+
+
+@pytest.mark.parametrize("width_px", [1, 3])
+def test_the_frame_of_an_inset_has_a_corner(width_px: int) -> None:
+    image = LEFT.copy()
+    image[40:220, 60:260] = 255
+    inside = (slice(40 + width_px, 220 - width_px), slice(60 + width_px, 260 - width_px))
+    image[inside] = RIGHT[inside]
+    seam = _seam(_compressed(image, 90))
+    assert seam is not None
+    assert seam.x_px is not None
+    assert seam.y_px is not None
+    assert min(abs(seam.x_px - 60), abs(seam.x_px - 260)) <= 6
+    assert min(abs(seam.y_px - 40), abs(seam.y_px - 220)) <= 6
+
+
+def test_long_seams_need_no_step_in_every_pixel() -> None:
+    image = LEFT.copy()
+    image[200:, 220:] = RIGHT[200:, 220:]
+    assert _near(_seam(_compressed(image, 75)), 220, 200)
 
 
 @pytest.mark.parametrize("dark", [0.3, 0.6])

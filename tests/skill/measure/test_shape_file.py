@@ -7,10 +7,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import rasterio
 from affine import Affine
+from numpy.typing import NDArray
 
 from tests.bombs import png_of_text
+from tests.skill.imagery.files import geotiff
 from tests.skill.imagery.samples import SAMPLES
 from vehanchor import analyse_areas, measure_areas
 from vehanchor.errors import PromptError
@@ -102,34 +103,21 @@ def test_geojson_in_pixels_is_read_as_it_is_written(photo: Path, tmp_path: Path)
 
 
 @pytest.fixture
-def geotiff(tmp_path: Path) -> Path:
+def ortho(tmp_path: Path) -> Path:
     """A photograph of 0.1 m per pixel in UTM."""
-    path = tmp_path / "photo.tif"
     transform = Affine(0.1, 0, 500_000, 0, -0.1, 5_000_000)
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=200,
-        height=120,
-        count=3,
-        dtype="uint8",
-        crs="EPSG:32631",
-        transform=transform,
-    ) as file:
-        file.write(IMAGE.transpose(2, 0, 1))
-    return path
+    return geotiff(tmp_path / "photo.tif", IMAGE, transform=transform)
 
 
-def test_geojson_in_degrees_is_read_as_it_is_written(geotiff: Path, tmp_path: Path) -> None:
-    (analysis,) = analyse_areas(geotiff, [FLAT], gsd_m_per_px=0.1)
+def test_geojson_in_degrees_is_read_as_it_is_written(ortho: Path, tmp_path: Path) -> None:
+    (analysis,) = analyse_areas(ortho, [FLAT], gsd_m_per_px=0.1)
     file = tmp_path / "roof.geojson"
     write_shapes(file, analysis)
     longitude, latitude = json.loads(file.read_text())["features"][0]["geometry"]["coordinates"][0][
         0
     ][0]
     assert (longitude, latitude) == pytest.approx((3, 45.15), abs=0.01)
-    assert _areas(file, geotiff) == pytest.approx([24.0], rel=1e-4)
+    assert _areas(file, ortho) == pytest.approx([24.0], rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -141,12 +129,12 @@ def test_geojson_in_degrees_is_read_as_it_is_written(geotiff: Path, tmp_path: Pa
     ],
 )
 def test_degrees_elsewhere_are_refused(
-    geotiff: Path, tmp_path: Path, corners: Any, message: str
+    ortho: Path, tmp_path: Path, corners: Any, message: str
 ) -> None:
     geometry = {"type": "Polygon", "coordinates": [corners]}
     file = _json(tmp_path, geometry, "place.geojson")
     with pytest.raises(PromptError, match=message):
-        _areas(file, geotiff)
+        _areas(file, ortho)
 
 
 @pytest.mark.parametrize(
@@ -202,13 +190,13 @@ def test_a_missing_file_is_refused(photo: Path) -> None:
 def test_zipped_texts_in_an_image_of_ids_are_not_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    decoded = []
+    decoded: list[bytes] = []
 
-    def imdecode(data: Any, _: int) -> Any:
+    def decode(data: NDArray[np.uint8], _: int) -> NDArray[np.uint8]:
         decoded.append(bytes(data))
         return np.ones((64, 64), np.uint8)
 
-    monkeypatch.setattr("vehanchor.imagery.formats.decoding.cv2.imdecode", imdecode)
+    monkeypatch.setattr("vehanchor.imagery.formats.decoding.cv2.imdecode", decode)
     (tmp_path / "ids.png").write_bytes(png_of_text(3))
     read_shape_file(tmp_path / "ids.png", "photo.png")
     assert b"zTXt" not in decoded[0]

@@ -310,7 +310,7 @@ def test_bad_shapes_are_refused(shapes: Any, message: str) -> None:
 def test_no_more_corners_are_compared_than_a_call_may_have(
     monkeypatch: pytest.MonkeyPatch, shapes: Any
 ) -> None:
-    n_compared: list[Any] = []
+    n_compared: list[object] = []
     monkeypatch.setattr("vehanchor.measure.shapes.MAX_CORNERS_OF_ALL", 40)
     monkeypatch.setattr("vehanchor.measure.shapes.find_crossing", n_compared.append)
     with pytest.raises(PromptError, match="more than 40 corners"):

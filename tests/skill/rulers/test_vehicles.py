@@ -138,17 +138,36 @@ def card() -> DetectorCard:
     return load_detector(resolve_model()).card
 
 
-def _reference_log_sd(card: DetectorCard, scores: list[float]) -> float:
-    """Error of the reference length of cars that all look 4.4 m long."""
+def _reference_log_sd(card: DetectorCard, scores: list[float], work: float = 0.0) -> float:
+    """Error of the reference length of cars that all look 4.4 m long.
+
+    Args:
+        card: the bundled detector's.
+        scores: of the cars.
+        work: chance of a work vehicle, for each.
+    """
     view = _searched(replace(_view([40.0] * len(scores)), card=card))
     looks = np.full(len(scores), math.log(4.4))
-    appearance = Appearance(looks, np.full(len(scores), 0.1), np.full(len(scores), 5.0))
+    appearance = Appearance(
+        looks,
+        np.full(len(scores), 0.1),
+        logits=np.full(len(scores), 5.0),
+        work_chances=np.full(len(scores), work),
+    )
     found = replace(view.detections, scores=np.array(scores), appearance=appearance)
     return Vehicles().measure(replace(view, detections=found)).reference.log_sd
 
 
 def test_few_cars_err_more_by_their_appearance_than_many(card: DetectorCard) -> None:
-    assert _reference_log_sd(card, [0.99]) > 1.3 * _reference_log_sd(card, [0.99] * 12)
+    assert _reference_log_sd(card, [0.99]) > 1.2 * _reference_log_sd(card, [0.99] * 12)
+
+
+def test_vans_err_more_by_their_appearance_than_cars(card: DetectorCard) -> None:
+    cars = _reference_log_sd(card, [0.99] * 2)
+    some_vans = _reference_log_sd(card, [0.99] * 2, work=0.3)
+    vans = _reference_log_sd(card, [0.99] * 2, work=0.9)
+    assert cars < some_vans < vans
+    assert vans > 2 * cars
 
 
 def test_boxes_that_are_hardly_cars_do_not_count_as_cars(card: DetectorCard) -> None:

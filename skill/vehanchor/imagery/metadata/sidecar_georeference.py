@@ -11,6 +11,8 @@ import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.parsers import expat
 
+from vehanchor.errors import how_to_install
+
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.georeference import AffineCoefficients
 
@@ -158,7 +160,7 @@ def _system_of(text: str) -> Any:
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
     except ImportError as error:
-        raise UnusableSidecarError("it needs rasterio: pip install 'vehanchor[geo]'") from error
+        raise UnusableSidecarError(f"it needs rasterio: {how_to_install('geo')}") from error
     epsg = _EPSG.fullmatch(text)
     if epsg is None and _WKT.match(text) is None:
         raise UnusableSidecarError("its reference system is neither WKT nor an EPSG code")
