@@ -13,7 +13,8 @@ from pydantic import FailFast, Field
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
-from vehanchor.records.text import by_hand_text, contradiction_text
+from vehanchor.records.contradiction import contradiction_text
+from vehanchor.records.text import by_hand_text
 from vehanchor_server.base_model import FrozenModel
 
 if TYPE_CHECKING:
