@@ -28,10 +28,12 @@ LABEL org.opencontainers.image.title="VehAnchor" \
       org.opencontainers.image.description="Metric scale for aerial images without metadata, as an MCP server" \
       org.opencontainers.image.licenses="Apache-2.0"
 # libexpat is the one system library that the wheels (GDAL's) want and the base lacks; nothing is installed after it.
+# The base has no byte code of Python's own library: without it, each start would compile 130 modules, for 0.2 s.
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends libexpat1 \
     && rm -rf /var/lib/apt/lists/* \
-    && python -m pip uninstall --yes --root-user-action ignore pip setuptools wheel
+    && python -m pip uninstall --yes --root-user-action ignore pip setuptools wheel \
+    && python -m compileall -q /usr/local/lib/python3.11
 COPY --from=build /opt/vehanchor /opt/vehanchor
 WORKDIR /images
 ENV PATH=/opt/vehanchor/bin:$PATH \

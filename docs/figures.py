@@ -33,13 +33,16 @@ IMAGE = ROOT / "examples" / "car_park.jpg"
 PAGE_IMAGE = ROOT / "examples" / "scenes" / "safe.jpg"
 IMAGES = ROOT / "docs" / "images"
 METHOD_FIGURE = IMAGES / "image_to_number.png"
-# What the page measures: tool, start and end in pixels of the image.
+# The corners of the roof in that image, pixels.
+ROOF_CORNERS = ((452, 182), (528, 247), (349, 447), (277, 381))
+ROOF = ",".join(f"{x},{y}" for x, y in ROOF_CORNERS)
+# What the page measures: tool and clicks, in pixels of the image.
 MEASURED = (
-    ("Area", (255, 160), (535, 470)),
-    ("Distance", (217, 120), (292, 188)),
+    ("Outline", (*ROOF_CORNERS, ROOF_CORNERS[0])),
+    ("Distance", ((217, 120), (292, 188))),
 )
-# The outline of the roof in that image.
-ROOF = "452,182,528,247,349,447,277,381"
+# Length and width of what must fit on the roof, metres.
+MUST_FIT = "12x5"
 # Sides of the icons, pixels. That of the server is small, because every initialisation sends it.
 ICONS = {
     ROOT / "server/vehanchor_server/icon.png": 48,
@@ -204,12 +207,11 @@ def photograph_page(image: Path, picture: Path) -> None:
         height_px, width_px = pixels.shape[:2]
         across = box["width"] / width_px
         down = box["height"] / height_px
-        for number, (tool, start, end) in enumerate(MEASURED, start=1):
+        page.get_by_label("Must fit").fill(MUST_FIT)
+        for number, (tool, points) in enumerate(MEASURED, start=1):
             page.get_by_role("button", name=tool, exact=True).click()
-            page.mouse.move(box["x"] + start[0] * across, box["y"] + start[1] * down)
-            page.mouse.down()
-            page.mouse.move(box["x"] + end[0] * across, box["y"] + end[1] * down)
-            page.mouse.up()
+            for x, y in points:
+                page.mouse.click(box["x"] + x * across, box["y"] + y * down)
             page.locator(f"ol.measured li:nth-child({number})").wait_for()
         page.keyboard.press("Escape")
         page.screenshot(path=picture, type="jpeg", quality=85)
@@ -283,7 +285,7 @@ def write_own_shape() -> None:
 
 def write_fit() -> None:
     """Write the overlay of a rectangle that fits on the roof."""
-    write_overlay(IMAGES / "fit.jpg", ["--polygon", ROOF, "--must-fit", "12x5"])
+    write_overlay(IMAGES / "fit.jpg", ["--polygon", ROOF, "--must-fit", MUST_FIT])
 
 
 def write_overlay(figure: Path, options: Sequence[str]) -> None:

@@ -53,8 +53,13 @@ def _missing(name: str, advice: str) -> BaseException:
 _FOLDER = Path(__file__).parent.parent / ".venv-environments"
 
 
-def environment(*requirements: Path) -> Path:
-    """The Python of an environment that holds what files of requirements ask for."""
+def environment(*requirements: Path, dependencies: bool = True) -> Path:
+    """The Python of an environment that holds what files of requirements ask for.
+
+    Args:
+        *requirements: files of requirements.
+        dependencies: also what these packages depend on, without which few can be imported.
+    """
     texts = [path.read_text(encoding="utf-8") for path in requirements]
     asked = "\n".join([sys.version, *texts])
     folder = _FOLDER / hashlib.sha256(asked.encode()).hexdigest()[:16]
@@ -65,6 +70,8 @@ def environment(*requirements: Path) -> Path:
         uv = [sys.executable, "-m", "uv", "--quiet"]
         subprocess.run([*uv, "venv", "--python", sys.executable, str(folder)], check=True)
         files = [part for path in requirements for part in ("--requirement", str(path))]
+        if not dependencies:
+            files.append("--no-deps")
         subprocess.run([*uv, "pip", "install", "--python", str(python), *files], check=True)
         complete.touch()
     return python

@@ -15,7 +15,7 @@ try:
 except ModuleNotFoundError as missing:
     sys.exit(
         f"this example needs the package {missing.name!r}: "
-        "pip install vehanchor -r tiles_in_metres.requirements.txt"
+        "pip install -r tiles_in_metres.requirements.txt, and pip install . in a clone"
     )
 
 

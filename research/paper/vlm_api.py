@@ -446,5 +446,5 @@ def _client(provider: Provider, options: dict[str, Any]) -> tuple[Any, type[Exce
         return openai.OpenAI(**options), openai.APIError
     except ImportError as error:
         raise MissingExtraError(
-            f"{error.name} is not installed: pip install 'vehanchor[examples]'"
+            f"{error.name} is not installed: pip install '.[examples]'"
         ) from error

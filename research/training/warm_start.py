@@ -19,13 +19,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
+def load_exported(
+    network: nn.Module, path: Path, *inputs: object, without: tuple[str, ...] = ()
+) -> None:
     """Put the weights of an exported file into ``network``.
 
     Args:
         network: of the architecture that was exported.
         path: the ONNX file.
         inputs: what the network is called with; training crops to take the statistics from.
+        without: prefixes of the names of weights that were put into the file later, and that the
+            network lacks.
 
     Raises:
         ValueError: the file's convolutions and linear layers are not this network's.
@@ -36,7 +40,11 @@ def load_exported(network: nn.Module, path: Path, *inputs: object) -> None:
         if node.op_type in ("Identity", "Cast") and node.input[0] in values:
             values[node.output[0]] = values[node.input[0]].float()
     learnt = [
-        node for node in graph.node if node.op_type in ("Conv", "Gemm") and node.input[1] in values
+        node
+        for node in graph.node
+        if node.op_type in ("Conv", "Gemm")
+        and node.input[1] in values
+        and not node.input[1].startswith(without)
     ]
     # A fixed blur is not an initializer.
     stored = [[values[name] for name in node.input[1:]] for node in learnt]

@@ -10,13 +10,11 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache, partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from vehanchor.analysis.pipeline import (
     analyse_image,
@@ -24,42 +22,34 @@ from vehanchor.analysis.pipeline import (
     checked_detector,
     estimate_each,
 )
-from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.detection.chips import prepare_colours
+from vehanchor.detection.detector import Detector, open_detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.export.resample import MAX_ENLARGEMENT, Resampled, resample_raster
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
-from vehanchor.measure.area import ShapeReading, analyse_objects
-from vehanchor.measure.distance import analyse_paths, read_path
-from vehanchor.measure.fit import read_must_fit
-from vehanchor.measure.scale_source import read_scale_argument
-from vehanchor.measure.shapes import read_shapes
 from vehanchor.models.runtime import Cancellation, Runtime
-from vehanchor.models.zoo import BUNDLED_MODELS, resolve_model, resolve_segmenter
+from vehanchor.models.zoo import load_ruler_networks
 from vehanchor.options import ScaleOptions, declared_options
 from vehanchor.options.rulers import GSD_M_PER_PX
 from vehanchor.options.signature import list_keywords, share_keywords
 from vehanchor.rulers.active import check_rulers
-from vehanchor.segmentation.prompt import read_prompt
-from vehanchor.segmentation.segmenter import Segmenter, load_segmenter
 
 if TYPE_CHECKING:
     from vehanchor.analysis.measurement_analysis import AreaAnalysis, DistanceAnalysis
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
+    from vehanchor.detection.detector import DetectorSource
     from vehanchor.measure.scale_source import ScaleInput
     from vehanchor.measure.shapes import Orientation
     from vehanchor.options.reading import Place
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, KnownScale
     from vehanchor.segmentation.prompt import Box, Point
+    from vehanchor.segmentation.segmenter import Segmenter, SegmenterSource
 
-__all__ = ["Cancellation", "Detector", "Engine", "ImageSource", "Runtime", "Segmenter"]
+__all__ = ["Cancellation", "Detector", "Engine", "ImageSource", "Runtime"]
 
 _MODEL_KEYWORDS = frozenset({"detector", "segmenter"})
 _RUNTIME_KEYWORDS = frozenset(field.name for field in fields(Runtime))
 T = TypeVar("T")
-DetectorSource: TypeAlias = Detector | str | os.PathLike[str]
-"""A bundled model's name, the path of an ONNX oriented-box model, or a loaded detector."""
-SegmenterSource: TypeAlias = Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]
-"""Paths of encoder and decoder, or a loaded segmenter."""
 
 
 class Engine:
@@ -102,7 +92,7 @@ class Engine:
         # Progress and cancellation belong to a call, so the models are opened without them.
         idle = self.runtime.idle
         self._detector = _load_once(partial(open_detector, detector, classes, idle))
-        self._segmenter = _load_once(partial(open_segmenter, segmenter, idle))
+        self._segmenter = _load_once(partial(_open_segmenter, segmenter, idle))
 
     @property
     def detector(self) -> Detector:
@@ -130,10 +120,8 @@ class Engine:
         Raises:
             ModelError: a model cannot be used.
         """
-        runtime = self.detector.runtime.idle
-        for model in BUNDLED_MODELS:
-            if model.loader is not None:
-                model.load(runtime)
+        load_ruler_networks(self.detector.runtime.idle)
+        prepare_colours()
 
     def replace(
         self,
@@ -272,6 +260,11 @@ class Engine:
             ScaleMismatchError: the scale was estimated from another image.
             VehAnchorError: as ``estimate``.
         """
+        # Late imports, here and below: an estimate starts without what only measuring needs.
+        from vehanchor.measure.area import analyse_objects
+        from vehanchor.measure.fit import read_must_fit
+        from vehanchor.segmentation.prompt import read_prompt
+
         engine, call_options = self.for_call(options, keywords)
         prompt = read_prompt(box, points)
         shape_to_fit = read_must_fit(must_fit)
@@ -344,6 +337,10 @@ class Engine:
             ScaleMismatchError: the scale was estimated from another image.
             VehAnchorError: as ``estimate``.
         """
+        from vehanchor.measure.area import ShapeReading, analyse_objects
+        from vehanchor.measure.fit import read_must_fit
+        from vehanchor.measure.shapes import read_shapes
+
         engine, call_options = self.for_call(options, keywords)
         callers_shapes = read_shapes(shapes)
         shape_reading = ShapeReading(edge_px=edge_px, orientation=orientation)
@@ -406,6 +403,8 @@ class Engine:
             ScaleMismatchError: the scale was estimated from another image.
             VehAnchorError: as ``estimate``.
         """
+        from vehanchor.measure.distance import analyse_paths, read_path
+
         engine, call_options = self.for_call(options, keywords)
         points = read_path(path)
         scale_input = engine._scale_input(gsd_m_per_px, scale, call_options)
@@ -428,7 +427,7 @@ class Engine:
         max_enlargement: float = MAX_ENLARGEMENT,
         **keywords: Any,
     ) -> Resampled:
-        """Resample a photograph to a scale that another model expects.
+        """Resample a photograph to a scale that another model expects, by that of measurements.
 
         Args:
             image: as in ``estimate``.
@@ -444,14 +443,16 @@ class Engine:
             InvalidParameterError: the photograph has no single usable scale, or would grow more.
             VehAnchorError: as ``estimate``.
         """
+        from vehanchor.measure.scale_source import find_measurement_scale
+
         GSD_M_PER_PX.check("gsd_m_per_px", gsd_m_per_px)
         engine, call_options = self.for_call(options, keywords)
         detector = checked_detector(engine.detector, call_options)
         with open_raster(image, call_options.reading) as raster:
-            analysis = analyse_raster(detector, raster, call_options)
+            scale = find_measurement_scale(raster, partial(analyse_raster, detector), call_options)
             return resample_raster(
                 raster,
-                analysis.estimate,
+                scale,
                 gsd_m_per_px,
                 max_enlargement=max_enlargement,
                 max_pixels=call_options.reading.limits.max_pixels,
@@ -499,6 +500,8 @@ class Engine:
         options: ScaleOptions,
     ) -> ScaleInput:
         """Return the caller's scale, or the analysis that estimates one if there is none."""
+        from vehanchor.measure.scale_source import read_scale_argument
+
         caller_scale = read_scale_argument(gsd_m_per_px, scale, options)
         if caller_scale is not None:
             return caller_scale
@@ -554,47 +557,7 @@ for _name in (
     list_keywords(getattr(Engine, _name), declared_options(), _RUNTIME_KEYWORDS, _MODEL_KEYWORDS)
 
 
-def open_detector(
-    source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime
-) -> Detector:
-    """Open a detector.
+def _open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
+    from vehanchor.segmentation.segmenter import open_segmenter
 
-    Args:
-        source: a bundled model's name, a path, or a loaded detector, which keeps its runtime; None
-            for the bundled one.
-        classes: classes that count as vehicles, also of a loaded detector; None or empty keeps the
-            detector's own.
-        runtime: how to open it.
-
-    Raises:
-        ModelError: it cannot be used.
-        InvalidParameterError: the model lacks a class.
-    """
-    if isinstance(source, Detector):
-        if classes:
-            return source.with_classes(classes)
-        return source
-    name = None if source is None else str(source)
-    path = resolve_model(name)
-    return load_detector(path, runtime, classes=classes or None)
-
-
-def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
-    """Open a segmenter.
-
-    Raises:
-        ModelError: it cannot be used.
-        InvalidParameterError: the source is neither a ``Segmenter`` nor two paths.
-    """
-    if isinstance(source, Segmenter):
-        return source
-    files = None
-    if source is not None:
-        if isinstance(source, str) or len(source) != 2:
-            raise InvalidParameterError(
-                f"segmenter is {source!r}: give two paths, of its encoder and its decoder"
-            )
-        encoder, decoder = source
-        files = (Path(encoder), Path(decoder))
-    encoder_path, decoder_path = resolve_segmenter(files)
-    return load_segmenter(encoder_path, decoder_path, runtime)
+    return open_segmenter(source, runtime)

@@ -161,8 +161,8 @@ class MissingExtraError(VehAnchorError, ImportError, code="missing_extra"):
 
 
 def how_to_install(extra: str) -> str:
-    """Return the command that installs an extra, from an index and in a clone."""
-    return f"pip install 'vehanchor[{extra}]', in a clone pip install '.[{extra}]'"
+    """Return the command that installs an extra; no package index has VehAnchor yet."""
+    return f"pip install '.[{extra}]' in a clone of the repository"
 
 
 class OutputError(VehAnchorError, code="output_unwritable"):

@@ -20,6 +20,7 @@ import numpy as np
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.measure.id_image import read_masks
+from vehanchor.rulers.image_table import read_table
 from vehanchor_evaluation.known_scale import FileIssue
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     Mask: TypeAlias = NDArray[np.bool_]
     """Pixels ``[h, w]`` of an object."""
 
-    IndexLine: TypeAlias = tuple[int, dict[str, str]]
+    IndexLine: TypeAlias = tuple[int, Mapping[str, str | None]]
     """Number of a line of the index, and its cells by column."""
 
 # Shorter side of an object's box; smaller objects are too coarse for a mask.
@@ -186,13 +187,9 @@ def _lines_of_split(index: Path, split: str | None) -> list[IndexLine]:
 def _index_lines(index: Path) -> list[IndexLine]:
     """Read the cells of each row by column, with the number of its line."""
     try:
-        with index.open(newline="", encoding="utf-8") as handle:
-            reader = csv.DictReader(handle)
-            columns = reader.fieldnames or ()
-            missing = [column for column in COLUMNS if column not in columns]
-            # The header is line 1.
-            lines = list(enumerate(reader, start=2))
-    except (OSError, UnicodeDecodeError) as error:
+        columns, lines = read_table(index.read_bytes(), COLUMNS)
+        missing = [column for column in COLUMNS if column not in columns]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidParameterError(
             f"{index}: {error}; give a folder with an index.csv of masks"
         ) from None

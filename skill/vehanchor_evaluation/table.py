@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.rulers.image_table import PHOTOGRAPH, read_table
 from vehanchor_evaluation.known_scale import (
     FileIssue,
     KnownScaleImage,
@@ -15,8 +16,10 @@ from vehanchor_evaluation.known_scale import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
+
+_COLUMNS = (PHOTOGRAPH, "gsd_m_per_px")
 
 
 def survey_table(path: Path) -> KnownScaleSet:
@@ -33,7 +36,8 @@ def survey_table(path: Path) -> KnownScaleSet:
     n_rows = 0
     n_malformed = 0
     try:
-        for number, row in _rows(path):
+        _, lines = read_table(path.read_bytes(), _COLUMNS)
+        for number, row in lines:
             n_rows += 1
             try:
                 image = _image(path, number, row)
@@ -57,18 +61,11 @@ def survey_table(path: Path) -> KnownScaleSet:
     return KnownScaleSet(str(path), tuple(images), tuple(issues)).without_duplicates()
 
 
-def _rows(path: Path) -> Iterator[tuple[int, Mapping[str, str | None]]]:
-    with path.open(newline="", encoding="utf-8-sig") as handle:
-        reader = csv.DictReader(handle)
-        for row in reader:
-            yield reader.line_num, row
-
-
 def _image(path: Path, number: int, row: Mapping[str, str | None]) -> KnownScaleImage:
     """Parse a row of the table, which stands on the line of this number."""
     try:
         gsd = float(row["gsd_m_per_px"] or "")
-        file = row["file"] or ""
+        file = row[PHOTOGRAPH] or ""
         vehicles = row.get("labelled_small_vehicles")
         n_vehicles = None
         if vehicles:

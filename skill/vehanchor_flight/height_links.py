@@ -56,7 +56,11 @@ def link_by_height(
     overlaps: Sequence[Overlap],
     positions: Positions | None,
 ) -> list[Overlap]:
-    """Link photographs that match no other one, and have no usable scale, to their neighbours.
+    """Link photographs without a usable scale to neighbours that their pictures do not match.
+
+    Photographs that match each other are a group. A group without a usable scale is linked to a
+    neighbour in a group that has one, or that has been linked to one; a photograph that matches no
+    other one, to any neighbour in a group.
 
     Args:
         photographs: of the flight.
@@ -64,27 +68,62 @@ def link_by_height(
         positions: ``[n, 2]`` metres east and north, NaN for unknown positions; None if all are.
 
     Returns:
-        At most one overlap for each such photograph, without matched points. It places the
-        photograph where its neighbour is.
+        At most one overlap for each group, without matched points. It places one photograph where
+        its neighbour is.
     """
     if positions is None:
         return []
-    linked = {index for overlap in overlaps for index in (overlap.first, overlap.second)}
-    usable = {
-        index
-        for index, photograph in enumerate(photographs)
+    groups = _groups(len(photographs), overlaps)
+    stations = _stations(photographs, positions)
+    reached = {
+        group
+        for group, photograph in zip(groups, photographs, strict=True)
         if photograph.analysis.estimate.status == "ok"
     }
-    stations = _stations(photographs, positions)
-    supports = [station for station in stations if station.photograph in linked | usable]
-    links = []
+    several = {group for group in groups if groups.count(group) > 1}
+    links: list[Overlap] = []
+    for further in (set(), several):
+        reached |= further
+        # Each new link can bring further neighbours within reach.
+        while new_links := _links_to(reached, groups, stations, positions):
+            reached.update(new_links)
+            links += [_overlap(*step, photographs) for step in new_links.values()]
+    return links
+
+
+def _groups(n_photographs: int, overlaps: Sequence[Overlap]) -> list[int]:
+    """Number the groups of photographs that overlaps connect, by their first photographs."""
+    groups = list(range(n_photographs))
+    for overlap in overlaps:
+        first, second = sorted((groups[overlap.first], groups[overlap.second]))
+        groups = [first if group == second else group for group in groups]
+    return groups
+
+
+def _links_to(
+    supporting: set[int],
+    groups: Sequence[int],
+    stations: Sequence[_Station],
+    positions: Positions,
+) -> dict[int, tuple[_Station, _Station]]:
+    """Find the shortest step from each other group to a neighbour in one of the supporting ones.
+
+    Returns:
+        The station and its neighbour, by the number of the other group.
+    """
+    supports = [station for station in stations if groups[station.photograph] in supporting]
+    steps: dict[int, tuple[float, _Station, _Station]] = {}
     for station in stations:
-        if station.photograph in linked | usable:
+        group = groups[station.photograph]
+        if group in supporting:
             continue
         neighbour = _neighbour(station, supports, positions)
-        if neighbour is not None:
-            links.append(_overlap(station, neighbour, photographs))
-    return links
+        if neighbour is None:
+            continue
+        distance_m = _distance_m(station, neighbour, positions)
+        if group not in steps or distance_m < steps[group][0]:
+            steps[group] = (distance_m, station, neighbour)
+    return {group: (station, neighbour) for group, (_, station, neighbour) in steps.items()}
 
 
 def _stations(photographs: Sequence[Photograph], positions: Positions) -> list[_Station]:
@@ -123,13 +162,17 @@ def _neighbour(
     for other in others:
         if other.sortie != station.sortie:
             continue
-        step = positions[other.photograph] - positions[station.photograph]
-        distance_m = float(np.hypot(*step))
+        distance_m = _distance_m(station, other, positions)
         side_m = min(station.side_m, other.side_m)
         if distance_m <= (1 - _MIN_SHARE) * side_m and distance_m < nearest_m:
             nearest = other
             nearest_m = distance_m
     return nearest
+
+
+def _distance_m(station: _Station, other: _Station, positions: Positions) -> float:
+    step = positions[other.photograph] - positions[station.photograph]
+    return float(np.hypot(*step))
 
 
 def _overlap(station: _Station, neighbour: _Station, photographs: Sequence[Photograph]) -> Overlap:

@@ -16,7 +16,7 @@ of the reference: one of its pixels is as long on the ground as ``exp(offset)`` 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.facts import ImageFacts
+    from vehanchor.scale.reliability import Shared
     from vehanchor_flight.common_ground import Placement
     from vehanchor_flight.photograph import Photograph
 
@@ -365,7 +366,8 @@ def _pooled_witness(
             photographs show is measured once.
 
     Returns:
-        One witness. The errors that it shares with other rulers are those of the first photograph.
+        One witness. The errors that it shares with other rulers are those of the first photograph,
+        with the mean chance of all.
     """
     all_notices = (notice for witness, _ in witnesses for notice in witness.notices)
     notices = _first_of_each_code(all_notices)
@@ -396,12 +398,27 @@ def _pooled_witness(
         gsd_m_per_px=quantile(right, 0.5),
         right=right,
         chance_wrong=sum(chances_wrong) / len(measured),
+        shared=_with_mean_chances(first.shared, [witness.shared for witness, _ in measured]),
         n=_n_measured([witness.n for witness, _ in measured], n_grounds),
         lacks=tuple(lacks),
         # The sentence and the lines in the picture are those of a single photograph.
         statement=None,
         marks=(),
         notices=notices,
+    )
+
+
+def _with_mean_chances(
+    errors: Iterable[Shared], of_photographs: Sequence[Sequence[Shared]]
+) -> tuple[Shared, ...]:
+    """Give errors the mean chance that each has in several photographs."""
+    chances: defaultdict[str, float] = defaultdict(float)
+    for of_photograph in of_photographs:
+        for error in of_photograph:
+            chances[error.name] += error.chance_wrong
+    n_photographs = len(of_photographs)
+    return tuple(
+        error._replace(chance_wrong=chances[error.name] / n_photographs) for error in errors
     )
 
 

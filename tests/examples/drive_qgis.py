@@ -4,7 +4,14 @@ import json
 import sys
 from typing import Any
 
-from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingFeedback, QgsVectorLayer
+from qgis.core import (
+    QgsApplication,
+    QgsProcessingException,
+    QgsProcessingFeedback,
+    QgsRasterLayer,
+    QgsUnitTypes,
+    QgsVectorLayer,
+)
 
 plugin_folder, photograph, empty, out = sys.argv[1:]
 application = QgsApplication([], False)
@@ -28,6 +35,11 @@ results["boxes"] = [layer.isValid(), layer.featureCount()]
 results["raster"] = processing.run(
     "vehanchor:localmetres", {"IMAGE": photograph, "RASTER": out + "/metres.tif"}
 )
+metres = QgsRasterLayer(results["raster"]["RASTER"], "metres")
+results["layer"] = {
+    "unit": QgsUnitTypes.toString(metres.crs().mapUnits()),
+    "unit_per_px": metres.rasterUnitsPerPixelX(),
+}
 results["by height"] = processing.run("vehanchor:scale", {"IMAGE": empty, "HEIGHT": 100.0})
 try:
     processing.run("vehanchor:localmetres", {"IMAGE": empty, "RASTER": out + "/none.tif"})

@@ -88,6 +88,13 @@ def test_the_raster_has_the_estimated_pixel_size(
         assert (raster.width, raster.height) == (estimate.image_width_px, estimate.image_height_px)
 
 
+def test_the_raster_is_a_layer_in_metres(
+    results: dict[str, Any], estimate: vehanchor.GsdEstimate
+) -> None:
+    gsd = pytest.approx(estimate.gsd_m_per_px)
+    assert results["layer"] == {"unit": "meters", "unit_per_px": gsd}, "as deepness needs it"
+
+
 def test_a_height_without_a_focal_length_gives_no_scale(results: dict[str, Any]) -> None:
     assert results["by height"]["STATUS"] == "no_scale"
 

@@ -134,9 +134,10 @@ def folder_of_one_scale(run: Any, tmp_path: Path) -> Result:
     return done
 
 
-def test_one_scale_is_printed_for_all(folder_of_one_scale: Result) -> None:
+def test_one_scale_is_printed_for_all(folder_of_one_scale: Result, tmp_path: Path) -> None:
+    row = json.loads((tmp_path / "scales.jsonl").read_text().splitlines()[0])
     assert "scale of all" in folder_of_one_scale.stdout
-    assert "0.1677" in folder_of_one_scale.stdout
+    assert f"{row['gsd_m_per_px']:.4g}" in folder_of_one_scale.stdout
     assert _progress(folder_of_one_scale)[-1] == "pooling the evidence of 5 of 5 images"
 
 
@@ -289,3 +290,9 @@ def test_nothing_is_written_without_a_usable_size(rescale: Any, tmp_path: Path) 
     assert done.exit_code == 3
     assert "no file in metres was written" in done.stderr
     assert not (tmp_path / "geo.txt").exists()
+
+
+def test_a_running_camera_takes_no_basis_of_a_height_that_it_cannot_be_given() -> None:
+    result = CliRunner().invoke(cli.app, ["flight", "live", "--help"])
+    assert "--hold" in result.stdout
+    assert "--height" not in result.stdout

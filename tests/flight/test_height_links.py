@@ -55,6 +55,11 @@ def _photograph(name: str, image: ImageFacts, lengths: NDArray[np.float64]) -> P
 NO_FEATURES = features_of(np.full((SIDE_PX, SIDE_PX, 3), 90, np.uint8))
 
 
+def _conclude(photographs: list[Photograph], features: list[Features]) -> FlightEstimate:
+    components, links = link_photographs(photographs, features)
+    return conclude_flight(photographs, components, made_card(5.0), same_scale=False, links=links)
+
+
 def _flight(image: ImageFacts, lengths: NDArray[np.float64] = NO_CARS) -> FlightEstimate:
     """Conclude a flight of two photographs that match, and a third one that does not."""
     features: list[Features] = []
@@ -65,8 +70,7 @@ def _flight(image: ImageFacts, lengths: NDArray[np.float64] = NO_CARS) -> Flight
         photographs.append(_photograph(str(number), facts, FLEET if number == 0 else NO_CARS))
     photographs.append(_photograph("unmatched", image, lengths))
     features.append(NO_FEATURES)
-    components, links = link_photographs(photographs, features)
-    return conclude_flight(photographs, components, made_card(5.0), same_scale=False, links=links)
+    return _conclude(photographs, features)
 
 
 @pytest.mark.parametrize("height_share", [1.0, 1.3])
@@ -77,6 +81,25 @@ def test_a_neighbour_of_known_height_has_the_scale_of_the_flight(height_share: f
     assert photograph.gsd_m_per_px == pytest.approx(GSD_M_PER_PX * height_share, rel=0.03)
     (link,) = (link for link in flight.links if link.second == "unmatched")
     assert link.n_matches == 0
+
+
+def test_a_chain_of_neighbours_has_one_scale() -> None:
+    photographs = [_photograph("with cars", _taken(0.0, HEIGHT_M), FLEET)]
+    for number in (3, 1, 2):
+        facts = _taken(15.0 * number, HEIGHT_M)
+        photographs.append(_photograph(str(number), facts, NO_CARS))
+    flight = _conclude(photographs, [NO_FEATURES] * 4)
+    assert [photograph.status for photograph in flight.photographs] == ["ok"] * 4
+
+
+def test_photographs_that_match_each_other_have_the_scale_of_a_neighbour() -> None:
+    photographs = [_photograph("with cars", _taken(0.0, HEIGHT_M), FLEET)]
+    features = [NO_FEATURES]
+    for number in (1, 2):
+        photographs.append(_photograph(str(number), _taken(15.0 * number, HEIGHT_M), NO_CARS))
+        features.append(features_of(photograph_of(WORLD, 600 + 150 * number, 600)))
+    flight = _conclude(photographs, features)
+    assert [photograph.status for photograph in flight.photographs] == ["ok"] * 3
 
 
 def test_cars_of_a_photograph_of_unknown_overlap_are_not_added() -> None:

@@ -34,7 +34,7 @@ from tests.skill.cut_off import CALIBRATION
 from tests.skill.imagery import files as blocks
 from tests.skill.imagery.heic_files import Item, grid, heic, identity, overlay
 from tests.skill.imagery.samples import SAMPLES
-from vehanchor import estimate_gsd
+from vehanchor import estimate_gsd, measure_areas
 from vehanchor.detection.card import ChipCard, VerifierCard, read_card, read_detector_card
 from vehanchor.errors import VehAnchorError
 from vehanchor.imagery.formats.header import read_header
@@ -45,10 +45,13 @@ from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.xmp import read_xmp
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.measure.shape_file import read_shape_file
 from vehanchor.models.files import external_locations
 from vehanchor.options import ImageLimits, Reading
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
+from vehanchor.rulers.known_length_table import lines_in
 from vehanchor.scale.calibration import load_calibration
+from vehanchor_flight.subtitles import read_film_facts
 from vehanchor_server.calls.messages import (
     DRAWING,
     HEADER,
@@ -81,6 +84,14 @@ _MAX_MESSAGE_CHARS = 4000
 _EXIF_PREFIX = b"Exif\0\0"
 _EXIF = _EXIF_PREFIX + b"II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"
 """EXIF block of orientation 6."""
+
+
+_PHOTOGRAPH = SAMPLES["PNG"]
+_WORLD_FILE = b"0.25\n0\n0\n-0.25\n500000\n5000000\n"
+_WKT = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+)
 
 
 def header(data: bytes) -> None:
@@ -156,6 +167,57 @@ def metadata(data: bytes) -> None:
     if camera is not None:
         numbers = [value for value in vars(camera).values() if isinstance(value, int | float)]
         assert all(math.isfinite(number) for number in numbers), camera
+
+
+def sidecar(data: bytes) -> None:
+    """Read a file beside an image or a film, or one that a user gives with it.
+
+    The first byte selects the kind of the file.
+    """
+    kinds = list(_SIDECARS)
+    name = kinds[data[0] % len(kinds)] if data else kinds[0]
+    with TemporaryDirectory(dir=_memory()) as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        photograph = Path(folder, "photo.png")
+        photograph.write_bytes(_PHOTOGRAPH)
+        Path(folder, "photo.pgw").write_bytes(_WORLD_FILE)
+        path = Path(folder, name)
+        path.write_bytes(data[1:])
+        with contextlib.suppress(VehAnchorError):
+            _SIDECARS[name](path, photograph)
+
+
+def _open_beside(_: Path, photograph: Path) -> None:
+    with open_raster(photograph, Reading(limits=FUZZ_LIMITS)) as raster:
+        raster.read()
+
+
+def _measure_shapes(path: Path, photograph: Path) -> None:
+    shapes = read_shape_file(path, str(photograph), limits=FUZZ_LIMITS)
+    must_fit = {"length_m": 1.0, "width_m": 0.5}
+    measure_areas(photograph, shapes, gsd_m_per_px=0.1, must_fit=must_fit, limits=FUZZ_LIMITS)
+
+
+def _read_lines(path: Path, photograph: Path) -> None:
+    lines_in(path, [photograph])
+
+
+def _read_subtitles(path: Path, _: Path) -> None:
+    read_film_facts(str(path.with_suffix(".mp4")))
+
+
+_SIDECARS: dict[str, Callable[[Path, Path], None]] = {
+    "photo.pgw": _open_beside,
+    "photo.prj": _open_beside,
+    "photo.png.aux.xml": _open_beside,
+    "photo.png.msk": _open_beside,
+    "shapes.json": _measure_shapes,
+    "shapes.geojson": _measure_shapes,
+    "ids.png": _measure_shapes,
+    "lines.csv": _read_lines,
+    "film.SRT": _read_subtitles,
+}
+"""Readers of files by their names."""
 
 
 class _Silent(Context[Any, Any]):
@@ -256,6 +318,51 @@ def _composed_heics() -> list[bytes]:
         heic([grid([2, 3], 2), Item(), Item()]),
         heic([overlay([2, 3]), identity(3), Item()]),
     ]
+
+
+def _sidecars() -> list[bytes]:
+    """Make a file of each kind."""
+    corners = [2, 2, 40, 2, 40, 40, 2, 40]
+    coco = {
+        "images": [{"id": 1, "file_name": "photo.png"}],
+        "annotations": [
+            {"id": 1, "image_id": 1, "category_id": 3, "segmentation": [corners]},
+            {"id": 2, "image_id": 1, "segmentation": {"size": [40, 60], "counts": [9, 90, 2301]}},
+            {
+                "id": 3,
+                "image_id": 1,
+                "segmentation": {
+                    "size": [40, 60],
+                    "counts": "e<?i00000000000000000000000000000000000000[U1",
+                },
+            },
+        ],
+        "categories": [{"id": 3, "name": "roof"}],
+    }
+    ring = [[13.0, 52.0], [13.00001, 52.0], [13.00001, 52.00001], [13.0, 52.0]]
+    geometry = {"type": "Polygon", "coordinates": [ring]}
+    feature = {"type": "Feature", "geometry": geometry, "properties": {"name": "roof"}}
+    ids = np.zeros((40, 60), np.uint16)
+    ids[4:9, 4:9] = 7
+    ids[20:40, 20:40] = 300
+    contents = {
+        "photo.pgw": _WORLD_FILE,
+        "photo.prj": _WKT.encode(),
+        "photo.png.aux.xml": (
+            f"<PAMDataset><SRS>{_WKT}</SRS><GeoTransform>1, 0.25, 0, 2, 0, -0.25</GeoTransform>"
+            "</PAMDataset>"
+        ).encode(),
+        "photo.png.msk": _encoded(".tif", np.full((40, 60), 255, np.uint8)),
+        "shapes.json": json.dumps(coco).encode(),
+        "shapes.geojson": json.dumps({"type": "FeatureCollection", "features": [feature]}).encode(),
+        "ids.png": _encoded(".png", ids),
+        "lines.csv": b"photograph,x1,y1,x2,y2,metres,basis\nphoto.png,1,2,30,40,5,measured\n",
+        "film.SRT": (
+            b"1\n00:00:00,000 --> 00:00:00,033\n[focal_len: 24.00] [rel_alt: 1.300]\n"
+            b"\n2\n00:00:00,033 --> 00:00:00,066\nF/2.8, GPS (-122.1, 37.4, 19), H 6.0m\n"
+        ),
+    }
+    return [bytes([number]) + contents[name] for number, name in enumerate(_SIDECARS)]
 
 
 def _images_with_holes(rgb: NDArray[np.uint8]) -> list[bytes]:
@@ -519,6 +626,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "metadata": metadata,
     "arguments": arguments,
     "messages": messages,
+    "sidecar": sidecar,
 }
 
 CORPUS: dict[str, Callable[[], list[bytes]]] = {
@@ -530,4 +638,5 @@ CORPUS: dict[str, Callable[[], list[bytes]]] = {
     "metadata": _metadata,
     "arguments": _arguments,
     "messages": _messages,
+    "sidecar": _sidecars,
 }

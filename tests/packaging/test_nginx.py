@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import os
 import re
+import resource
+import select
 import signal
 import socket
 import subprocess
@@ -26,6 +28,7 @@ from mcp import Client, MCPError
 from tests.conftest import ROOT
 from tests.needs import needed_program
 from tests.packaging.container import free_port
+from tests.packaging.test_deploy import NGINX_SERVICE
 from tests.server.transport.test_http import discover
 from tests.server_process import http_server, write_images
 from vehanchor import estimate_gsd
@@ -42,6 +45,11 @@ IDLE_FOR_S = 30.0
 # Requests of a stranger whose heads never end: more than nginx has connections.
 N_UNFINISHED = 5_000
 STRANGER = "127.0.0.9"
+# Bodies of a stranger: as many as one address may send at a time, and as large as one may be.
+N_BODIES = 32
+BODY_BYTES = 31 << 20
+WAITS_AFTER_S = 1.0
+MIB = 1 << 20
 MAX_WAIT_S = 1.0
 STREAM_MODULE = Path("/usr/lib/nginx/modules/ngx_stream_module.so")
 Call = tuple[dict[str, Any], float | None]
@@ -327,6 +335,128 @@ def test_bodies_are_not_stored(tmp_path: Path) -> None:
         stored = [path for path in (tmp_path / "client_body").rglob("*") if path.is_file()]
         assert not stored
         assert not re.search("buffered to a temporary file", (tmp_path / "error.log").read_text())
+
+
+@pytest.mark.promise("proxy")
+def test_nginx_stays_within_its_memory_while_bodies_wait(tmp_path: Path) -> None:
+    """Send as many bodies of 31 MiB as one address may, to a server that reads none of them.
+
+    The container's limit counts the memory of nginx, and files in its /tmp, which is in memory.
+    """
+    limit = NGINX_SERVICE["deploy"]["resources"]["limits"]["memory"]
+    limit_mib = int(limit.removesuffix("m"))
+    with ExitStack() as stack:
+        server = _ServerThatReadsNoBody()
+        url = stack.enter_context(nginx_before([server.address], tmp_path))
+        # nginx ends when its requests have ended.
+        stack.callback(server.close)
+        master = int((tmp_path / "nginx.pid").read_text())
+        for process in _processes(master):
+            n_bytes = limit_mib << 20
+            resource.prlimit(process, resource.RLIMIT_DATA, (n_bytes, n_bytes))
+        host, port = _host_and_port(url).split(":")
+        senders = []
+        for _ in range(N_BODIES):
+            sender = stack.enter_context(
+                socket.create_connection((host, int(port)), 5, (STRANGER, 0))
+            )
+            sender.setblocking(False)
+            senders.append(sender)
+        n_sent = _send_until_all_wait(senders)
+        processes = _processes(master)
+        used_mib = sum(_memory_bytes(process, tmp_path) for process in processes) / MIB
+        queued_mib = _queued_bytes(processes) / MIB
+        health = httpx2.get(url.replace("/mcp", "/healthz"), timeout=60)
+    print(
+        f"{n_sent / MIB:.0f} MiB sent; nginx takes {used_mib:.1f} MiB; its sockets hold "
+        f"{queued_mib:.1f} MiB, which the container's sysctls limit, and this machine's do not"
+    )
+    assert health.status_code == 200
+    assert used_mib < limit_mib
+
+
+class _ServerThatReadsNoBody:
+    """Server that answers GET, and holds other requests until it is closed."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._held: list[socket.socket] = []
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def _serve(self) -> None:
+        with suppress(OSError):
+            while True:
+                connection, _ = self._listener.accept()
+                self._held.append(connection)
+                if connection.recv(4096).startswith(b"GET"):
+                    connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok")
+
+    def close(self) -> None:
+        """Hang up."""
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._listener.close()
+        for connection in self._held:
+            connection.close()
+
+
+def _send_until_all_wait(senders: list[socket.socket]) -> int:
+    """Send a body on each connection until none takes more; return the bytes that were sent."""
+    head = f"POST /mcp HTTP/1.1\r\nHost: localhost\r\nContent-Length: {BODY_BYTES}\r\n\r\n"
+    part = b" " * (64 << 10)
+    left = dict.fromkeys(senders, BODY_BYTES)
+    for sender in senders:
+        sender.sendall(head.encode())
+    n_sent = 0
+    while left:
+        _, ready, _ = select.select([], list(left), [], WAITS_AFTER_S)
+        if not ready:
+            break
+        for sender in ready:
+            taken = sender.send(part[: left[sender]])
+            n_sent += taken
+            left[sender] -= taken
+            if left[sender] == 0:
+                del left[sender]
+    return n_sent
+
+
+def _processes(master: int) -> list[int]:
+    """List nginx's processes."""
+    children = Path(f"/proc/{master}/task/{master}/children").read_text()
+    return [master, *map(int, children.split())]
+
+
+def _memory_bytes(process: int, folder: Path) -> int:
+    """Add the memory of a process, and its open files in a folder, which nginx unlinks at once."""
+    n_bytes = 0
+    for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
+        if line.startswith("Pss:"):
+            n_bytes += int(line.split()[1]) << 10
+    for descriptor in Path(f"/proc/{process}/fd").iterdir():
+        with suppress(FileNotFoundError):
+            target = descriptor.readlink()
+            if folder in target.parents:
+                n_bytes += descriptor.stat().st_size
+    return n_bytes
+
+
+def _queued_bytes(processes: list[int]) -> int:
+    """Add what the kernel holds in the TCP sockets of processes (proc(5), net/tcp)."""
+    inodes = set()
+    for process in processes:
+        for descriptor in Path(f"/proc/{process}/fd").iterdir():
+            with suppress(FileNotFoundError):
+                inodes.add(str(descriptor.readlink()).removeprefix("socket:").strip("[]"))
+    n_bytes = 0
+    for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
+        fields = line.split()
+        if fields[9] in inodes:
+            sent, received = fields[4].split(":")
+            n_bytes += int(sent, 16) + int(received, 16)
+    return n_bytes
 
 
 def _send_slowly(url: str, body: bytes) -> None:

@@ -310,7 +310,7 @@ def test_every_door_names_the_missing_extra(
     with without():
         answer = DOORS[door](files[name], doors)
     assert answer.size_px is None
-    assert f"pip install 'vehanchor[{extra}]'" in answer.message
+    assert f"pip install '.[{extra}]'" in answer.message
 
 
 def test_a_file_on_disk_may_have_more_bytes_if_it_is_read_by_windows(

@@ -104,6 +104,17 @@ async def test_an_example_call_of_an_error_works(server: MCPServer[object], imag
             assert not result.is_error, text_of(result)
 
 
+@pytest.mark.anyio
+@pytest.mark.parametrize("image", [{"kind": "path", "path": "mine.png"}, "mine.png"])
+async def test_an_example_names_the_image_of_the_call(
+    image: Any, server: MCPServer[object]
+) -> None:
+    async with Client(server) as client:
+        result = await client.call_tool("measure_distance", {"image": image, "lines": []})
+    example = json.loads(text_of(result).partition("Example: ")[2])
+    assert example["image"] == {"kind": "path", "path": "mine.png"}
+
+
 _TEXTS = ["car_park.jpg", "FR", "iso_container_20ft", "0.13 0.12 0.15 0.8 aa bb"]
 
 

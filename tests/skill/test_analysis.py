@@ -397,7 +397,9 @@ def test_a_scene_that_contradicts_the_cars_is_named(estimate: GsdEstimate) -> No
 def test_a_ruler_that_contradicts_the_cars_is_named(estimate: GsdEstimate) -> None:
     (cars,) = estimate.rulers
     line = cars.model_copy(update={"label": "known length"})
-    by_line = advice_for(estimate.model_copy(update={"reason": "disagree", "rulers": (cars, line)}))
+    notice = Notice(code="rulers_disagree", message="The line gives 0.2 m/px.")
+    changes = {"reason": "disagree", "rulers": (cars, line), "warnings": (notice,)}
+    by_line = advice_for(estimate.model_copy(update=changes))
     assert by_line is not None
     assert by_line.why == f"{cars.label} and known length contradict each other"
 

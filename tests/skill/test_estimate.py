@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from affine import Affine
 
 import vehanchor
 from tests.models import blank_image, car_park, fleet
+from tests.skill.imagery.files import geotiff
 from vehanchor import analyse_scale, estimate_gsd
 from vehanchor.detection.detector import Detector
 from vehanchor.errors import FrameError
@@ -190,15 +192,10 @@ def _estimate_georeferenced(
     folder: Path, detector: Detector, plain: GsdEstimate, *, factor: float
 ) -> GsdEstimate:
     """Estimate of the same cars, with a georeference of a multiple of their scale."""
-    rasterio = pytest.importorskip("rasterio")
     assert plain.gsd_m_per_px is not None
     gsd = plain.gsd_m_per_px * factor
-    path = folder / "cars.tif"
-    with rasterio.open(
-        path, "w", driver="GTiff", width=480, height=360, count=3, dtype="uint8", crs="EPSG:32631",
-        transform=rasterio.Affine(gsd, 0, 500_000, 0, -gsd, 5_000_000),
-    ) as dataset:  # fmt: skip
-        dataset.write(car_park(fleet(30)).transpose(2, 0, 1))
+    transform = Affine(gsd, 0, 500_000, 0, -gsd, 5_000_000)
+    path = geotiff(folder / "cars.tif", car_park(fleet(30)), transform=transform)
     return estimate_gsd(path, detector=detector, **ALONE)
 
 

@@ -47,9 +47,9 @@ def test_the_copy_has_the_scale_that_is_asked_for() -> None:
 
 def test_the_scale_of_the_copy_is_that_of_its_whole_pixels() -> None:
     copy = _resample(IMAGE, 0.13)
-    assert copy.estimate.gsd_m_per_px is not None
+    assert copy.scale.gsd_m_per_px is not None
     width_px = copy.pixels.shape[1]
-    assert copy.gsd_m_per_px == pytest.approx(copy.estimate.gsd_m_per_px * 600 / width_px)
+    assert copy.gsd_m_per_px == pytest.approx(copy.scale.gsd_m_per_px * 600 / width_px)
 
 
 def test_a_smaller_copy_is_averaged() -> None:
@@ -68,7 +68,7 @@ def test_the_facts_have_the_interval_of_the_copy() -> None:
     copy = _resample(IMAGE, 0.2)
     facts = copy.facts
     assert facts["gsd_ci95_low_m_per_px"] < facts["gsd_m_per_px"] < facts["gsd_ci95_high_m_per_px"]
-    assert facts["confidence"] == copy.estimate.confidence
+    assert facts["confidence"] == copy.scale.confidence
     assert facts["factor"] == copy.factor
 
 
@@ -78,9 +78,18 @@ def test_more_than_twice_must_be_allowed() -> None:
     assert _resample(IMAGE, 0.04, max_enlargement=3).factor == pytest.approx(2.5, rel=0.02)
 
 
-def test_without_a_usable_scale_there_is_no_copy() -> None:
-    with pytest.raises(InvalidParameterError, match="cannot be resampled: there is no scale"):
+def test_without_a_usable_scale_there_is_no_copy_but_advice() -> None:
+    refused = "cannot be resampled: there is no scale, nothing can be seen in the image: send"
+    with pytest.raises(InvalidParameterError, match=refused):
         Engine().resample(np.full((400, 600, 3), 90, np.uint8), gsd_m_per_px=0.1)
+
+
+def test_a_georeferenced_photograph_has_the_scale_of_its_file(tmp_path: Path) -> None:
+    transform = rasterio.transform.Affine(0.3, 0, 500_000, 0, -0.3, 5_000_000)
+    source = geotiff(tmp_path / "map.tif", IMAGE, transform=transform)
+    copy = Engine().resample(source, gsd_m_per_px=0.6)
+    assert (copy.factor, copy.gsd_m_per_px) == pytest.approx((0.5, 0.6))
+    assert copy.facts["scale_source"] == "file"
 
 
 @pytest.mark.parametrize("gsd_m_per_px", [0, -1, float("nan")])
@@ -120,7 +129,6 @@ def test_a_jpeg_keeps_its_camera_and_has_true_sizes(tmp_path: Path) -> None:
 
 def test_the_facts_stand_beside_the_copy(tmp_path: Path) -> None:
     source = _photo(tmp_path, {})
-    (tmp_path / "out").mkdir()
     copy = _resample(source, 0.2)
     path = copy.write(tmp_path / "out")
     facts = json.loads(path.with_name("photo.jpg.json").read_text())

@@ -25,6 +25,7 @@ from research.training.chips.kinds import CARS, GROUP_OF_KIND, GROUPS
 from research.training.chips.network import Answers, ChipNet
 from research.training.chips.readings import load
 from research.training.chips.stream import NOT_A_CAR, Batch, Bodies, ChipStream
+from research.training.letters.export import HEAD_PREFIX
 from research.training.loop import Recipe, Schedule, load_average, train
 from research.training.warm_start import load_exported
 from vehanchor.models.zoo import auxiliary_model, resolve_model
@@ -172,7 +173,8 @@ def main() -> None:
         load_average(network, options.begin)
     elif bundled and not options.fresh:
         chips = torch.stack([stream[k].chip for k in range(256)])
-        load_exported(network, bundled, chips.float().div(255.0))
+        crops = chips.float().div(255.0)
+        load_exported(network, bundled, crops, without=(HEAD_PREFIX,))
     schedule = Schedule(options.steps, options.rate, warm_up=100, held=options.held)
     recipe = Recipe(
         schedule, _BATCH, average=0.995, bfloat16=True, checkpoint_every=100, log_every=50

@@ -18,7 +18,8 @@ from research.training.letters.features import features_name
 from vehanchor.storage.atomic import whole_file
 
 _OUTPUT = "drawn"
-_PREFIX = "drawn_head"
+HEAD_PREFIX = "drawn_head"
+"""Prefix of the names of the head's weights in the file."""
 
 
 def with_head(model: onnx.ModelProto, head: dict[str, np.ndarray], offset: float) -> None:
@@ -32,31 +33,31 @@ def with_head(model: onnx.ModelProto, head: dict[str, np.ndarray], offset: float
     graph = model.graph
     _remove(graph)
     weight = numpy_helper.from_array(
-        head["hidden_weight"].astype(np.float16), f"{_PREFIX}.hidden.half"
+        head["hidden_weight"].astype(np.float16), f"{HEAD_PREFIX}.hidden.half"
     )
     arrays = {
-        f"{_PREFIX}.hidden_bias": head["hidden_bias"],
-        f"{_PREFIX}.out": head["out_weight"],
-        f"{_PREFIX}.out_bias": head["out_bias"] + np.float32(offset),
-        f"{_PREFIX}.axis": np.array([1], np.int64),
+        f"{HEAD_PREFIX}.hidden_bias": head["hidden_bias"],
+        f"{HEAD_PREFIX}.out": head["out_weight"],
+        f"{HEAD_PREFIX}.out_bias": head["out_bias"] + np.float32(offset),
+        f"{HEAD_PREFIX}.axis": np.array([1], np.int64),
     }
     constants = [weight, *(numpy_helper.from_array(array, name) for name, array in arrays.items())]
     graph.initializer.extend(constants)
-    names = [f"{_PREFIX}.{part}" for part in ("hidden_float", "dense", "active", "column")]
+    names = [f"{HEAD_PREFIX}.{part}" for part in ("hidden_float", "dense", "active", "column")]
     hidden, dense, active, column = names
     nodes = [
         helper.make_node("Cast", [weight.name], [hidden], to=TensorProto.FLOAT),
         helper.make_node(
-            "Gemm", [features_name(model), hidden, f"{_PREFIX}.hidden_bias"], [dense], transB=1
+            "Gemm", [features_name(model), hidden, f"{HEAD_PREFIX}.hidden_bias"], [dense], transB=1
         ),
         helper.make_node("Relu", [dense], [active]),
         helper.make_node(
-            "Gemm", [active, f"{_PREFIX}.out", f"{_PREFIX}.out_bias"], [column], transB=1
+            "Gemm", [active, f"{HEAD_PREFIX}.out", f"{HEAD_PREFIX}.out_bias"], [column], transB=1
         ),
-        helper.make_node("Squeeze", [column, f"{_PREFIX}.axis"], [_OUTPUT]),
+        helper.make_node("Squeeze", [column, f"{HEAD_PREFIX}.axis"], [_OUTPUT]),
     ]
     for node, kind in zip(nodes, ("cast", "hidden", "active", "out", "squeeze"), strict=True):
-        node.name = f"{_PREFIX}/{kind}"
+        node.name = f"{HEAD_PREFIX}/{kind}"
     graph.node.extend(nodes)
     graph.output.append(helper.make_tensor_value_info(_OUTPUT, TensorProto.FLOAT, ["n"]))
     onnx.checker.check_model(model)
@@ -65,7 +66,7 @@ def with_head(model: onnx.ModelProto, head: dict[str, np.ndarray], offset: float
 def _remove(graph: onnx.GraphProto) -> None:
     """Remove a former head."""
     for items in (graph.node, graph.initializer):
-        for item in [item for item in items if item.name.startswith(_PREFIX)]:
+        for item in [item for item in items if item.name.startswith(HEAD_PREFIX)]:
             items.remove(item)
     for output in [output for output in graph.output if output.name == _OUTPUT]:
         graph.output.remove(output)

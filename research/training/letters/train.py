@@ -113,7 +113,7 @@ def train(examples: Examples, steps: int, seed: int, out: Path) -> Head:
         )
         loss = (losses * weights[chosen]).mean()
         optimiser.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         schedule.step()
         if (step + 1) % 500 == 0:

@@ -4,15 +4,27 @@ const known = new Map(); // by path: the button, and the call with what was meas
 let chosen;
 let allListed; // a promise, while there are more pages
 
-const nameOf = (path) => path.split(/[\\/]/).pop();
+const partsOf = (path) => path.split(/[\\/]/);
+const nameOf = (path) => partsOf(path).pop();
+
+// The ends of a path, from its name to all of it, and how many photographs have each of them.
+const endsOf = (path) => partsOf(path).map((_, i, parts) => parts.slice(-i - 1).join("/"));
+const counts = new Map();
+
+// The name of a photograph, with so many of its folders that no other one is called the same.
+const labelOf = (path) => endsOf(path).find((end) => counts.get(end) === 1) ?? path;
+function writeNames() {
+  for (const [path, { words }] of known) if (words.textContent !== labelOf(path)) words.textContent = labelOf(path);
+}
 
 function listPhotograph(path, first = false) {
   if (known.has(path)) return;
   const mark = html("span", { class: "mark", "aria-hidden": "true" });
   const thumbnail = html("span", { class: "thumbnail", "aria-hidden": "true", "data-path": path });
-  const words = html("span", { class: "name" }, nameOf(path));
+  const words = html("span", { class: "name" });
   const entry = html("button", { type: "button", title: path, tabindex: known.size ? -1 : 0, on: { click: () => choose(path) } }, mark, thumbnail, words);
-  known.set(path, { button: entry, mark, thumbnail });
+  known.set(path, { button: entry, mark, thumbnail, words });
+  for (const end of endsOf(path)) counts.set(end, (counts.get(end) ?? 0) + 1);
   byId("photographs")[first ? "prepend" : "append"](html("li", {}, entry));
   seen.observe(thumbnail);
   byId("count").textContent = counted(known.size, "photograph");
@@ -62,6 +74,7 @@ function listMatching() {
 async function listPages(page = 1) {
   const { structuredContent: listed } = await request("tools/call", { name: "page_image", arguments: { page } });
   for (const path of listed.images) listPhotograph(path);
+  writeNames();
   allListed = listed.next_page ? listPages(listed.next_page).catch(() => { allListed = undefined; }) : undefined;
 }
 
@@ -70,13 +83,16 @@ function leavePhotograph() {
   leave();
   if (chosen && call.result) {
     known.get(chosen).call = { ...call };
-    markStatus(known.get(chosen), call.result);
+    markStatus(chosen, call.result);
   }
   call.result = undefined;
 }
 
-function markStatus({ mark }, result) {
-  mark.className = `mark ${result.isError ? "failed" : result.structuredContent.status}`;
+function markStatus(path, result) {
+  const { button: entry, mark } = known.get(path);
+  const status = result.isError ? "failed" : result.structuredContent.status;
+  mark.className = `mark ${status}`;
+  entry.title = `${path}: ${STATUS[status]}`; // the mark in words
 }
 
 async function choose(path) {
@@ -123,7 +139,7 @@ async function estimated(path) {
     result = { isError: true, content: [{ type: "text", text: error.message }] };
   }
   if (!result.isError) entry.call = { tool: "estimate_gsd", arguments: asked, result, measured: [], corrections: undefined };
-  markStatus(entry, result);
+  markStatus(path, result);
   const source = pictureOf(result);
   if (source) showThumbnail(entry.thumbnail, source.url);
   return result;
@@ -142,6 +158,7 @@ async function take(files) {
     }
     const { path } = await response.json();
     listPhotograph(path, true);
+    writeNames();
     first ??= path;
   }
   if (first) await choose(first);
@@ -160,7 +177,8 @@ byId("files").addEventListener("change", (event) => take(event.target.files));
 byId("all").addEventListener("click", measureAll);
 byId("open").addEventListener("click", () => byId("files").click());
 byId("find").addEventListener("input", listMatching);
-byId("photographs").before(byId("facts"));
+byId("photographs").before(byId("facts"), byId("units"));
+byId("units").hidden = false;
 Object.assign(byId("facts"), { hidden: false, open: window.innerWidth > 760 });
 say("Drop aerial photographs here, or choose one from the list.");
 byId("panel").setAttribute("aria-busy", "false");

@@ -30,8 +30,6 @@ const number = (value) => threeDigits.format(value); // measured: its zeros say 
 const round = (value) => roundNumber.format(value); // chosen: scale bars
 const whole = (value) => new Intl.NumberFormat("en").format(value);
 const counted = (n, noun) => `${whole(n)} ${noun}${n === 1 ? "" : "s"}`;
-const interval = (low, high, unit) =>
-  low === null || high === null ? undefined : `95 %: ${number(low)} to ${number(high)} ${unit}`;
 const PREMISE = document.body.dataset.intervalPremise; // of the interval of a scale
 
 const STATUS = { ok: "Safe to use", low_confidence: "Low confidence: do not use", no_scale: "No metric scale", failed: "No result" };

@@ -27,19 +27,23 @@ function features(record, drawing) {
     const rings = each.outline.map(({ exterior, holes }) => [exterior, ...holes].map((ring) => closed(ring.points.map(at))));
     return feature({ type: "MultiPolygon", coordinates: rings }, { kind, status: each.status, area_m2: each.area_m2 });
   });
+  const fits = call.measured.filter(({ record: each }) => each.fit?.center).map(({ record: each }) => {
+    const ring = fitRing(each).map((corner) => inFile(each, corner));
+    return feature({ type: "Polygon", coordinates: [closed(ring)] }, { kind: "fit", status: each.status, ...each.fit });
+  });
   const crs = { type: "name", properties: { name: PIXELS } };
-  return { type: "FeatureCollection", crs, features: [...vehicles, ...measured] };
+  return { type: "FeatureCollection", crs, features: [...vehicles, ...measured, ...fits] };
 }
 
 const INKS = {
-  kept: "#56b4e9", stated: "#56b4e9", outlier: "#e69f00", removed: "#c8ccd2", mark: "#00be8a", object: "#cc79a7", measured: "#f0e442", untrusted: "#c8ccd2",
+  kept: "#56b4e9", stated: "#56b4e9", outlier: "#e69f00", removed: "#c8ccd2", mark: "#00be8a", object: "#cc79a7", measured: "#f0e442", fit: "#4fd1a5", untrusted: "#c8ccd2",
 };
 
 function captionOf(record) {
   if (record.gsd_m_per_px === null) return "No metric scale";
-  const bounds = interval(record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px, "m/px");
+  const bounds = interval(record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px, "scale");
   const rest = usable(record) ? `confidence ${record.confidence.toFixed(2)}` : "do not use";
-  return `${number(record.gsd_m_per_px)} m/px (${bounds} ${PREMISE}), ${rest}`;
+  return `${sized(record.gsd_m_per_px, "scale")} (${bounds} ${PREMISE}), ${rest}`;
 }
 
 function painted(record, image, drawing) {
@@ -71,16 +75,16 @@ function painted(record, image, drawing) {
       }
     }
   }
-  for (const { lines: [points], label } of shapes.filter((each) => each.label)) {
-    const [x, y] = middle(points);
-    write(label, x * perPixel + letters / 2, y * perPixel - letters / 2);
+  for (const shape of shapes.filter((each) => each.label)) {
+    const [x, y] = labelPlace(shape);
+    write(shape.label, x * perPixel + letters / 2, y * perPixel - letters / 2);
   }
   if (barred(record)) {
-    const each = record.gsd_m_per_px / perPixel;
-    const metres = roundUp(BAR_SHARE * width * each);
+    const each = inUnits(record.gsd_m_per_px, "length") / perPixel;
+    const length = roundUp(BAR_SHARE * width * each);
     pen.fillStyle = "#ffffff";
-    pen.fillRect(letters, height - 1.5 * letters, metres / each, letters / 2);
-    write(`${round(metres)} m`, letters, height - 2 * letters);
+    pen.fillRect(letters, height - 1.5 * letters, length / each, letters / 2);
+    write(`${round(length)} ${unitOf("length")}`, letters, height - 2 * letters);
   }
   write(captionOf(record), letters, height + 2 * letters);
   return canvas;

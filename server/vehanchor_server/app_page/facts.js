@@ -5,16 +5,26 @@ for (const option of byId("region").options) {
   if (/^[A-Z]{2}$/.test(option.value)) option.textContent = countryNames.of(option.value);
 }
 
+let heightM; // camera height, metres, whatever the unit of its field
+const heightField = byId("height");
+const HEIGHTS_M = [heightField.min, heightField.max].map(Number);
+heightField.addEventListener("input", () => { heightM = heightField.value ? typedMetres(heightField.value) : undefined; });
+function showHeight() {
+  byId("height-unit").textContent = unitOf("length");
+  [heightField.min, heightField.max] = HEIGHTS_M.map(asTyped);
+  heightField.value = heightM === undefined ? "" : asTyped(heightM);
+}
+unitsChanged.push(showHeight);
+
 const FACTS = ["region", "height_m", "height_basis", "focal_35mm"];
 const factsOf = (asked) => FACTS.map((name) => asked[name]).join();
 
 function statedFacts() {
-  const height = Number(byId("height").value);
   const facts = byId("region").value ? { region: byId("region").value } : {};
-  if (!height) return facts; // the others say more about it
+  if (!heightM) return facts; // the others say more about it
   const focal = Number(byId("focal").value);
   return {
-    ...facts, height_m: height,
+    ...facts, height_m: heightM,
     ...(byId("surveyed").checked ? { height_basis: "measured" } : {}), ...(focal ? { focal_35mm: focal } : {}),
   };
 }
@@ -26,7 +36,8 @@ const withFacts = (asked) => ({
 // Show the facts of a call that somebody else has made.
 function fillInFacts(asked) {
   byId("region").value = asked.region ?? "";
-  byId("height").value = asked.height_m ?? "";
+  heightM = asked.height_m ?? undefined;
+  showHeight();
   byId("focal").value = asked.focal_35mm ?? "";
   byId("surveyed").checked = asked.height_basis === "measured";
 }

@@ -2,19 +2,19 @@
 
 // Ask for the length of a drawn line, or for what it measures, then repeat all measurements with it.
 function lengthForm(record, tell) {
-  const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": "Metres between both ends" });
+  const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": `${lengthName()[0].toUpperCase()}${lengthName().slice(1)} between both ends` });
   const things = byId("known-sizes").content.cloneNode(true);
   const what = html("select", { "aria-label": "What the line measures" }, html("option", { value: "" }, "a length"), things);
   const measured = html("input", { type: "checkbox" });
   const basis = html("label", {}, measured, " measured by tape, plan or survey ");
   const missing = html("span", { class: "note" }, "The tick is missing: the length counts as assumed, and cars can outweigh it. ");
   measured.addEventListener("change", () => { missing.hidden = measured.checked; });
-  const length = html("label", {}, metres, " m ");
+  const length = html("label", {}, metres, ` ${unitOf("length")} `);
   let line;
   const measure = button("Measure again", () => {
-    const value = Number(metres.value);
+    const value = typedMetres(metres.value);
     if (!what.value && !(value > 0)) {
-      tell("Enter the length in metres, or choose what the line measures.");
+      tell(`Enter the length in ${lengthName()}, or choose what the line measures.`);
       return;
     }
     const size = what.value ? { metres: what.value } : { metres: value, ...(measured.checked ? { basis: "measured" } : {}) };
@@ -44,7 +44,12 @@ function callerUnits(record) {
   return frame ? [size[0] / frame.width_px, size[1] / frame.height_px] : squareOf(record);
 }
 
-function lineOf(record, [one, other]) {
+function inCallerUnits(record, [x, y]) {
   const [across, down] = callerUnits(record);
-  return { x1: one[0] / across, y1: one[1] / down, x2: other[0] / across, y2: other[1] / down };
+  return [x / across, y / down];
+}
+
+function lineOf(record, ends) {
+  const [[x1, y1], [x2, y2]] = ends.map((end) => inCallerUnits(record, end));
+  return { x1, y1, x2, y2 };
 }

@@ -11,10 +11,16 @@ async function measureAll() {
   byId("panel").setAttribute("aria-busy", "true");
   byId("subject").textContent = "all photographs";
   const body = html("tbody");
-  const rows = [];
-  const head = ["Photograph", "Metres per pixel", `95 % interval ${PREMISE}`, "Confidence", "Status", "Reason"].map((words) => html("th", { scope: "col" }, words));
-  const table = html("table", { class: "overview" }, html("thead", {}, html("tr", {}, ...head)), body);
-  const save = button("Save table", () => download("scales.csv", csv(rows), "text/csv"));
+  const rows = []; // the record of each photograph, with its path and the reason in words
+  const table = html("table", { class: "overview" }, html("thead", {}, html("tr")), body);
+  const write = () => {
+    const columns = ["Photograph", `Scale, ${unitOf("scale")}`, `95 % interval ${PREMISE}`, "Confidence", "Status", "Reason"];
+    table.querySelector("thead tr").replaceChildren(...columns.map((words) => html("th", { scope: "col" }, words)));
+    body.replaceChildren(...rows.map(tableRow));
+  };
+  rewriteTable = write;
+  write();
+  const save = button("Save table", () => download("scales.csv", csv(rows.map(columnsOf)), "text/csv"));
   byId("sections").replaceChildren(html("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scales" }, table), html("div", { class: "row" }, save));
   progressed = () => {};
   const began = performance.now();
@@ -28,36 +34,43 @@ async function measureAll() {
       result = await estimated(path);
     } while (!result);
     const record = result.isError ? { error_code: codeOf(result), error: textOf(result) } : recordOf(result);
-    rows.push(rowOf(path, record));
-    body.append(row(path, record));
+    rows.push({ path, record, reason: reasonOf(result), contradiction: result._meta?.[PANEL_KEY]?.contradiction });
+    body.append(tableRow(rows.at(-1)));
   }
   if (!table.isConnected) return;
   byId("panel").setAttribute("aria-busy", "false");
-  say(`${counted(rows.length, "photograph")}: ${rows.filter(({ status }) => status === "ok").length} with a usable scale.`);
+  say(`${counted(rows.length, "photograph")}: ${rows.filter(({ record }) => record.status === "ok").length} with a usable scale.`);
 }
 
-const REASONS = {
-  too_few: "too few vehicles", too_coarse: "vehicles too small in the picture", not_cars: "may not be cars",
-  disagree: "rulers disagree", assumed: "assumed facts alone", imprecise: "too imprecise",
-};
+let rewriteTable = () => {};
+unitsChanged.push(() => rewriteTable());
 
-function row(path, record) {
+// Why there is no usable scale: the error, what contradicts the file, or the first clause of the sentence for people.
+function reasonOf(result) {
+  if (result.isError) return textOf(result);
+  const { sentence, contradiction } = result._meta?.[PANEL_KEY] ?? {};
+  if (contradiction) return contradiction;
+  return recordOf(result).status === "ok" ? "" : (sentence ?? "").split(/[;.]/)[0];
+}
+
+function tableRow({ path, record, reason }) {
   const known = typeof record.gsd_m_per_px === "number";
   const [low, high] = [record.gsd_ci95_low_m_per_px, record.gsd_ci95_high_m_per_px];
+  const scale = (value) => number(inUnits(value, "scale"));
   return html(
     "tr", {},
-    html("th", { scope: "row" }, button(nameOf(path), () => choose(path), { title: path })),
-    html("td", {}, known ? number(record.gsd_m_per_px) : ""),
-    html("td", {}, known && typeof low === "number" ? `${number(low)} to ${number(high)}` : ""),
+    html("th", { scope: "row" }, button(labelOf(path), () => choose(path), { title: path })),
+    html("td", {}, known ? scale(record.gsd_m_per_px) : ""),
+    html("td", {}, known && typeof low === "number" ? `${scale(low)} to ${scale(high)}` : ""),
     html("td", {}, typeof record.confidence === "number" ? record.confidence.toFixed(2) : ""),
     html("td", {}, STATUS[record.status ?? "failed"]),
-    html("td", {}, record.error ?? REASONS[record.reason] ?? ""),
+    html("td", {}, reason),
   );
 }
 
 // The values of a record by column, as in vehanchor.records.flat.
-const rowOf = (path, record) => ({
-  ...record, photograph: path, tilt_deg: record.tilt?.tilt_deg, warning_codes: record.warnings?.map(({ code }) => code).join(" "),
+const columnsOf = ({ path, record, contradiction }) => ({
+  ...record, photograph: path, contradiction, tilt_deg: record.tilt?.tilt_deg, warning_codes: record.warnings?.map(({ code }) => code).join(" "),
 });
 
 // A cell that a spreadsheet would run begins with an apostrophe.

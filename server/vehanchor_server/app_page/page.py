@@ -32,6 +32,7 @@ PAGE_ONLY_META: dict[str, Any] = {"ui": {"resourceUri": APP_URI, "visibility": [
 
 _SHARED = (
     "elements",
+    "units",
     "sections",
     "shapes",
     "zoom",
@@ -40,6 +41,7 @@ _SHARED = (
     "known",
     "correcting",
     "crosshair",
+    "fitting",
     "tools",
     "rulers",
     "record",

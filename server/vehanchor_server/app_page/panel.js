@@ -15,11 +15,13 @@ function show(result) {
   const record = recordOf(result);
   if (result.isError) return fail(textOf(result));
   byId("panel").setAttribute("aria-busy", "false");
-  say(result._meta?.[PANEL_KEY]?.sentence ?? textOf(result));
+  const { sentence, contradiction } = result._meta?.[PANEL_KEY] ?? {};
+  say([contradiction && `${contradiction}.`, sentence ?? textOf(result)].filter(Boolean).join(" "));
   if (!record) return byId("sections").replaceChildren();
   const scale = scaleOf(record);
   byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";
   flag(record.status);
+  byId("units").hidden = false;
   const sections = [
     readings(record),
     warningSection(record),

@@ -13,6 +13,7 @@ from pydantic import FailFast, Field
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.text import by_hand_text
 from vehanchor_server.base_model import FrozenModel
 
@@ -69,9 +70,10 @@ def panel_meta(
         drawing: shapes over the image; None for a stated scale.
         record: the whole record, if the result is compact.
         shown: the record that the page shows; a sentence for people states the basis of its scale,
-            or what the scale lacks.
+            or what the scale lacks. ``contradiction`` is the text of the batch table's column.
     """
-    data: dict[str, Any] = dict.fromkeys(("picture_jpeg", "drawing", "record", "sentence"))
+    names = ("picture_jpeg", "drawing", "record", "sentence", "contradiction")
+    data: dict[str, Any] = dict.fromkeys(names)
     data["record"] = record
     if picture is not None:
         data["picture_jpeg"] = base64.b64encode(picture).decode()
@@ -79,6 +81,8 @@ def panel_meta(
         data["drawing"] = drawing.model_dump(mode="json")
     if shown is not None:
         data["sentence"] = _sentence_for_people(shown)
+        if isinstance(shown, AreaMeasurement | GsdEstimate):
+            data["contradiction"] = contradiction_text(shown) or None
     return {PANEL_KEY: data}
 
 

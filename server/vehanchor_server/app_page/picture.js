@@ -46,6 +46,7 @@ function pictureSection(record, result) {
       [has("stated"), "stated", "added by hand"],
       [has("removed"), "removed", "dropped by hand"],
       [has("mark"), "ruler-line", "other ruler"],
+      [has("fit"), "fit", "the size that must fit, at its best place"],
       [drawing?.vehicles_left_out, "", `${counted(drawing?.vehicles_left_out, "vehicle")} not drawn`],
     ].filter(([shown]) => shown);
     legend.replaceChildren(...notes.map(([, kind, words]) => html("span", { class: kind }, words)));

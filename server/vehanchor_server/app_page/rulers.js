@@ -6,11 +6,11 @@ function rulersSection(scale) {
   const rows = scale.rulers.map((ruler) => {
     const name = ruler.label[0].toUpperCase() + ruler.label.slice(1);
     const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";
-    const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "m/px");
+    const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "scale");
     return html(
       "li", { class: ruler.probably_right ? "agrees" : "disagrees" },
       html("span", { class: "name" }, name),
-      html("span", { class: "number" }, `${number(ruler.gsd_m_per_px)} m/px`),
+      html("span", { class: "number" }, sized(ruler.gsd_m_per_px, "scale")),
       html("span", { class: "note" }, bounds),
       html("span", { class: "note" }, `right with a chance of ${ruler.p_right.toFixed(2)}${lead}`),
       ruler.explanation && html("p", { class: "note" }, ruler.explanation),

@@ -7,10 +7,23 @@ function reading(name, value, unit, ...notes) {
   return html("div", {}, html("dt", {}, name), html("dd", { class: "value" }, value, unit && html("small", {}, unit)), ...said);
 }
 
+const measuredReading = (name, value, quantity, ...notes) =>
+  reading(name, number(inUnits(value, quantity)), unitOf(quantity), ...notes);
+
 function scaleReading(scale) {
   if (scale.gsd_m_per_px === null) return reading("Scale", "none", "", "no ruler found");
-  const bounds = interval(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px, "m/px");
-  return reading("Scale", number(scale.gsd_m_per_px), "m/px", bounds && `${bounds} ${PREMISE}`);
+  const bounds = interval(scale.gsd_ci95_low_m_per_px, scale.gsd_ci95_high_m_per_px, "scale");
+  return measuredReading("Scale", scale.gsd_m_per_px, "scale", bounds && `${bounds} ${PREMISE}`);
+}
+
+// The file's own scale: an estimate does not use it, measurements do unless something contradicts it.
+const fileScale = (record) => (isArea(record) ? null : record.georeference_gsd_m_per_px);
+function fileScaleReading(record) {
+  const gsd = fileScale(record);
+  if (gsd === null) return undefined;
+  const differs = record.warnings.some(({ code }) => code === "georeference_differs");
+  const note = differs ? "differs from the estimate" : "by its georeference";
+  return measuredReading("The file's own scale", gsd, "scale", note);
 }
 
 function confidenceReading(scale, name = "Confidence") {
@@ -23,8 +36,8 @@ function confidenceReading(scale, name = "Confidence") {
 // The ground in the image, where one scale holds for all of it.
 function extentReading(record) {
   if (!barred(record)) return undefined;
-  const [across, down] = squareSize(record).map((side) => number(side * record.gsd_m_per_px));
-  return reading("On the ground", `${across} × ${down}`, "m");
+  const [across, down] = squareSize(record).map((side) => number(inUnits(side * record.gsd_m_per_px, "length")));
+  return reading("On the ground", `${across} × ${down}`, unitOf("length"));
 }
 
 function vehicleReading(scale) {
@@ -39,24 +52,31 @@ function vehicleReading(scale) {
 
 function readings(record) {
   if (!isArea(record)) {
-    const tiles = [trusted(record, scaleReading(record)), confidenceReading(record), extentReading(record), vehicleReading(record)];
+    const tiles = [
+      trusted(record, scaleReading(record)), confidenceReading(record), fileScaleReading(record),
+      extentReading(record), vehicleReading(record),
+    ];
     return html("dl", { class: "readings" }, ...tiles);
   }
   const tiles = [
     record.area_m2 === null
       ? reading("Area", whole(record.mask_area_px), "px", "no scale: pixels only")
-      : reading("Area", number(record.area_m2), "m²", interval(record.area_ci95_low_m2, record.area_ci95_high_m2, "m²")),
+      : measuredReading("Area", record.area_m2, "area", interval(record.area_ci95_low_m2, record.area_ci95_high_m2, "area")),
   ];
+  if (record.fit && record.area_m2 !== null) tiles.push(reading(`Fits: ${fitName(record.fit)}`, fitChance(record.fit), "", "probability", fitCount(record.fit)));
   if (record.inscribed_diameter_m !== null) {
     const bounds = [record.inscribed_diameter_ci95_low_m, record.inscribed_diameter_ci95_high_m];
-    tiles.push(reading("Largest inscribed circle", `⌀ ${number(record.inscribed_diameter_m)}`, "m", interval(...bounds, "m")));
+    const diameter = number(inUnits(record.inscribed_diameter_m, "length"));
+    tiles.push(reading("Largest inscribed circle", `⌀ ${diameter}`, unitOf("length"), interval(...bounds, "length")));
   }
   if (record.length_m !== null) {
-    const around = record.perimeter_m === null ? undefined : `outline ${number(record.perimeter_m)} m`;
-    tiles.push(reading("Length × width", `${number(record.length_m)} × ${number(record.width_m)}`, "m", around));
+    const around = record.perimeter_m === null ? undefined : `outline ${sized(record.perimeter_m, "length")}`;
+    const [length, width] = [record.length_m, record.width_m].map((side) => number(inUnits(side, "length")));
+    tiles.push(reading("Length × width", `${length} × ${width}`, unitOf("length"), around));
   }
   const scale = scaleOf(record);
-  tiles.push(scale ? scaleReading(scale) : reading("Scale", round(record.gsd_m_per_px), "m/px", record.scale_source === "file" ? "the file's own" : "given by the caller"));
+  const origin = record.scale_source === "file" ? "the file's own" : "given by the caller";
+  tiles.push(scale ? scaleReading(scale) : reading("Scale", round(inUnits(record.gsd_m_per_px, "scale")), unitOf("scale"), origin));
   return html("dl", { class: "readings" }, ...tiles.map((tile) => trusted(record, tile)), scale && confidenceReading(scale, "Scale confidence"));
 }
 

@@ -29,7 +29,7 @@ function inFile(record, [x, y]) {
 }
 const boxRing = ([[x1, y1], [x2, y2]]) => [[x1, y1], [x2, y1], [x2, y2], [x1, y2]];
 
-// Lines of one kind: points, whether closed, and a label at the middle.
+// Lines of one kind: points, whether closed, and a label at a place, or at the middle of the first two points.
 function shapesOf(record, drawing) {
   const vehicles = correctedVehicles();
   const closed = true;
@@ -47,9 +47,19 @@ function shapesOf(record, drawing) {
     if (isArea(each.record)) shapes.push({ kind, closed, lines: ringsOf(each.record), label });
     else shapes.push({ kind, lines: [each.record.path.map(squareAt(each.record))], label });
   });
+  for (const each of [record, ...call.measured.map(({ record: measured }) => measured)].filter(isArea)) {
+    const ring = fitRing(each);
+    if (!ring.length) continue;
+    const isUsable = each.status === "ok";
+    shapes.push({
+      kind: isUsable ? "fit" : "untrusted", closed, lines: [ring],
+      label: isUsable ? `${fitName(each.fit)}: ${fitChance(each.fit)}` : undefined, labelAt: squareAt(each)(each.fit.center),
+    });
+  }
   return shapes.filter(({ lines }) => lines.length);
 }
 
+const labelPlace = ({ lines: [points], labelAt }) => labelAt ?? middle(points);
 const middle = ([[x1, y1], [x2, y2] = [x1, y1]]) => [(x1 + x2) / 2, (y1 + y2) / 2]; // or the point itself
 
 // The vehicles' numbers, as in overlays; the style hides those of vehicles that are small on the screen.
@@ -68,6 +78,6 @@ function paintShapes(canvas, shapes) {
   const lines = outlined.map((each) => svg("path", { class: each.kind, d: path(each) }));
   const labels = shapes
     .filter(({ label }) => label)
-    .map(({ lines: [points], label }) => svg("text", { x: middle(points)[0], y: middle(points)[1] }, label));
+    .map((shape) => svg("text", { x: labelPlace(shape)[0], y: labelPlace(shape)[1] }, shape.label));
   canvas.replaceChildren(...halos, ...lines, ...numbers(), ...labels);
 }

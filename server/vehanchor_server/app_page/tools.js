@@ -2,11 +2,18 @@
 
 const LEAST_LINE_PX = 5; // image pixels: shorter lines are refused
 const DRAGGED_PX = 5; // screen pixels: less is a click
+const CLOSES_PX = 6; // screen pixels: a click this near to an end of an outline closes it
+const CLOSES_BY_KEY_PX = 0.5; // the crosshair can stand beside another corner
+const MAX_CORNERS = 200; // the tool's limit
 const BY_KEYS = "Arrows move the crosshair, with Shift by one pixel; Enter sets a point, Backspace takes it back, Escape ends.";
 
 const TOOLS = {
   distance: { words: "Distance", first: "Click two points, or drag a line.", then: "Click the other end." },
   area: { words: "Area", first: "Draw a tight box around one object.", then: "Click the opposite corner." },
+  outline: {
+    words: "Outline", first: "Click the corners of an object, one after another.",
+    then: "Click the next corner. A click on the first corner, or a second one on the last, closes the outline.",
+  },
   known: { words: "Draw a known length", first: "Click both ends of a known length on the ground.", then: "Click the other end." },
   drop: { words: "Drop", first: "Click boxes that are not cars, or draw a box around several.", then: "Release after the last box." },
   add: { words: "Add", first: "Click both bumpers of a car without a box, or drag along it.", then: "Click the other bumper." },
@@ -20,19 +27,27 @@ function toolbar(record, view, canvas, redraw) {
   const tell = (text) => { words.textContent = text; };
   const form = lengthForm(record, tell);
   const buttons = {};
-  let tool, first, pressed, preview;
+  let tool, pressed, preview;
+  let points = []; // of what is being drawn
   let choices = 0; // number of tool changes
 
   const sketch = (ring, closed) => {
     preview?.remove();
-    preview = ring && svg("path", { class: "sketch", d: `M${ring.map((point) => point.join(" ")).join("L")}${closed ? "Z" : ""}` });
-    if (preview) canvas.append(preview);
+    if (!ring) {
+      preview = undefined;
+      return;
+    }
+    const line = svg("path", { class: "sketch", d: `M${ring.map((point) => point.join(" ")).join("L")}${closed ? "Z" : ""}` });
+    const corners = svg("path", { class: "corner", d: points.map((point) => `M${point.join(" ")}h0`).join("") });
+    preview = svg("g", {}, line, corners);
+    canvas.append(preview);
   };
-  const sketchTo = (point) => sketch(isBox(tool) ? boxRing([first, point]) : [first, point], isBox(tool));
+  // The open line, box or outline, up to a place.
+  const sketchTo = (point) => sketch(isBox(tool) ? boxRing([points[0], point]) : [...points, point], isBox(tool));
   const choose = (name, text) => {
     sketch();
     choices += 1;
-    [tool, first, pressed] = [name, undefined, undefined];
+    [tool, points, pressed] = [name, [], undefined];
     view.picking = Boolean(name);
     view.frame.classList.toggle("drawing", Boolean(name));
     if (!name) cross.hide();
@@ -44,6 +59,8 @@ function toolbar(record, view, canvas, redraw) {
     redraw();
     if (preview) canvas.append(preview);
     corrections.refresh();
+    outlineRow.hidden = tool !== "outline" || !points.length;
+    closeButton.hidden = points.length < 3;
     const removed = (each, i) => {
       call.measured.splice(call.measured.indexOf(each), 1);
       refresh();
@@ -52,17 +69,25 @@ function toolbar(record, view, canvas, redraw) {
     list.replaceChildren(...call.measured.map((each, i) => measuredRow(each, () => removed(each, i))));
   };
 
-  // Take back the open point.
+  // Take back the last point.
   const undo = () => {
-    cross.at = first ?? cross.at;
-    choose(tool, TOOLS[tool].first);
+    const kept = points.slice(0, -1);
+    cross.at = points.at(-1) ?? cross.at;
+    choose(tool, kept.length ? TOOLS[tool].then : TOOLS[tool].first);
+    resume(kept);
     view.frame.focus({ preventScroll: true });
     cross.goTo(cross.at);
+  };
+  // Go on with corners that are drawn already.
+  const resume = (drawn) => {
+    points = [...drawn];
+    if (points.length) sketchTo(points.at(-1));
+    refresh();
   };
 
   const pick = (vehicles) => {
     sketch();
-    first = undefined;
+    points = [];
     tell(vehicles.length ? dropVehicles(vehicles) : "No vehicle here.");
     refresh();
   };
@@ -82,30 +107,69 @@ function toolbar(record, view, canvas, redraw) {
       call.corrections.add.push({ ends, box: boxAlong(ends) });
       return choose(kind, `Vehicle of ${whole(Math.round(short))} px added.`);
     }
+    return measure(kind, ends);
+  };
+  const measure = async (kind, ends) => {
     choose(undefined, "Measuring.");
     const asked = choices;
-    const reselect = () => choices === asked && choose(kind, TOOLS[kind].first); // unless the tool has changed
+    // Take the tool again, unless another one is taken meanwhile.
+    const reselect = (drawn = []) => {
+      if (choices !== asked) return;
+      choose(kind, TOOLS[kind].first);
+      resume(drawn);
+    };
     try {
       call.measured.push(await measureBetween(kind, ends, record));
       refresh();
       reselect();
     } catch (error) {
-      reselect();
+      reselect(kind === "outline" ? ends : []); // corners are work: they stay, to be mended
       tell(`Not measured: ${error.message}`);
     }
   };
+  const closeOutline = () => measure("outline", points);
+  const setCorner = (point, closesWithin) => {
+    const onScreen = (corner) => Math.hypot(corner[0] - point[0], corner[1] - point[1]) * view.perPixel;
+    const isClosing = points.length && [points[0], points.at(-1)].some((corner) => onScreen(corner) <= closesWithin);
+    if (isClosing && points.length >= 3) return closeOutline();
+    if (isClosing) return tell(TOOLS.outline.then); // the second click of a double one
+    if (points.length === MAX_CORNERS) return tell(`An outline has at most ${MAX_CORNERS} corners: close it.`);
+    resume([...points, point]);
+    return tell(TOOLS.outline.then);
+  };
 
-  // A point by the keyboard, or a click: the first of two, the second, or a vehicle.
+  // Place the typed size in all objects, those that the call itself has measured too.
+  const placeSize = async () => {
+    if (isArea(record)) {
+      const { must_fit: _, ...asked } = call.arguments;
+      return measureAgain(mustFit ? { ...asked, must_fit: mustFit } : asked, tell);
+    }
+    if (!call.measured.some((each) => isArea(each.record))) return tell(mustFit ? "Draw an area or an outline: the size is placed in it." : "");
+    tell("Placing.");
+    try {
+      const measured = [];
+      for (const each of call.measured) measured.push(isArea(each.record) ? await measureBetween(each.kind, each.ends, record) : each);
+      call.measured = measured;
+      const fits = measured.filter((each) => each.record.fit && each.record.status === "ok").map((each) => fitWords(each.record.fit));
+      tell(fits.join("; "));
+    } catch (error) {
+      tell(`Not placed: ${error.message}`);
+    }
+    return refresh();
+  };
+
+  // A point by the keyboard: the first of two, the second, a corner, or a vehicle.
   const setPoint = (point) => {
     if (picks(tool)) return pickAt(point);
-    if (first) return drawnBetween([first, point]);
-    first = point;
+    if (tool === "outline") return setCorner(point, CLOSES_BY_KEY_PX);
+    if (points.length) return drawnBetween([points[0], point]);
+    points = [point];
     sketchTo(point);
     tell(TOOLS[tool].then);
     refresh();
   };
   const tellPlace = (point) => {
-    if (first) sketchTo(point);
+    if (points.length) sketchTo(point);
     const [x, y] = inFile(record, point);
     tell(`x ${whole(Math.round(x))}, y ${whole(Math.round(y))}`);
   };
@@ -118,8 +182,8 @@ function toolbar(record, view, canvas, redraw) {
     const point = view.inImage(event);
     if (!tool || event.button || !isInside(point)) return;
     view.frame.setPointerCapture(event.pointerId); // a drag can end outside
-    pressed = { event, isSecond: Boolean(first) };
-    first ??= point;
+    pressed = { event, isSecond: points.length > 0 };
+    if (tool !== "outline" && !points.length) points = [point];
     sketchTo(point);
     if (!picks(tool)) tell(TOOLS[tool].then);
   });
@@ -127,7 +191,7 @@ function toolbar(record, view, canvas, redraw) {
     if (!tool) return;
     const point = inImage(event);
     cross.at = point;
-    if (first) sketchTo(point);
+    if (points.length) sketchTo(point);
     else if (picks(tool)) {
       const vehicle = vehicleAt(point, NEAR_PX / view.perPixel);
       sketch(vehicle && corners(vehicle.box), true);
@@ -139,7 +203,8 @@ function toolbar(record, view, canvas, redraw) {
     const { event: down, isSecond } = pressed;
     pressed = undefined;
     const isDrag = Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) >= DRAGGED_PX;
-    if (isSecond || isDrag) drawnBetween([first, point]);
+    if (tool === "outline") setCorner(point, CLOSES_PX);
+    else if (isSecond || isDrag) drawnBetween([points[0], point]);
     else if (picks(tool)) pickAt(point);
     else refresh();
   });
@@ -152,9 +217,10 @@ function toolbar(record, view, canvas, redraw) {
     act();
   });
 
-  const [hasScale, hasEstimate] = [record.gsd_m_per_px !== null, scaleOf(record)];
+  const hasScale = record.gsd_m_per_px !== null || fileScale(record) !== null;
+  const hasEstimate = scaleOf(record);
   const offered = {
-    distance: hasScale, area: hasScale, known: hasEstimate, drop: hasEstimate && correctedVehicles().length, add: hasEstimate,
+    distance: hasScale, area: hasScale, outline: hasScale, known: hasEstimate, drop: hasEstimate && correctedVehicles().length, add: hasEstimate,
   };
   for (const name of Object.keys(TOOLS).filter((each) => offered[each])) {
     const act = (event) => {
@@ -169,14 +235,16 @@ function toolbar(record, view, canvas, redraw) {
     buttons[name] = button(TOOLS[name].words, act, { "aria-pressed": "false" });
   }
   const corrections = correctionRow(record, tell, refresh);
+  const closeButton = button("Close the outline", closeOutline);
+  const outlineRow = html("div", { class: "row asked", hidden: true }, closeButton, button("Take back the last corner", undo));
   const group = (title, names) => {
     const held = names.map((name) => buttons[name]).filter(Boolean);
     return held.length ? html("div", { class: "group", role: "group", "aria-label": title }, html("span", { class: "note" }, title), ...held) : undefined;
   };
   refresh();
   return {
-    groups: [group("Measure", ["distance", "area", "known"]), group("Vehicles", ["drop", "add"])],
-    below: [words, form.row, corrections.row, list],
+    groups: [group("Measure", ["distance", "area", "outline", "known"]), group("Vehicles", ["drop", "add"]), hasScale ? fitForm(placeSize, tell) : undefined],
+    below: [words, outlineRow, form.row, corrections.row, list],
     placed: cross.place,
   };
 }

@@ -107,10 +107,10 @@ function zoomButtons(view) {
 function scaleBar(metresPerPixel) {
   const bar = html("div", { class: "scale-bar", "aria-hidden": "true" });
   const fit = (view) => {
-    const each = metresPerPixel / view.perPixel; // metres per screen pixel
-    const metres = roundUp(BAR_SHARE * view.frame.clientWidth * each);
-    bar.textContent = `${round(metres)} m`;
-    bar.style.width = `${metres / each}px`;
+    const each = inUnits(metresPerPixel, "length") / view.perPixel; // length of a screen pixel
+    const length = roundUp(BAR_SHARE * view.frame.clientWidth * each);
+    bar.textContent = `${round(length)} ${unitOf("length")}`;
+    bar.style.width = `${length / each}px`;
   };
   return { bar, fit };
 }

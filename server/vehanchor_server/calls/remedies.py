@@ -33,7 +33,9 @@ _IN_WORDS: Mapping[Remedy, str] = {
     "thing": "if a car or a court, container or rail is in sight, mark it (add, known_lengths)",
     "measured": "give a measured length or height, no further assumed one (basis)",
     "facts": "check the facts that you gave, or leave out the wrong one",
-    "elsewhere": "give the camera's height (height_m) or photographs with cars (more_images)",
+    "second": "if they are right, measure a second length or the height (known_lengths, height_m)",
+    "elsewhere": "give the camera's height and lens (height_m, focal_35mm), or photographs with "
+    "cars (more_images)",
     "vehicles": "also use the ruler vehicles (rulers)",
     "visible": "send the original image",
     "perspective": "send one photograph that was taken straight down",
@@ -42,7 +44,7 @@ _IN_WORDS: Mapping[Remedy, str] = {
 }
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"
-_ON_MASK = "look at it with view_image, and give a tight box drawn by eye"
+_ON_MASK = "look at it with view_image, and give a tight box, or its outline (polygon), by eye"
 _ON_SMALL = "give its outline (polygon) from an enlarged part of the image (view_image, part)"
 
 

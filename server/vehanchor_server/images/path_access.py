@@ -42,10 +42,12 @@ _NO_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _FILE_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | _NO_WAITING
 _DIRECTORY_FLAGS = os.O_RDONLY | _NOFOLLOW | _CLOEXEC | getattr(os, "O_DIRECTORY", 0)
 
-# Names of other places: schemes such as local:// and data:, a home directory, a drive of Windows.
+# Names of other places: schemes such as local:// and data:, a home directory, a variable, and, but
+# on Windows, a drive or a share of it.
+_FOREIGN_PLACES = r"[a-z][a-z0-9+.-]+://|(data|blob|cid|sandbox|attachment):|~|\$\{?[a-z]|%[a-z]+%"
+_WINDOWS_PLACES = r"|[a-z]://|[a-z]:[\\/]|\\\\"
 _FOREIGN_PATH = re.compile(
-    r"[a-z][a-z0-9+.-]*://|data:|~|[a-z]:[\\/]" if os.name == "posix" else r"[a-z]{2,}://|data:|~",
-    re.IGNORECASE,
+    _FOREIGN_PLACES + (_WINDOWS_PLACES if os.name == "posix" else ""), re.IGNORECASE
 )
 _MAX_LINKS = 40  # the limit of Linux
 _MAX_NAMED = 4  # roots, or similar names, in an error
@@ -357,7 +359,7 @@ def _images_below(root: Path, check_stop: Callable[[], None] | None = None) -> I
 
 
 def _no_image(named: str, nearest: Sequence[str] = ()) -> CallError:
-    remedy = "Check the path."
+    remedy = "Check the path; view_image without image lists the images."
     if nearest:
         remedy = f"The nearest names are {', '.join(nearest)}."
     message = f"there is no regular file at {shortened(named)!r}. {remedy}"

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
+from vehanchor.records.contradiction import contradiction_of
 from vehanchor.records.text import (
     by_hand_text,
-    contradiction_text,
+    file_source_text,
     fit_in_words,
     pixel_text,
     ruler_names,
@@ -75,9 +76,12 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
         numbered = [f"{number}. {sentence}" for number, sentence in enumerate(words, 1)]
         words = ["\n".join(numbered)]
     first = records[0]
-    contradiction = contradiction_text(first)
-    if contradiction:
-        words = [f"{contradiction}.", *words]
+    contradiction = contradiction_of(first)
+    stated_code = None
+    if contradiction is not None:
+        words = [f"{contradiction.text}.", *words]
+        if detail == "short":
+            stated_code = contradiction.code
     if isinstance(first, GsdEstimate):
         max_chars = _ESTIMATE_CHARS
         if detail == "full":
@@ -85,21 +89,32 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
     else:
         max_chars = _MEASUREMENT_CHARS * len(records)
     n_chars = len(" ".join([*words, *hints]))
-    warnings = _warnings(records, detail, max_chars=max_chars - n_chars)
+    warnings = _warnings(records, detail, max_chars=max_chars - n_chars, stated_code=stated_code)
     prefixed = [f"{_PREFIX}{warning}" for warning in warnings]
+    if contradiction is not None and stated_code is not None:
+        warnings = [f"{stated_code}: {contradiction.text}.", *warnings]
     return Answer(" ".join([*words, *prefixed, *hints]), (*warnings, *hints))
 
 
-def _warnings(records: Sequence[AnyRecord], detail: Detail, *, max_chars: int) -> list[str]:
+def _warnings(
+    records: Sequence[AnyRecord], detail: Detail, *, max_chars: int, stated_code: str | None
+) -> list[str]:
     """List each warning of the records once, with the targets that have it.
 
     A short answer explains warnings while there is room, in their order; its last entry has the
     codes of the others.
+
+    Args:
+        records: as in ``answer_of``.
+        detail: short or full.
+        max_chars: room of a short answer.
+        stated_code: code of the warning that the answer has begun with; None without one.
     """
     targets: dict[Notice, list[int]] = {}
     for number, record in enumerate(records, 1):
         for notice in record.warnings:
-            targets.setdefault(notice, []).append(number)
+            if notice.code != stated_code:
+                targets.setdefault(notice, []).append(number)
     names = []
     for notice, numbers in targets.items():
         is_about_all = len(numbers) == len(records)
@@ -120,7 +135,8 @@ def _warnings(records: Sequence[AnyRecord], detail: Detail, *, max_chars: int) -
         else:
             unexplained.append(name)
     if unexplained:
-        explained.append(f"{', '.join(unexplained)}.")
+        codes = dict.fromkeys(unexplained)
+        explained.append(f"{', '.join(codes)}.")
     return explained
 
 
@@ -164,6 +180,12 @@ def _estimate_in_words(estimate: GsdEstimate) -> str:
     corrections = by_hand_text(estimate)
     if corrections:
         words.append(f"Vehicles corrected {corrections}.")
+    file_gsd = estimate.georeference_gsd_m_per_px
+    if file_gsd is not None and estimate.status != "ok" and contradiction_of(estimate) is None:
+        words.append(
+            f"The file's georeference gives {significant(file_gsd)} m/px: measure_area and "
+            "measure_distance use it."
+        )
     return " ".join(words)
 
 
@@ -196,7 +218,7 @@ def _fit_sentence(area: AreaMeasurement) -> str:
     """State whether the shape that must fit fits, and where."""
     fit = area.fit
     assert fit is not None
-    words = fit_in_words(fit)
+    words = fit_in_words(fit, has_scale=area.area_m2 is not None)
     sentence = f"{words[0].upper()}{words[1:]}"
     if area.status != "ok":
         return f"{sentence}: do not act on it."
@@ -250,7 +272,9 @@ def _interval(low: float | None, high: float | None, premise: str = "") -> str:
 def _verdict(record: AnyRecord) -> str:
     """State whether a record is usable; if not, state why and what would help."""
     if record.status == "ok":
-        return "safe to use."
+        contradiction = contradiction_of(record)
+        premise = "" if contradiction is None else contradiction.premise
+        return f"safe to use {premise}".rstrip() + "."
     return f"do not rely on it{_why(record)}; {advice_on(record)}."
 
 
@@ -270,9 +294,9 @@ def _scale_origin(measured: AreaMeasurement | DistanceMeasurement) -> str:
     """Name the source of a measurement's scale."""
     assert measured.gsd_m_per_px is not None
     source = "as stated"
-    if measured.estimate is not None:
+    if measured.scale_source == "file":
+        source = f"by the file's georeference, {file_source_text(measured)}"
+    elif measured.estimate is not None:
         source = f"from {ruler_names(measured.estimate)}"
-    elif measured.scale_source == "file":
-        source = "by the file's georeference, not compared with cars"
     confidence = f"scale confidence {measured.scale_confidence or 0.0:.2f}"
     return f"scale {significant(measured.gsd_m_per_px)} m/px {source}, {confidence}"

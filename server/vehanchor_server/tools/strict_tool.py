@@ -173,9 +173,12 @@ class StrictTool(Tool):
 
 
 def _path_in(arguments: Mapping[str, Any]) -> str | None:
-    """Return the path of the image in a call's arguments; None without a usable one."""
+    """Return the path of the image in a call's arguments; None without a usable one.
+
+    Models also give the path alone, in place of the object.
+    """
     image = arguments.get("image")
-    path = image.get("path") if isinstance(image, dict) else None
+    path = image.get("path") if isinstance(image, dict) else image
     if not isinstance(path, str) or not path or len(path) > _MAX_SHOWN_PATH:
         return None
     return path

@@ -40,8 +40,8 @@ from vehanchor.records import (
     VehiclesByHand,
 )
 from vehanchor.records.notices import NoticeCode
-from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class
-from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice
+from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class, unused_facts
+from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice, unknown_tilt_chance
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
@@ -244,13 +244,13 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
     witnesses = measure_all(view, earlier)
     vehicles = vehicle_witness(witnesses)
     notices: tuple[Notice, ...] = ()
+    tilt_chance = 0.0
     # The vehicles may show a tilt, or several scales, only if no tilt is known.
     if view.tilt is None and vehicles is not None and vehicles.found:
-        notices = tilt_notice(
-            view.image,
-            view.options,
-            view.detections,
-            log_size_sd=view.card.errors.boxes.log_size_sd,
+        log_size_sd = view.card.errors.boxes.log_size_sd
+        notices = tilt_notice(view.image, view.options, view.detections, log_size_sd=log_size_sd)
+        tilt_chance = unknown_tilt_chance(
+            view.image, view.options, view.detections, log_size_sd=log_size_sd
         )
         notices += several_scales_notice(
             view.image,
@@ -258,11 +258,15 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
             length_m=vehicles.reference.length_m,
             errors=view.card.errors,
         )
-    return conclude(view, witnesses, notices)
+    return conclude(view, witnesses, notices, tilt_chance=tilt_chance)
 
 
 def conclude(
-    view: View, measured: tuple[Witness, ...], notices: Sequence[Notice] = ()
+    view: View,
+    measured: tuple[Witness, ...],
+    notices: Sequence[Notice] = (),
+    *,
+    tilt_chance: float = 0.0,
 ) -> ScaleAnalysis:
     """Decide on the scale, and make the record.
 
@@ -270,10 +274,11 @@ def conclude(
         view: view of the image.
         measured: witnesses of all rulers.
         notices: notices of the tilt.
+        tilt_chance: 0..1, chance that the image has no single scale because of an unknown tilt.
     """
     measured = doubted_as_drawing(measured, view.drawing_chance)
     doubts: tuple[Remark, ...] = (*view.image.notices, *notices)
-    witnesses = with_doubts(_without_repetition(measured), doubts)
+    witnesses = with_doubts(_without_repetition(measured), doubts, tilt_chance=tilt_chance)
     is_paper = view.options.method.preset == "paper"
     decided = None if is_paper else answer(witnesses)
     if decided is not None:
@@ -292,10 +297,14 @@ def conclude(
             decision = decision._replace(reason="no_photograph")
     warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
     warnings += notices
+    warnings += unused_facts(view.options.rulers)
     if decided is not None:
         warnings += disagreements(witnesses, decided)
     warnings += georeference_notice(
-        view.image.georeference_gsd_m_per_px, decision.gsd_m_per_px, "the rulers give"
+        view.image.georeference_gsd_m_per_px,
+        decision.gsd_m_per_px,
+        "the rulers give",
+        interval=decision.interval,
     )
     record = _record(view, witnesses, decision, tuple(warnings))
     shown = NOT_SEARCHED if vehicles is None else view.detections
@@ -542,13 +551,20 @@ def notices_of(notes: Iterable[Remark]) -> tuple[Notice, ...]:
     return tuple(Notice(code=note.code, message=note.message) for note in notes)
 
 
-def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: str) -> list[Notice]:
-    """Warn if the file's own scale differs from another by more than a tenth.
+def georeference_notice(
+    own: float | None,
+    gsd_m_per_px: float | None,
+    source: str,
+    *,
+    interval: Interval | None = None,
+) -> list[Notice]:
+    """Warn if the file's own scale differs by more than a tenth, and lies outside the interval.
 
     Args:
         own: the file's scale, metres per pixel; None without one.
         gsd_m_per_px: the other scale; None without one.
         source: source of the other scale, as the middle of a sentence.
+        interval: 95 % interval of the other scale; None if unknown.
 
     Returns:
         One notice, or none.
@@ -556,6 +572,8 @@ def georeference_notice(own: float | None, gsd_m_per_px: float | None, source: s
     if own is None or gsd_m_per_px is None:
         return []
     if abs(gsd_m_per_px - own) <= GEOREFERENCE_TOLERANCE * own:
+        return []
+    if interval is not None and interval.low <= own <= interval.high:
         return []
     percent = 100 * (gsd_m_per_px / own - 1)
     message = (

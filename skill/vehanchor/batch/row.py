@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict
 from vehanchor.records import GsdEstimate
 from vehanchor.records.advice import Advice, advice_for
 from vehanchor.records.columns import ALL_COLUMNS, NOT_IN_TABLES
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.flat import flat_row
-from vehanchor.records.text import contradiction_text
 
 if TYPE_CHECKING:
     from vehanchor.errors import VehAnchorError

@@ -32,6 +32,7 @@ from vehanchor.options import ScaleOptions, declared_options, models
 from vehanchor.options.option import Option
 from vehanchor.options.signature import set_signature
 from vehanchor.rulers.active import rulers_help
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -81,7 +82,7 @@ class ParsedOptions:
         if self.file is None:
             return self.typed
         try:
-            text = self.file.read_text(encoding="utf-8")
+            text = decoded(self.file.read_bytes())
             from_file = tomllib.loads(text)
         except (OSError, ValueError) as error:
             raise InvalidParameterError(
@@ -153,6 +154,33 @@ class ParsedOptions:
         return Engine(
             self.detector, segmenter, classes=self.classes, options=options, runtime=runtime
         )
+
+    def loaded_engine(self) -> Engine:
+        """Make an engine whose networks are loaded.
+
+        Raises:
+            ModelError: a model cannot be used.
+            VehAnchorError: as ``engine``.
+        """
+        from concurrent.futures import ThreadPoolExecutor
+
+        from vehanchor.detection.chips import prepare_colours
+        from vehanchor.detection.detector import open_detector
+        from vehanchor.models.zoo import load_ruler_networks
+
+        options = self.options()
+        runtime = self.runtime()
+        # ONNX Runtime and OpenCV leave the interpreter to this thread, which imports the rest
+        # meanwhile. Nobody waits for the colours, which are the last things that a search needs.
+        thread = ThreadPoolExecutor(1)
+        opening = thread.submit(open_detector, self.detector, self.classes, runtime)
+        thread.submit(prepare_colours)
+        thread.shutdown(wait=False)
+        from vehanchor.engine import Engine
+
+        load_ruler_networks(runtime)
+        detector = opening.result()
+        return Engine(detector, options=options, runtime=runtime)
 
 
 def read_classes(values: Iterable[object]) -> list[str | int] | None:

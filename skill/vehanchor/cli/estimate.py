@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
@@ -11,17 +12,20 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from vehanchor.cli.cli_options import ParsedOptions, scale_command
-from vehanchor.cli.metadata import metadata_facts
-from vehanchor.cli.outputs import check_outputs, write_outputs
+from vehanchor.cli.estimated_file import EstimatedFile, Estimator, PhotographFile
+from vehanchor.cli.outputs import check_outputs
 from vehanchor.cli.terminal import (
     BAD_INPUT,
     NOT_OK,
     STATUS_TEXTS,
+    UNFORESEEN,
+    DefectError,
     Strict,
     contradiction_fact,
     exit_strictly,
     failures_as_json,
     first_names,
+    print_error_as_json,
     print_facts,
     print_json,
     print_rows,
@@ -33,22 +37,22 @@ from vehanchor.cli.terminal import (
     vehicles_text,
     work_progress,
 )
-from vehanchor.errors import ImageNotFoundError, InvalidParameterError, VehAnchorError
+from vehanchor.errors import ImageNotFoundError, InvalidParameterError
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.options.pixel_grid import PixelGrid
 from vehanchor.records.advice import advice_for
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.text import (
-    contradiction_text,
     count,
     file_scale_text,
     pixel_text,
+    scale_cells,
     scale_text,
     significant,
 )
 
 if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
-    from vehanchor.engine import Engine
     from vehanchor.records import EstimateDetails, GsdEstimate, TiltEstimate
 
     Records: TypeAlias = list[tuple[str, GsdEstimate]]
@@ -135,18 +139,27 @@ def estimate(
             "scale_bar": scale_bar,
             "geotiff": geotiff,
         }
-        outputs = _output_files(images, files)
-        engine = chosen.engine()
-        engine.load()
-    records, n_failed, n_refused = _estimate_all(images, engine, outputs, as_json=as_json)
+        photographs = []
+        for source, outputs in zip(images, _output_files(images, files), strict=True):
+            photographs.append(PhotographFile(source, outputs, details=details and not as_json))
+        estimator = Estimator(chosen, isolated=len(images) > 1)
+    with closing(estimator):
+        results = _estimate_all(photographs, estimator, as_json=as_json)
+    records = []
+    for source, result in zip(images, results, strict=True):
+        if result.estimate is not None:
+            records.append((source, result.estimate))
     if records and not as_json:
         _print_records(records, several=len(images) > 1)
-        if details:
-            for source, _ in records:
-                print_facts("", metadata_facts(source, chosen.options()))
-    if n_failed:
+        for result in results:
+            if result.metadata:
+                print_facts("", result.metadata)
+    errors = [result.error for result in results if result.error is not None]
+    if any(isinstance(error, DefectError) for error in errors):
+        raise typer.Exit(UNFORESEEN)
+    if errors:
         raise typer.Exit(BAD_INPUT)
-    if n_refused:
+    if any(result.why_refused is not None for result in results):
         raise typer.Exit(NOT_OK)
     exit_strictly(strict, [record.status for _, record in records])
 
@@ -195,45 +208,41 @@ def _expand_pattern(images: Sequence[str], option: str, pattern: str) -> list[Pa
 
 
 def _estimate_all(
-    images: Sequence[str], engine: Engine, outputs: Sequence[Mapping[str, Path]], *, as_json: bool
-) -> tuple[Records, int, int]:
-    """Estimate all images, and write their outputs.
-
-    Returns:
-        Images with their records; number of errors; number of images without a single usable scale,
-        whose outputs in metres are not written.
-    """
-    records: Records = []
+    photographs: Sequence[PhotographFile], estimator: Estimator, *, as_json: bool
+) -> list[EstimatedFile]:
+    """Estimate all photographs, and report what is wrong with each."""
+    results: list[EstimatedFile] = []
     all_written: list[Path] = []
-    n_failed = 0
-    n_refused = 0
+    several = len(photographs) > 1
     # A bar on the terminal would mix with the JSON lines there.
     no_bar = as_json and sys.stdout.isatty()
     with work_progress("tiles", lines=no_bar) as tell:
-        for number, source in enumerate(images, start=1):
+        for number, photograph in enumerate(photographs, start=1):
+            source = photograph.source
             name = Path(source).name
-            if len(images) > 1:
-                name = f"{number}/{len(images)} {name}"
-            try:
-                progress = partial(tell, name=name)
-                with failures_as_json([source], as_json):
-                    analysis = engine.analyse_scale(source, progress=progress)
-                if as_json:
-                    fields = analysis.estimate.model_dump(mode="json")
-                    print_json({"photograph": source, **fields})
-                records.append((source, analysis.estimate))
-                written, why_refused = write_outputs(analysis, outputs[number - 1])
-                all_written += written
-            except VehAnchorError as error:
-                n_failed += 1
-                report(error, source if len(images) > 1 else "")
-                continue
-            if why_refused is not None:
-                n_refused += 1
-                message = f"{source}: no scale bar and no GeoTIFF: {why_refused}"
+            if several:
+                name = f"{number}/{len(photographs)} {name}"
+            result = estimator.estimate(photograph, partial(tell, name=name))
+            results.append(result)
+            all_written += result.written
+            if as_json:
+                _print_as_json(source, result)
+            if result.error is not None:
+                report(result.error, source if several else "")
+            if result.why_refused is not None:
+                message = f"{source}: no scale bar and no GeoTIFF: {result.why_refused}"
                 print(printable(message), file=sys.stderr)
     print_written(all_written)
-    return records, n_failed, n_refused
+    return results
+
+
+def _print_as_json(source: str, result: EstimatedFile) -> None:
+    """Print the record of a photograph, or the error that it has instead, in one line."""
+    if result.estimate is not None:
+        fields = result.estimate.model_dump(mode="json")
+        print_json({"photograph": source, **fields})
+    elif result.error is not None:
+        print_error_as_json(source, result.error)
 
 
 def _print_records(records: Records, *, several: bool) -> None:
@@ -373,14 +382,7 @@ def _print_table(records: Records) -> None:
 
 def _cells(record: GsdEstimate) -> tuple[str, ...]:
     """Format the cells of a record in the table of several images; "-" for a missing value."""
-    scale = "-"
-    if record.gsd_m_per_px is not None:
-        scale = significant(record.gsd_m_per_px, 4)
-    interval = "-"
-    low = record.gsd_ci95_low_m_per_px
-    high = record.gsd_ci95_high_m_per_px
-    if low is not None and high is not None:
-        interval = f"{significant(low)} to {significant(high)}"
+    scale, interval = scale_cells(record)
     n_vehicles = "-" if record.n_vehicles is None else str(record.n_vehicles)
     reason = record.reason or ""
     return scale, interval, f"{record.confidence:.2f}", n_vehicles, record.status, reason

@@ -274,6 +274,8 @@ def _fit_text(record: AreaMeasurement) -> str:
     """State the shape that must fit, its probability and its place."""
     fit = record.fit
     assert fit is not None
+    if record.area_m2 is None:
+        return fit_in_words(fit, has_scale=False)
     text = fit_in_words(fit)
     if record.status != "ok":
         text += "; do not act on it"

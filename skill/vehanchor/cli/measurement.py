@@ -20,7 +20,7 @@ from vehanchor.cli.terminal import (
     vehicles_text,
     work_progress,
 )
-from vehanchor.records.text import file_scale_text, scale_text
+from vehanchor.records.text import file_scale_text, file_source_text, scale_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -29,14 +29,6 @@ if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
     from vehanchor.models.runtime import Progress
     from vehanchor.records import AreaMeasurement, DistanceMeasurement
-
-SCALE_SOURCES = {
-    "estimated": "estimated",
-    "given": "given",
-    "reused": "reused",
-    "file": "the file's own, not checked: --search compares it with cars",
-}
-"""Texts of the sources of a scale."""
 
 
 def show_measurement(
@@ -115,7 +107,9 @@ def _scale_facts(record: AreaMeasurement | DistanceMeasurement) -> Facts:
         ]
     else:
         status = record.status
-        source = SCALE_SOURCES[record.scale_source]
+        source: str = record.scale_source
+        if source == "file":
+            source = f"the file's own, {file_source_text(record)}"
         facts = [("scale", f"{record.gsd_m_per_px:.4g} m/px, {source}")]
     if record.scale_confidence is not None:
         text = f"{record.scale_confidence:.2f}   {STATUS_TEXTS[status]}"

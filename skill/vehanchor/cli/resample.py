@@ -12,7 +12,7 @@ from vehanchor.batch.table import write_table
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import FAILED, printable, report
 from vehanchor.errors import OutputError, VehAnchorError
-from vehanchor.export.resample import MAX_ENLARGEMENT
+from vehanchor.export.resample import MAX_ENLARGEMENT, make_folder
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.records.text import count
 
@@ -25,6 +25,7 @@ _COLUMNS: dict[str, type] = {
     "gsd_ci95_low_m_per_px": float,
     "gsd_ci95_high_m_per_px": float,
     "confidence": float,
+    "scale_source": str,
     "error_code": str,
     "error": str,
 }
@@ -52,10 +53,7 @@ def resample(
     """
     engine = chosen.engine()
     images = find_images(inputs)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot make the folder {str(out)!r}: {error.strerror}") from None
+    make_folder(out)
     rows = []
     names: set[str] = set()
     for image in images:

@@ -10,6 +10,7 @@ import typer
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.rulers import GSD, OBJECT_HEIGHT
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -48,7 +49,7 @@ SearchAnyway: TypeAlias = Annotated[
     bool,
     typer.Option(
         "--search",
-        help="Estimate the scale of a georeferenced file, too, and compare it with the file's own.",
+        help="Measure in a georeferenced file with the estimate, not with the file's own scale.",
     ),
 ]
 
@@ -68,13 +69,13 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
     from vehanchor.records.gsd_estimate import read_known_scale
 
     try:
-        text = path.read_text(encoding="utf-8")
+        text = decoded(path.read_bytes())
         record: Any = json.loads(text)
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)
         return read_known_scale(record)
     # An InvalidParameterError is a ValueError, too.
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise InvalidParameterError(
             f"--scale {str(path)!r} has no scale ({error}): give the output of 'vehanchor estimate "
             "IMAGE --json'"

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from vehanchor.errors import OutOfMemoryError, VehAnchorError
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.escaping import as_json, on_one_line
-from vehanchor.records.text import by_hand_text, contradiction_text
+from vehanchor.records.text import by_hand_text
 
 if TYPE_CHECKING:
     from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate, Notice
@@ -47,6 +48,18 @@ Strict: TypeAlias = Annotated[
         help=f"Exit with status {NOT_OK} if a result is not ok: low confidence or no scale.",
     ),
 ]
+
+
+class DefectError(VehAnchorError, code="internal_error"):
+    """Unforeseen exception, reported as an error of the command line."""
+
+    @classmethod
+    def of(cls, error: Exception) -> DefectError:
+        """Describe an unforeseen exception in one line."""
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        return cls(
+            f"{reason}. This is a defect of vehanchor; for details, set VEHANCHOR_TRACEBACK=1"
+        )
 
 
 def exit_strictly(strict: bool, statuses: Iterable[str]) -> None:
@@ -84,14 +97,9 @@ def exit_on_error() -> Iterator[None]:
     except Exception as error:
         if os.environ.get("VEHANCHOR_TRACEBACK"):
             raise
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
         if isinstance(error, ImportError):
             _exit_on_unmet_requirement(error)
-        print(
-            f"error[internal_error]: {printable(reason)}. This is a defect of vehanchor; for "
-            "details, set VEHANCHOR_TRACEBACK=1",
-            file=sys.stderr,
-        )
+        report(DefectError.of(error))
         raise typer.Exit(UNFORESEEN) from None
 
 
@@ -186,10 +194,13 @@ def failures_as_json(sources: Iterable[str], as_json: bool) -> Iterator[None]:
     except VehAnchorError as error:
         if as_json:
             for source in sources:
-                print_json(
-                    {"photograph": source, "error": {"code": error.code, "message": str(error)}}
-                )
+                print_error_as_json(source, error)
         raise
+
+
+def print_error_as_json(source: str, error: VehAnchorError) -> None:
+    """Print the error of an image as one JSON object in one line on stdout."""
+    print_json({"photograph": source, "error": {"code": error.code, "message": str(error)}})
 
 
 def print_json(record: Mapping[str, Any]) -> None:

@@ -262,6 +262,12 @@ def _cut_by_border(boxes: Boxes, image_px: tuple[int, int]) -> NDArray[np.bool_]
     return np.asarray(is_cut.T)
 
 
+def prepare_colours() -> None:
+    """Convert a pixel to CIELAB: at the first conversion OpenCV makes tables, for some 0.05 s."""
+    pixel = np.zeros((1, 1, 3), np.uint8)
+    cv2.cvtColor(pixel, cv2.COLOR_RGB2LAB)
+
+
 def body_tones(chips: Chips) -> Tones:
     """Measure the mean colours ``[n, 3]`` of candidates on their chips, in CIELAB."""
     first_row = (CHIP_ROWS - _BODY_ROWS) // 2

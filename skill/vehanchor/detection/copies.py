@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     Square: TypeAlias = NDArray[np.float32]
     """``[side, side, 3]`` RGB."""
 
+    Grey: TypeAlias = NDArray[np.float32]
+    """``[side, side]``, or ``[n, side, side]``, grey values."""
+
 # Root mean square difference over the spread of a vehicle's own pixels, below which two are copies.
 # The most similar pair of each of 312 photographs has 0.24 and more. Copies of eight cars that were
 # compressed again (JPEG quality 85) have less. A choice between both.
@@ -40,8 +44,8 @@ _MIN_CONTRAST = 8.0
 # Vehicles that are compared, best first, in an image in memory and in one that is read by windows.
 _MAX_COMPARED = 400
 _MAX_READ = 128
-# Every third row and column is compared first: few pixels suffice to tell most pairs apart.
-_SAMPLE_STEP = 3
+# Pixels of a body that are compared first. They suffice to tell most pairs apart.
+_SAMPLE_PIXELS = 40
 # Two boxes of one copied vehicle differ by at most this much: in log length, angle, place and mean
 # colour.
 _MAX_LOG_LENGTH = 0.10
@@ -53,27 +57,56 @@ _HALF_LENGTH = 0.42
 _HALF_WIDTH = 0.18
 
 
-class _Template(NamedTuple):
+class _Body(NamedTuple):
     """Pixels of a vehicle's body, which are searched in the squares of others.
 
     Attributes:
         core: ``[side, side, 3]`` around the vehicle's centre.
-        weights: ``[side, side, 3]``, 1 on the body and 0 beside it.
-        sample: ``[n, 3]`` colours of some pixels of the body.
-        sample_places: ``[n_shifts, n]`` places of these pixels among the pixels of another square,
-            row by row, at each shift.
-        max_squares: sum of squared differences up to which a square repeats the body.
+        mask: ``[side, side]`` the pixels of the body.
+        variance: mean variance of the three colours.
+        max_squares: sum of squared differences up to which a square repeats the body. A part of the
+            body has less.
     """
 
     core: Square
-    weights: Square
-    sample: NDArray[np.float32]
-    sample_places: NDArray[np.intp]
+    mask: NDArray[np.bool_]
+    variance: float
     max_squares: float
+
+    @classmethod
+    def of(cls, box: Box, square: Square, half: int) -> _Body:
+        """Cut a body out of a square.
+
+        Args:
+            box: ``[5]``.
+            square: ``[rows, columns, 3]`` around the vehicle.
+            half: pixels from the centre to the sides of the core.
+        """
+        middle = len(square) // 2
+        core = square[middle - half : middle + half + 1, middle - half : middle + half + 1]
+        mask = _mask(box, half)
+        pixels = core[mask]
+        variance = float(pixels.var(axis=0).mean())
+        max_squares = pixels.size * _MAX_DIFFERENCE**2 * variance
+        return cls(core, mask, variance, max_squares)
+
+
+class _Sample(NamedTuple):
+    """Some pixels of a vehicle's body, which are compared first: few suffice for most pairs.
+
+    Attributes:
+        x: ``[n]`` columns from the vehicle's centre.
+        y: ``[n]`` rows from the vehicle's centre.
+        greys: ``[n]`` grey values.
+    """
+
+    x: NDArray[np.intp]
+    y: NDArray[np.intp]
+    greys: NDArray[np.float32]
 
 
 class _Picture:
-    """Pixels of a vehicle.
+    """Pixels of a vehicle; what only comparisons need is computed by the first of them.
 
     Attributes:
         box: ``[5]``.
@@ -91,20 +124,65 @@ class _Picture:
         self.box = box
         self.square = square
         self.colour: NDArray[np.float32] = square.mean(axis=(0, 1))
-        self._templates: dict[int, _Template | None] = {}
 
-    def template(self, side: int) -> _Template | None:
-        """Cut out the vehicle's body, once for each size of the squares in which it is searched.
+    @cached_property
+    def grey(self) -> Grey:
+        """Grey values, whose squared differences are never more than those of the colours.
+
+        The square of a sum of three differences is at most three times the sum of their squares.
+        """
+        red, green, blue = self.square.transpose(2, 0, 1)
+        return np.asarray((red + green + blue) / np.float32(math.sqrt(3)))
+
+    @cached_property
+    def body(self) -> _Body:
+        """The pixels of the body."""
+        return _Body.of(self.box, self.square, _half_side(self.box[2]))
+
+    @cached_property
+    def sample(self) -> _Sample:
+        """Some pixels of the body, inside the smallest square to which another one may limit it."""
+        half = _half_side(self.box[2])
+        least_half = _half_side(self.box[2] * math.exp(-_MAX_LOG_LENGTH)) + 1
+        cut = max(0, half - least_half)
+        mask = self.body.mask
+        inner = mask[cut : len(mask) - cut, cut : len(mask) - cut]
+        rows, columns = np.nonzero(inner)
+        step = max(1, len(rows) // _SAMPLE_PIXELS)
+        y = rows[::step] + cut - half
+        x = columns[::step] + cut - half
+        middle = len(self.square) // 2
+        return _Sample(x, y, self.grey[middle + y, middle + x])
+
+
+class _Pictures:
+    """Pictures of distinct vehicles, among which similar ones are found."""
+
+    def __init__(self, most: int) -> None:
+        """Begin without pictures.
 
         Args:
-            side: rows and columns of those squares.
-
-        Returns:
-            The template; None for a vehicle without contrast.
+            most: largest number of pictures.
         """
-        if side not in self._templates:
-            self._templates[side] = _template(self.box, self.square, side)
-        return self._templates[side]
+        self._pictures: list[_Picture] = []
+        self._log_lengths = np.empty(most)
+        self._colours = np.empty((most, 3), np.float32)
+
+    def add(self, picture: _Picture) -> None:
+        """Add a picture."""
+        n = len(self._pictures)
+        self._log_lengths[n] = math.log(picture.box[2])
+        self._colours[n] = picture.colour
+        self._pictures.append(picture)
+
+    def similar(self, picture: _Picture) -> list[_Picture]:
+        """Select the pictures of vehicles with about the same length and colour."""
+        n = len(self._pictures)
+        log_ratios = self._log_lengths[:n] - math.log(picture.box[2])
+        differences = np.abs(self._colours[:n] - picture.colour)
+        is_similar = np.abs(log_ratios) <= _MAX_LOG_LENGTH
+        is_similar &= differences.max(axis=1, initial=0) <= _MAX_COLOUR
+        return [self._pictures[k] for k in np.flatnonzero(is_similar)]
 
 
 def without_copies(raster: Raster, detections: Detections) -> Detections:
@@ -122,16 +200,16 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
         return detections
     n_vehicles = len(detections.boxes)
     n_compared = _MAX_COMPARED if raster.in_memory else _MAX_READ
-    distinct: list[_Picture] = []
+    distinct = _Pictures(n_compared)
     is_copy = np.zeros(n_vehicles, np.bool_)
     for k, box in enumerate(detections.boxes[:n_compared]):
         picture = _picture(raster, box)
         if picture is None:
             continue
-        if any(_is_copy(picture, other) for other in _similar(picture, distinct)):
+        if _is_copy(picture, distinct.similar(picture)):
             is_copy[k] = True
         else:
-            distinct.append(picture)
+            distinct.add(picture)
     if not is_copy.any():
         return detections
     return replace(detections.take(~is_copy), n_copies=int(is_copy.sum()))
@@ -139,7 +217,7 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
 
 def _picture(raster: Raster, box: Box) -> _Picture | None:
     """Read the pixels of a vehicle; None beside the border of the image."""
-    half = _half_side(box) + _SHIFT_PX + 1
+    half = _half_side(box[2]) + _SHIFT_PX + 1
     left = round(box[0]) - half
     top = round(box[1]) - half
     side = 2 * half + 1
@@ -150,104 +228,124 @@ def _picture(raster: Raster, box: Box) -> _Picture | None:
     return _Picture(box, square)
 
 
-def _half_side(box: Box) -> int:
-    return math.ceil(_HALF_LENGTH * float(box[2]))
+def _half_side(length: float) -> int:
+    return math.ceil(_HALF_LENGTH * length)
 
 
-def _similar(picture: _Picture, others: Sequence[_Picture]) -> list[_Picture]:
-    """Select the pictures of vehicles with about the same length and colour."""
-    similar = []
-    for other in others:
-        if abs(math.log(picture.box[2] / other.box[2])) > _MAX_LOG_LENGTH:
+class _Orientation(NamedTuple):
+    """Orientation of a copy.
+
+    Attributes:
+        mirrored: whether left and right of the vehicle change places after the turn.
+        quarter_turns: counterclockwise turns, which reduce an angle in pixels with y down.
+    """
+
+    mirrored: bool
+    quarter_turns: int
+
+    def angles_after(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the angles ``[n]`` of boxes after turning and mirroring."""
+        turned = angles - self.quarter_turns * math.pi / 2
+        return -turned if self.mirrored else turned
+
+    def square_after(self, square: Square) -> Square:
+        """Turn and mirror a square."""
+        turned = np.rot90(square, self.quarter_turns)
+        return turned[:, ::-1] if self.mirrored else turned
+
+    def places_before(
+        self, x: NDArray[np.intp], y: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Find the places of pixels before turning and mirroring; all from the centre."""
+        if self.mirrored:
+            x = -x
+        for _ in range(self.quarter_turns):
+            turned_x = -y
+            y = x
+            x = turned_x
+        return x, y
+
+
+_ORIENTATIONS = [_Orientation(mirrored, turns) for mirrored in (False, True) for turns in range(4)]
+
+
+def _is_copy(picture: _Picture, others: Sequence[_Picture]) -> bool:
+    """Test whether a picture repeats one of the others, in any of eight orientations."""
+    if not others:
+        return False
+    greys = _stacked([other.grey for other in others])
+    angles = np.array([other.box[4] for other in others])
+    for orientation in _ORIENTATIONS:
+        # A box turned by half is the same box.
+        turns = picture.box[4] - orientation.angles_after(angles) + math.pi / 2
+        is_parallel = np.abs(turns % math.pi - math.pi / 2) <= _MAX_TURN
+        if not is_parallel.any():
             continue
-        if np.abs(picture.colour - other.colour).max() <= _MAX_COLOUR:
-            similar.append(other)
-    return similar
-
-
-def _is_copy(picture: _Picture, other: _Picture) -> bool:
-    """Test whether a picture repeats another one, in any of eight orientations."""
-    for mirrored in (False, True):
-        for quarter_turns in range(4):
-            if not _has_angle(picture.box, other.box, mirrored, quarter_turns):
-                continue
-            square = np.rot90(other.square, quarter_turns)
-            if mirrored:
-                square = square[:, ::-1]
-            if _repeats(picture, square):
+        rows = np.flatnonzero(is_parallel)
+        # The sum over all pixels is never less than the sum over some.
+        squares = _least_sample_squares(picture, greys[rows], orientation)
+        for k in rows[squares <= picture.body.max_squares]:
+            if _repeats(picture, orientation.square_after(others[k].square)):
                 return True
     return False
 
 
-def _has_angle(box: Box, other: Box, mirrored: bool, quarter_turns: int) -> bool:
-    """Test whether another box has this box's angle after turning and mirroring.
+def _stacked(squares: Sequence[Grey]) -> Grey:
+    """Stack squares of several sizes ``[n, side, side]``, with black around the smaller ones."""
+    side = max(map(len, squares))
+    stack = np.zeros((len(squares), side, side), np.float32)
+    for place, square in zip(stack, squares, strict=True):
+        margin = (side - len(square)) // 2
+        place[margin : side - margin, margin : side - margin] = square
+    return stack
+
+
+def _least_sample_squares(
+    picture: _Picture, greys: Grey, orientation: _Orientation
+) -> NDArray[np.float32]:
+    """Sum the squared differences of some pixels, at the shift where the sum is least.
 
     Args:
-        box: ``[5]``.
-        other: ``[5]``.
-        mirrored: whether left and right of the other change places after the turn.
-        quarter_turns: counterclockwise turns, which reduce an angle in pixels with y down.
+        picture: the vehicle.
+        greys: ``[n, side, side]`` grey values of others.
+        orientation: of the vehicle as a copy of the others.
+
+    Returns:
+        ``[n]`` sums.
     """
-    angle = other[4] - quarter_turns * math.pi / 2
-    if mirrored:
-        angle = -angle
-    # A box turned by half is the same box.
-    turn = float(box[4] - angle + math.pi / 2) % math.pi - math.pi / 2
-    return abs(turn) <= _MAX_TURN
+    n_others, side, _ = greys.shape
+    x, y = orientation.places_before(picture.sample.x, picture.sample.y)
+    most_shift = _most_shift(picture, side)
+    shifts = np.arange(-most_shift, most_shift + 1) + side // 2
+    shifted = side * shifts[:, None] + shifts
+    places = shifted.reshape(-1, 1) + (side * y + x)
+    pixels = greys.reshape(n_others, -1).take(places, axis=1)
+    difference = pixels - picture.sample.greys
+    squares = np.einsum("osn,osn->os", difference, difference)
+    return np.asarray(squares.min(axis=1))
+
+
+def _most_shift(picture: _Picture, side: int) -> int:
+    """Return the pixels by which a vehicle's body can shift in a square."""
+    return max(_SHIFT_PX, side // 2 - _half_side(picture.box[2]))
 
 
 def _repeats(picture: _Picture, square: Square) -> bool:
     """Test whether a square shows a vehicle's body, at the best shift."""
-    template = picture.template(len(square))
-    if template is None:
+    half = len(square) // 2 - _most_shift(picture, len(square))
+    body = _Body.of(picture.box, picture.square, half)
+    if body.variance < _MIN_CONTRAST**2:
         return False
-    square = np.ascontiguousarray(square)
-    # The sum over all pixels is never less than the sum over some.
-    if _least_sample_squares(template, square) > template.max_squares:
-        return False
-    squares = cv2.matchTemplate(square, template.core, cv2.TM_SQDIFF, mask=template.weights)
-    return float(squares.min()) <= template.max_squares
+    weights = np.repeat(body.mask[:, :, None], 3, axis=2).astype(np.float32)
+    turned = np.ascontiguousarray(square)
+    squares = cv2.matchTemplate(turned, body.core, cv2.TM_SQDIFF, mask=weights)
+    return float(squares.min()) <= body.max_squares
 
 
-def _least_sample_squares(template: _Template, square: Square) -> float:
-    """Sum the squared differences of some pixels, at the shift where the sum is least."""
-    colours = square.reshape(-1, 3).take(template.sample_places, axis=0)
-    difference = colours - template.sample
-    squares = np.einsum("snc,snc->s", difference, difference)
-    return float(squares.min())
-
-
-def _template(box: Box, square: Square, side: int) -> _Template | None:
-    """Cut a vehicle's body out of its square, to search it in squares of one size.
-
-    Args:
-        box: ``[5]``.
-        square: ``[rows, columns, 3]`` around the vehicle.
-        side: rows and columns of the squares in which it is searched.
-
-    Returns:
-        The template; None for a vehicle without contrast.
-    """
-    half = min(_half_side(box), side // 2 - _SHIFT_PX)
-    middle = len(square) // 2
-    core = square[middle - half : middle + half + 1, middle - half : middle + half + 1]
-    body = _body(box, half)
-    contrast = math.sqrt(float(core[body].var(axis=0).mean()))
-    if contrast < _MIN_CONTRAST:
-        return None
-    weights = np.repeat(body[:, :, None], 3, axis=2).astype(np.float32)
-    max_squares = float(weights.sum()) * (_MAX_DIFFERENCE * contrast) ** 2
-
-    rows, columns = _SAMPLE_STEP * np.argwhere(body[::_SAMPLE_STEP, ::_SAMPLE_STEP]).T
-    n_shifts = side - len(core) + 1
-    first_places = np.arange(n_shifts)[:, None] * side + np.arange(n_shifts)
-    places = first_places.reshape(-1, 1) + (rows * side + columns)
-    return _Template(core, weights, core[rows, columns], places, max_squares)
-
-
-def _body(box: Box, half: int) -> NDArray[np.bool_]:
+def _mask(box: Box, half: int) -> NDArray[np.bool_]:
     """Mark the pixels of a vehicle in the square around its centre."""
-    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    x = np.arange(-half, half + 1)
+    y = x[:, None]
     angle = box[4]
     along = x * math.cos(angle) + y * math.sin(angle)
     across = y * math.cos(angle) - x * math.sin(angle)

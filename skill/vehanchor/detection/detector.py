@@ -32,9 +32,10 @@ from vehanchor.errors import ModelContractError
 from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
-from vehanchor.models.zoo import BUNDLED_MODELS, auxiliary_model, errors_file
+from vehanchor.models.zoo import BUNDLED_MODELS, auxiliary_model, errors_file, resolve_model
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Sequence
     from typing import Self, TypeAlias
 
@@ -44,6 +45,9 @@ if TYPE_CHECKING:
 
     Tile: TypeAlias = NDArray[np.uint8]
     """``[h, w, 3]`` RGB."""
+
+    DetectorSource: TypeAlias = "Detector | str | os.PathLike[str]"
+    """A bundled model's name, the path of an ONNX oriented-box model, or a loaded detector."""
 
 # Grey level of Ultralytics' padding.
 _PADDING_LEVEL = 114
@@ -426,6 +430,31 @@ def load_detector(
         runtime=runtime.idle,
     )
     return detector.under(runtime)
+
+
+def open_detector(
+    source: DetectorSource | None, classes: Sequence[str | int] | None, runtime: Runtime
+) -> Detector:
+    """Open a detector.
+
+    Args:
+        source: a bundled model's name, a path, or a loaded detector, which keeps its runtime; None
+            for the bundled one.
+        classes: classes that count as vehicles, also of a loaded detector; None or empty keeps the
+            detector's own.
+        runtime: how to open it.
+
+    Raises:
+        ModelError: it cannot be used.
+        InvalidParameterError: the model lacks a class.
+    """
+    if isinstance(source, Detector):
+        if classes:
+            return source.with_classes(classes)
+        return source
+    name = None if source is None else str(source)
+    path = resolve_model(name)
+    return load_detector(path, runtime, classes=classes or None)
 
 
 def networks_sha256(card: DetectorCard) -> str:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.imagery.metadata.resized import metadata_of_copy, with_metadata
 from vehanchor.imagery.raster import Window, oriented, swaps_sides
+from vehanchor.records.advice import advice_for
 from vehanchor.storage.atomic import whole_file
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 
     from vehanchor.imagery.metadata.georeference import Ground
     from vehanchor.imagery.raster import Raster, RgbImage
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import GsdEstimate, ScaleSource
+    from vehanchor.scale.lengths import Spread
 
 MAX_ENLARGEMENT = 2.0
 """Largest factor unless the caller allows more: a model sees only interpolated pixels beyond."""
@@ -40,6 +42,30 @@ _SUFFIXES_OF_BANDS = (".tif", ".tiff", ".png")
 _ISOLATION = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
 
 
+class SourceScale(Protocol):
+    """What a copy needs to know of the photograph's scale: a ``MeasurementScale`` has it."""
+
+    @property
+    def gsd_m_per_px(self) -> float | None:
+        """Metres per pixel; None without a scale."""
+
+    @property
+    def spread(self) -> Spread:
+        """Uncertainty of its log."""
+
+    @property
+    def confidence(self) -> float | None:
+        """0..1; None for a number from the caller."""
+
+    @property
+    def source(self) -> ScaleSource:
+        """Origin of the scale."""
+
+    @property
+    def estimate(self) -> GsdEstimate | None:
+        """Record of the estimate; None without a search."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Resampled:
     """Copy of a photograph at another scale.
@@ -48,7 +74,7 @@ class Resampled:
         pixels: ``[h, w, 3]`` RGB, upright.
         factor: width of the copy over that of the photograph.
         gsd_m_per_px: scale of the copy, metres per pixel.
-        estimate: the estimate of the photograph.
+        scale: the scale of the photograph.
         source: path of the photograph; empty without one.
         ground: position of the copy on the ground; None without a georeference.
         stored_size_px: columns and rows of the photograph, as its file stores them.
@@ -58,7 +84,7 @@ class Resampled:
     pixels: RgbImage
     factor: float
     gsd_m_per_px: float
-    estimate: GsdEstimate
+    scale: SourceScale
     source: str = ""
     ground: Ground | None = None
     stored_size_px: tuple[int, int] = (0, 0)
@@ -67,8 +93,7 @@ class Resampled:
     @property
     def facts(self) -> dict[str, Any]:
         """Factor, scale of the copy with its interval, and the chance behind it."""
-        low = self.estimate.gsd_ci95_low_m_per_px
-        high = self.estimate.gsd_ci95_high_m_per_px
+        low, high = self.scale.spread.around(self.gsd_m_per_px)
         height_px, width_px = self.pixels.shape[:2]
         return {
             "source": self.source,
@@ -76,10 +101,11 @@ class Resampled:
             "height_px": height_px,
             "factor": self.factor,
             "gsd_m_per_px": self.gsd_m_per_px,
-            "gsd_ci95_low_m_per_px": None if low is None else low / self.factor,
-            "gsd_ci95_high_m_per_px": None if high is None else high / self.factor,
-            "confidence": self.estimate.confidence,
-            "source_gsd_m_per_px": self.estimate.gsd_m_per_px,
+            "gsd_ci95_low_m_per_px": low,
+            "gsd_ci95_high_m_per_px": high,
+            "confidence": self.scale.confidence,
+            "scale_source": self.scale.source,
+            "source_gsd_m_per_px": self.scale.gsd_m_per_px,
         }
 
     def write(self, folder: str | Path) -> Path:
@@ -90,7 +116,7 @@ class Resampled:
         A JPEG stays one with its position and camera; any other becomes a PNG.
 
         Args:
-            folder: folder of the copy, which exists; the name is that of the photograph.
+            folder: folder of the copy, made if it is missing; the name is that of the photograph.
 
         Returns:
             Path of the copy.
@@ -108,6 +134,7 @@ class Resampled:
         path = Path(folder) / f"{source.stem or 'image'}{suffix}"
         if self.source and path.resolve() == source.resolve():
             raise OutputError(f"{str(path)!r} is the photograph itself: choose another folder")
+        make_folder(path.parent)
         with whole_file(path) as partial:
             if suffix == ".tif":
                 _write_tiff(partial, bands or _Bands.of_rgb(self.pixels), self.ground)
@@ -186,6 +213,18 @@ class Resampled:
         return with_metadata(encoded.tobytes(), segments)
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder for copies.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the folder {str(folder)!r}: {error.strerror}") from None
+
+
 def why_not_resampled(estimate: GsdEstimate) -> str | None:
     """Explain why a photograph cannot be resampled to a scale; None if it can."""
     if estimate.scale is None:
@@ -200,9 +239,20 @@ def why_not_resampled(estimate: GsdEstimate) -> str | None:
     return None
 
 
+def _refuse_unusable(estimate: GsdEstimate, source: str) -> None:
+    """Refuse a photograph without a single usable scale, with what would help."""
+    why = why_not_resampled(estimate)
+    if why is None:
+        return
+    advice = advice_for(estimate)
+    if advice is not None:
+        why += f", {advice.why}: {advice.helps}"
+    raise InvalidParameterError(f"{source} cannot be resampled: {why}")
+
+
 def resample_raster(
     raster: Raster,
-    estimate: GsdEstimate,
+    scale: SourceScale,
     gsd_m_per_px: float,
     *,
     max_enlargement: float = MAX_ENLARGEMENT,
@@ -212,7 +262,7 @@ def resample_raster(
 
     Args:
         raster: the image.
-        estimate: its estimate, with a usable scale.
+        scale: its scale, which must be usable.
         gsd_m_per_px: scale of the copy.
         max_enlargement: largest factor.
         max_pixels: most pixels of the image and of the copy.
@@ -221,12 +271,11 @@ def resample_raster(
         InvalidParameterError: the scale is not usable, or the factor or the copy is too large.
         ImageError: the image cannot be read.
     """
-    why = why_not_resampled(estimate)
-    if why is not None or estimate.gsd_m_per_px is None:
-        raise InvalidParameterError(
-            f"{raster.source} cannot be resampled: {why}. Give a known length or a region"
-        )
-    factor = estimate.gsd_m_per_px / gsd_m_per_px
+    if scale.estimate is not None:
+        _refuse_unusable(scale.estimate, raster.source)
+    own_gsd = scale.gsd_m_per_px
+    assert own_gsd is not None
+    factor = own_gsd / gsd_m_per_px
     if factor > max_enlargement:
         raise InvalidParameterError(
             f"{raster.source} would grow by {factor:.3g}, which adds no detail: the limit is "
@@ -248,8 +297,8 @@ def resample_raster(
     return Resampled(
         pixels=np.asarray(pixels, dtype=np.uint8),
         factor=true_factor,
-        gsd_m_per_px=estimate.gsd_m_per_px / true_factor,
-        estimate=estimate,
+        gsd_m_per_px=own_gsd / true_factor,
+        scale=scale,
         source=raster.source,
         ground=_ground_of_copy(raster, width, height),
         stored_size_px=raster.in_file.stored_size_px(),

@@ -94,6 +94,19 @@ def check_decoding_memory(name: str, n_bytes: int, *, size: str, limits: ImageLi
         )
 
 
+def check_mask_bytes(n_bytes: int, limits: ImageLimits) -> None:
+    """Check the memory of the masks of a call; each fills the box around its object.
+
+    Raises:
+        ImageTooLargeError: they take too much memory.
+    """
+    if n_bytes > limits.max_decoded_bytes:
+        raise ImageTooLargeError(
+            f"the boxes around the objects have more than {limits.max_decoded_bytes} pixels "
+            "together (ImageLimits.max_decoded_bytes): measure fewer at a time"
+        )
+
+
 def check_windowed_size(name: str, width_px: int, *, height_px: int, limits: ImageLimits) -> None:
     """Check the declared size of an image that is read by windows.
 

@@ -170,17 +170,26 @@ class Raster(ABC):
     def georeference(self, pixel: GroundPixel, ground: Ground) -> None:
         """Take the place of the image, and the size and shape of a pixel on the ground."""
         self.ground = ground
-        self.georeference_gsd_m_per_px = pixel.gsd_m_per_px
+        if self.take_shape(pixel):
+            self.georeference_gsd_m_per_px = pixel.gsd_m_per_px
+
+    def take_shape(self, pixel: GroundPixel) -> bool:
+        """Take the shape of a pixel on the ground, in any unit of length.
+
+        Returns:
+            Whether its picture can be brought to square pixels; otherwise a warning says so.
+        """
         elongation = max(pixel.aspect, 1 / pixel.aspect)
         if pixel.is_upright and elongation <= MAX_ASPECT:
             self.pixel_aspect = usable_aspect(pixel.aspect)
-            return
+            return True
         message = (
-            f"A pixel of the file is {pixel.across_m:.4g} m along a row and {pixel.down_m:.4g} m "
-            "along a column, and no rectangle or too long: no single scale holds. Reproject the "
+            "By its map coordinates, a pixel of the file is not a rectangle on the ground, or is "
+            f"more than {MAX_ASPECT:g} times as long as wide: no single scale holds. Reproject the "
             "image to UTM, with square pixels."
         )
         self.warnings = (*self.warnings, RasterNote("stretched", message))
+        return False
 
     @property
     def grid(self) -> PixelGrid:
@@ -330,12 +339,18 @@ class Raster(ABC):
             note = RasterNote("pixels_stretched", "; ".join(clauses))
             self.warnings = (*self.warnings, note)
         if sample.size == 0 or sample.min() == sample.max():
-            note = RasterNote(
-                "nothing_visible",
+            self._warn_of_nothing(
                 "All sampled pixels have one value, so that nothing can be seen: check that the "
-                "file is complete and was exported with its picture.",
+                "file is complete and was exported with its picture."
             )
-            self.warnings = (*self.warnings, note)
+        elif np.isin(sample, (sample.min(), sample.max())).all():
+            self._warn_of_nothing(
+                "The image has two values only, such as black and white, so that hardly anything "
+                "can be seen: give it with its grey levels or colours."
+            )
+
+    def _warn_of_nothing(self, message: str) -> None:
+        self.warnings = (*self.warnings, RasterNote("nothing_visible", message))
 
 
 def oriented(stored: NDArray[_Value], orientation: int) -> NDArray[_Value]:

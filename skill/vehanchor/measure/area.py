@@ -13,6 +13,7 @@ import numpy as np
 
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.errors import PromptError
+from vehanchor.imagery.limits import check_mask_bytes
 from vehanchor.measure.fit import find_fit
 from vehanchor.measure.placed_shape import check_edge, place_shape
 from vehanchor.measure.scale_source import find_measurement_scale
@@ -158,6 +159,7 @@ def analyse_objects(
     options.frame.check(raster.grid)
     # All prompts first: they are faster than the masks, and an invalid one fails early.
     in_image: list[Prompt | PlacedShape] = []
+    n_mask_bytes = 0
     for number, subject in enumerate(subjects, 1):
         if isinstance(subject, Prompt):
             in_image.append(prompt_in_image(subject, options.frame, raster.grid))
@@ -175,6 +177,8 @@ def analyse_objects(
                 raise
             raise PromptError(f"shape {number}: {error}") from None
         in_image.append(shape)
+        n_mask_bytes += shape.pixels.mask.nbytes
+        check_mask_bytes(n_mask_bytes, options.reading.limits)
     # Then the masks, which are faster than the search.
     objects = [
         _find_object(raster, subject, segmenter=segmenter, options=options) for subject in in_image

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from vehanchor.segmentation.object_mask import ObjectMask
 
 _FORMS = 'give {"diameter_m": 12} or {"length_m": 12, "width_m": 5}'
+# Sizes between these have a meaning in a photograph. Choices.
+_LEAST_M = 0.001
 _MAX_M = 100_000.0
 # Least spread of the log, which keeps the normal distribution of an exact number finite.
 _LEAST_LOG_SD = LOG_STEP / 4
@@ -71,8 +73,10 @@ def read_must_fit(value: Any) -> MustFit | None:
     sizes = {}
     for name, size in given.items():
         is_number = isinstance(size, int | float | np.number) and not isinstance(size, bool)
-        if not is_number or not 0 < size <= _MAX_M:
-            raise InvalidParameterError(f"must_fit: {name} is {size!r}: use metres above 0")
+        if not is_number or not _LEAST_M <= size <= _MAX_M:
+            raise InvalidParameterError(
+                f"must_fit: {name} is {size!r}: use {_LEAST_M:g} to {_MAX_M:.0f} metres"
+            )
         sizes[name] = float(size)
     if set(sizes) == {"diameter_m"}:
         return MustFit(sizes["diameter_m"])

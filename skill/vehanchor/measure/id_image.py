@@ -28,7 +28,19 @@ def read_masks(path: Path) -> Iterator[NumberedMask]:
     Raises:
         ImageError: the file cannot be read, or is not a label image.
     """
-    numbers = read_pixels(path)
+    return masks_of(read_pixels(path), str(path))
+
+
+def masks_of(numbers: NDArray[Any], source: str) -> Iterator[NumberedMask]:
+    """Find the objects in the pixels of a label image: see ``split_instances``.
+
+    Args:
+        numbers: its pixels, as OpenCV decodes them.
+        source: name of the image in messages.
+
+    Raises:
+        ImageFormatError: it has several bands, or no whole numbers.
+    """
     # Grey pictures are often stored with three equal bands.
     if numbers.ndim == 3 and (numbers[..., :3] == numbers[..., :1]).all():
         numbers = numbers[..., 0]
@@ -36,7 +48,8 @@ def read_masks(path: Path) -> Iterator[NumberedMask]:
     has_integers = numbers.dtype in (np.uint8, np.uint16)
     if not has_one_band or not has_integers:
         raise ImageFormatError(
-            f"{path}: masks must have one band of 8 or 16 bit, got {numbers.dtype} {numbers.shape}"
+            f"{source}: masks must have one band of 8 or 16 bit, got {numbers.dtype} "
+            f"{numbers.shape}"
         )
     return split_instances(numbers)
 

@@ -5,6 +5,7 @@ The counts are a list of numbers, or COCO's compressed text of them.
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,10 @@ _MORE_FOLLOW = 0x20
 _SIGN = 0x10
 # A run of more characters would be longer than any image.
 _MAX_CHARACTERS = 8
+# Largest height or width; no image that can be opened has a longer side.
+_MAX_SIDE = 10_000_000
+# Characters or numbers of a mask. A choice: a run has ten pixels in the largest image.
+_MAX_COUNTS = 10_000_000
 # From the fourth run on, the text has the difference from the run before the last.
 _FIRST_DIFFERENCE = 3
 
@@ -49,6 +54,10 @@ def read_run_lengths(segmentation: Mapping[str, Any]) -> tuple[Runs, tuple[int, 
     """
     height, width = _read_size(segmentation.get("size"))
     counts = segmentation.get("counts")
+    if isinstance(counts, Sized) and len(counts) > _MAX_COUNTS:
+        raise PromptError(
+            f"the run lengths have {len(counts)} counts: give at most {_MAX_COUNTS}, or a polygon"
+        )
     if isinstance(counts, str):
         counts = counts.encode("ascii", errors="replace")
     if isinstance(counts, bytes):
@@ -86,9 +95,11 @@ def mask_of_runs(runs: Runs, size: tuple[int, int]) -> Mask:
 def _read_size(size: Any) -> tuple[int, int]:
     try:
         height, width = (int(side) for side in size)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         height = 0
         width = 0
+    if max(height, width) > _MAX_SIDE:
+        raise PromptError("the size of run lengths is larger than any image")
     if height < 1 or width < 1:
         raise PromptError(f"the size of run lengths is {size!r}: use height, width in pixels")
     return height, width

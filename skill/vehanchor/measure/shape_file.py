@@ -8,10 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import ImageError, PromptError
 from vehanchor.imagery.file_check import check_file
-from vehanchor.imagery.limits import check_bytes
-from vehanchor.measure.id_image import read_masks
-from vehanchor.measure.shapes import MAX_SHAPES, CallerMask, read_annotation, read_shapes
+from vehanchor.imagery.formats.decoding import decode
+from vehanchor.imagery.formats.ifd import in_memory
+from vehanchor.imagery.formats.png import PNG
+from vehanchor.imagery.limits import check_bytes, check_mask_bytes
+from vehanchor.measure.id_image import masks_of
+from vehanchor.measure.shapes import (
+    MAX_SHAPES,
+    CallerMask,
+    check_number,
+    read_annotation,
+    read_shapes,
+)
 from vehanchor.options import ImageLimits
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     import os
@@ -23,6 +33,8 @@ _ID_IMAGES = (".png",)
 _TEXTS = (".json", ".geojson")
 # COCO's files of whole collections have tens of megabytes.
 _MAX_TEXT_BYTES = 256 << 20
+# Lists and objects of a JSON, each of which takes 64 bytes or more, also if it is empty. A choice.
+_MAX_CONTAINERS = 4_000_000
 
 
 def read_shape_file(
@@ -46,8 +58,12 @@ def read_shape_file(
             return _read_ids(file, limits or ImageLimits())
         if suffix in _TEXTS:
             check_bytes(file.stat().st_size, _MAX_TEXT_BYTES)
-            content = json.loads(file.read_text(encoding="utf-8-sig"))
-            return _read_json(content, image)
+            text = decoded(file.read_bytes())
+            if text.count("[") + text.count("{") > _MAX_CONTAINERS:
+                raise PromptError(
+                    f"it has more than {_MAX_CONTAINERS} lists and objects: keep those of the image"
+                )
+            return _read_json(json.loads(text), image)
     except PromptError as error:
         raise PromptError(f"{str(file)!r}: {error}") from None
     except RecursionError:
@@ -94,8 +110,7 @@ def _read_coco(content: Mapping[str, Any], image: str) -> tuple[CallerShape, ...
             shapes += read_annotation(annotation, name)
         except PromptError as error:
             raise PromptError(f"annotation {annotation.get('id')}: {error}") from None
-        if len(shapes) > MAX_SHAPES:
-            raise PromptError(f"the image has more than {MAX_SHAPES} annotations")
+        check_number(shapes)
     if not shapes:
         raise PromptError(f"it has no annotation of {Path(image).name!r}")
     return tuple(shapes)
@@ -131,19 +146,21 @@ def _matching(images: Sequence[Mapping[str, Any]], image: str) -> list[Mapping[s
 
 def _read_ids(file: Path, limits: ImageLimits) -> tuple[CallerShape, ...]:
     """Read a PNG of ids; each shape is named by its number."""
-    with file.open("rb") as opened:
-
-        def read_at(offset: int, count: int) -> bytes:
-            opened.seek(offset)
-            return opened.read(count)
-
-        n_bytes = file.stat().st_size
-        checked = check_file(read_at, n_bytes, str(file), limits=limits, on_disk=False)
-    size = (checked.header.width_px, checked.header.height_px)
+    check_bytes(file.stat().st_size, limits.max_bytes)
+    data = file.read_bytes()
+    checked = check_file(in_memory(data), len(data), str(file), limits=limits, on_disk=False)
+    header = checked.header
+    if header.format != PNG.name:
+        raise PromptError(f"it is a {header.format}: save ids as PNG")
+    pixels = decode(data, str(file), header)
+    size = (header.width_px, header.height_px)
     shapes: list[CallerShape] = []
-    for number, left, top, mask in read_masks(file):
+    n_mask_bytes = 0
+    for number, left, top, mask in masks_of(pixels, str(file)):
         if len(shapes) == MAX_SHAPES:
             raise PromptError(f"it has more than {MAX_SHAPES} ids: is it a picture?")
+        n_mask_bytes += mask.nbytes
+        check_mask_bytes(n_mask_bytes, limits)
         shapes.append(CallerMask(mask, size, left=left, top=top, name=str(number)))
     if not shapes:
         raise PromptError("all its pixels are 0: each object needs a number of its own")

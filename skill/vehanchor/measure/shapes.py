@@ -30,6 +30,9 @@ MAX_SHAPES = 1000
 MAX_CORNERS = 4000
 """Most corners of a polygon; all pairs of its sides are compared."""
 
+MAX_CORNERS_OF_ALL = 200_000
+"""Most corners of a call: comparing the sides of 50 polygons with most corners takes 3 s."""
+
 MIN_CORNERS = 3
 
 Orientation: TypeAlias = Literal["oriented", "stored"]
@@ -115,9 +118,27 @@ def read_shapes(shapes: Any) -> tuple[CallerShape, ...]:
     read = _read_container(shapes)
     if not read:
         raise PromptError("there is no shape: give at least one")
-    if len(read) > MAX_SHAPES:
-        raise PromptError(f"there are {len(read)} shapes: give at most {MAX_SHAPES} a call")
+    check_number(read)
     return tuple(read)
+
+
+def check_number(shapes: Sequence[CallerShape]) -> None:
+    """Check that there are not too many shapes or corners so far.
+
+    Raises:
+        PromptError: there are too many.
+    """
+    if len(shapes) > MAX_SHAPES:
+        raise PromptError(f"there are too many shapes: give at most {MAX_SHAPES} a call")
+    n_corners = 0
+    for shape in shapes:
+        if isinstance(shape, CallerPolygon):
+            n_corners += sum(len(ring) for part in shape.parts for ring in part)
+    if n_corners > MAX_CORNERS_OF_ALL:
+        raise PromptError(
+            f"the polygons have more than {MAX_CORNERS_OF_ALL} corners: simplify them, or give "
+            "fewer a call"
+        )
 
 
 def read_polygon(numbers: Any) -> CallerPolygon:
@@ -147,14 +168,13 @@ def _read_container(shapes: Any) -> list[CallerShape]:
             "shapes is one polygon: put it into a list, as shapes=[polygon], because several "
             "shapes can be measured at once"
         )
-    if len(items) > MAX_SHAPES:
-        raise PromptError(f"there are {len(items)} shapes: give at most {MAX_SHAPES} a call")
     read: list[CallerShape] = []
     for number, item in enumerate(items, 1):
         try:
             read += _read_item(item)
         except PromptError as error:
             raise PromptError(f"shape {number}: {error}") from None
+        check_number(read)
     return read
 
 
@@ -359,6 +379,7 @@ def _read_geojson(shape: Mapping[str, Any], *, in_degrees: bool) -> list[CallerS
             read.append(_read_feature(feature, in_degrees=in_degrees))
         except PromptError as error:
             raise PromptError(f"feature {number}: {error}") from None
+        check_number(read)
     return read
 
 

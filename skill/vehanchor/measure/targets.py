@@ -15,7 +15,7 @@ from vehanchor.measure.area import analyse_objects
 from vehanchor.measure.distance import analyse_paths, read_path
 from vehanchor.measure.shape_file import read_shape_file
 from vehanchor.measure.shapes import read_polygon
-from vehanchor.records.text import contradiction_text
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor.rulers.image_table import PHOTOGRAPH, read_image_table
 from vehanchor.segmentation.prompt import read_prompt
 

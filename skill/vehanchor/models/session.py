@@ -36,8 +36,9 @@ if TYPE_CHECKING:
 Session: TypeAlias = onnxruntime.InferenceSession
 """An open model; other modules name no runtime."""
 
+_CPU = "CPUExecutionProvider"
 _SHORT_NAMES = {
-    "cpu": "CPUExecutionProvider",
+    "cpu": _CPU,
     "cuda": "CUDAExecutionProvider",
     "tensorrt": "TensorrtExecutionProvider",
     "coreml": "CoreMLExecutionProvider",
@@ -91,10 +92,19 @@ def open_session(
     # ONNX Runtime silently falls back to the CPU.
     if providers[0] not in session.get_providers():
         _warn_once(f"{providers[0]} cannot start here: models run on {session.get_providers()[0]}")
-    # It keeps the file only to open it again with other providers.
-    if session.get_providers() == ["CPUExecutionProvider"]:
-        session._model_bytes = None
+    if session.get_providers() == [_CPU]:
+        _release_file(session)
     return session
+
+
+def _release_file(session: Session) -> None:
+    """Release the bytes of the file, which ONNX Runtime keeps to fall back on other providers.
+
+    The attribute is private; ``tests/skill/models/test_session.py`` tells what to do when it
+    changes.
+    """
+    session.disable_fallback()
+    session._model_bytes = None
 
 
 def check_tensors(session: Session, path: Path, *, input_name: str, output_name: str) -> None:
@@ -175,7 +185,7 @@ def _installed(providers: Sequence[str]) -> list[str]:
     names = [name.strip() for name in providers]
     wanted = [_SHORT_NAMES.get(name.lower(), name) for name in names]
     missing = [name for name in wanted if name not in available]
-    if missing and "CPUExecutionProvider" not in wanted:
+    if missing and _CPU not in wanted:
         raise ProviderUnavailableError(
             f"ONNX Runtime has no {missing[0]} here; it has {', '.join(available)}. Install the "
             "matching onnxruntime build, or add cpu to the providers as a fallback"

@@ -72,6 +72,17 @@ An engine loads them, journals depend on them, and a server's workers may read t
 """
 
 
+def load_ruler_networks(runtime: Runtime) -> None:
+    """Load the networks of rulers before their first use.
+
+    Raises:
+        ModelError: a model cannot be used.
+    """
+    for model in BUNDLED_MODELS:
+        if model.loader is not None:
+            model.load(runtime)
+
+
 def bundled_file(name: str) -> Path:
     """Return the file of a bundled model by the model's name."""
     files = {model.name: model.path for model in BUNDLED_MODELS}

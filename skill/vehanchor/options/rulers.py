@@ -318,8 +318,8 @@ class Rulers:
         gsd_m_per_px: scale from elsewhere, metres per pixel of the full image.
         gsd_basis: how that scale is known.
         gsd_tolerance: half of its 95 % interval, metres per pixel; None for a tenth of it.
-        file_scale: measure areas and distances in a georeferenced file with its own scale, without
-            a search. Estimates never use it.
+        file_scale: measure areas and distances in a georeferenced file with its own scale, unless
+            vehicles contradict it. Estimates never use it.
 
     Raises:
         KnownLengthError: a known length is invalid.
@@ -407,7 +407,7 @@ class Rulers:
     file_scale: Annotated[
         Flag,
         Option(
-            "Measure with the scale of a georeferenced file, without a search.",
+            "Measure with the scale of a georeferenced file, unless vehicles contradict it.",
             cli=False,
             tools="measure",
             listed=False,

@@ -10,7 +10,7 @@ import numpy as np
 from vehanchor.pictures.lettering import text_px, text_width, write_on
 from vehanchor.pictures.marks import draw_marks
 from vehanchor.pictures.placement import CUT_SIDE_PX, Cut, line_px, part_around
-from vehanchor.pictures.scale import SAFE, UNSAFE, Canvas, open_canvas
+from vehanchor.pictures.scale import SAFE, UNSAFE, Canvas, open_canvas, safe_lines
 from vehanchor.records.advice import advice_for
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import NO_SCALE, fit_in_words, significant, with_interval
@@ -261,7 +261,7 @@ def _area_text(record: AreaMeasurement) -> str:
     if record.mask_score is not None:
         text = f"{size}; mask {pixels}score {record.mask_score:.2f}{doubt}"
     if record.fit is not None:
-        text += f"; {fit_in_words(record.fit)}"
+        text += f"; {fit_in_words(record.fit, has_scale=record.area_m2 is not None)}"
     return text
 
 
@@ -297,6 +297,8 @@ def _finish(
     objection = _objection(record)
     verdict = _verdict(objection, statuses)
     lines: list[CaptionLine] = [[(None, verdict)]]
+    if verdict == SAFE:
+        lines = safe_lines(record)
     lines += [[(MEASURED_RGB, size)] for size in _numbered(sizes)]
     if record.gsd_m_per_px is not None:
         source = "given"

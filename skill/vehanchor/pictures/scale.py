@@ -15,6 +15,7 @@ from vehanchor.pictures.lettering import put_text, stroke_px, text_px, text_widt
 from vehanchor.pictures.marks import MARK_RGB, draw_marks
 from vehanchor.pictures.placement import Cut, Placement, line_px
 from vehanchor.records.advice import advice_for
+from vehanchor.records.contradiction import contradiction_of
 from vehanchor.records.text import by_hand_text, count, scale_text, significant
 from vehanchor.storage.atomic import check_output_path, whole_file
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster
     from vehanchor.pictures.evidence import Evidence, ScaleEvidence
     from vehanchor.pictures.placement import Colour, RgbImage
-    from vehanchor.records import GsdEstimate
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 
     Pixel: TypeAlias = tuple[int, int]
     """Column and row."""
@@ -434,7 +435,7 @@ def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
     lines: list[CaptionLine]
     advice = advice_for(estimate)
     if advice is None:
-        lines = [[(None, SAFE)], [(None, f"{scale}, {confidence}")]]
+        lines = [*safe_lines(estimate), [(None, f"{scale}, {confidence}")]]
     else:
         objection = f"{UNSAFE}: {advice.why}"
         lines = [[(None, objection)], [(None, advice.helps)]]
@@ -449,6 +450,17 @@ def _caption_lines(analysis: ScaleEvidence) -> list[CaptionLine]:
     if rulers:
         lines.append(rulers)
     return lines
+
+
+def safe_lines(
+    record: GsdEstimate | AreaMeasurement | DistanceMeasurement,
+) -> list[CaptionLine]:
+    """Begin the caption of a usable result: its premise, and both scales of a contradiction."""
+    contradiction = contradiction_of(record)
+    if contradiction is None:
+        return [[(None, SAFE)]]
+    verdict = f"{SAFE} {contradiction.premise}".rstrip()
+    return [[(None, verdict)], [(None, contradiction.text)]]
 
 
 def _vehicles_line(estimate: GsdEstimate) -> CaptionLine:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from vehanchor.records.gsd_estimate import (
     ConfidenceTerms,
     EstimateDetails,
@@ -16,20 +19,22 @@ from vehanchor.records.gsd_estimate import (
     TiltEstimate,
     VehiclesByHand,
 )
-from vehanchor.records.measurement import (
-    AreaMeasurement,
-    BoundingBox,
-    DistanceMeasurement,
-    FrameArea,
-    ImagePoint,
-    OtherObject,
-    OutlinePolygon,
-    OutlineRing,
-    ScaleSource,
-)
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION
 from vehanchor.scale.defaults import Reason
+
+if TYPE_CHECKING:
+    from vehanchor.records.measurement import (
+        AreaMeasurement,
+        BoundingBox,
+        DistanceMeasurement,
+        FrameArea,
+        ImagePoint,
+        OtherObject,
+        OutlinePolygon,
+        OutlineRing,
+        ScaleSource,
+    )
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -57,3 +62,11 @@ __all__ = [
     "TiltEstimate",
     "VehiclesByHand",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # Records of measurements are built on first use: an estimate needs none.
+    if name not in __all__:
+        raise AttributeError(f"module 'vehanchor.records' has no attribute {name!r}")
+    measurement = importlib.import_module("vehanchor.records.measurement")
+    return getattr(measurement, name)

@@ -27,6 +27,7 @@ Remedy: TypeAlias = Literal[
     "thing",
     "measured",
     "facts",
+    "second",
     "elsewhere",
     "vehicles",
     "visible",
@@ -47,7 +48,9 @@ IN_WORDS: Mapping[Remedy, str] = {
     "thing": "draw a line over something of known size, if any is in sight",
     "measured": "measure one length or the height: no further assumed fact will help",
     "facts": "check the facts that you gave, or draw a measured line",
-    "elsewhere": "give the camera's height, or another photograph of the same flight with cars",
+    "second": "if they are right, measure a second length, or the height",
+    "elsewhere": "give the camera's height and focal length, or another photograph of the same "
+    "flight with cars",
     "vehicles": "also use the ruler vehicles",
     "visible": "send a file that shows the picture in other programs",
     "perspective": "send a photograph taken straight down, or a perspective view made from this "
@@ -102,6 +105,8 @@ def advice_for(estimate: GsdEstimate | None) -> Advice | None:
     for code, advice in _ADVICE_ON_IMAGES.items():
         if _warns(estimate, code):
             return advice
+    if _warns(estimate, "several_scales"):
+        return _VARIES if _warns(estimate, "tilt_suspected") else _SEVERAL_PICTURES
     find_cause = _CAUSES.get(estimate.reason)
     if find_cause is None:
         return _ADVICE[estimate.reason]
@@ -150,6 +155,13 @@ def _too_coarse(estimate: GsdEstimate) -> Advice:
     return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ("lower", "line"))
 
 
+def _not_cars(estimate: GsdEstimate) -> Advice:
+    why = "the vehicles may not be cars"
+    others = [ruler for ruler in estimate.probable_rulers if ruler.kind != "vehicles"]
+    # Another ruler that is not sure enough is a guess.
+    return Advice(why, ("drop", "measured") if others else ("drop", "line"))
+
+
 def _disagreement(estimate: GsdEstimate) -> Advice:
     is_orthophoto = estimate.georeference_gsd_m_per_px is not None
     if _warns(estimate, "tilt_suspected"):
@@ -160,23 +172,29 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
         why = "the image is stretched in one direction"
         return Advice(why, ("line",) if is_orthophoto else ("original", "aspect"))
     setting = [ruler for ruler in estimate.rulers if ruler.sets_scale]
-    if len(setting) > 1:
+    facts = [ruler for ruler in setting if ruler.kind != "vehicles"]
+    remedies: tuple[Remedy, ...] = ("drop", "line")
+    if len(facts) > 1:
+        remedies = ("facts", "elsewhere")
+    elif facts:
+        remedies = ("facts", "second")
+    if len(setting) > 1 and _warns(estimate, "rulers_disagree"):
         labels = " and ".join(ruler.label for ruler in setting)
-        return Advice(f"{labels} contradict each other", ("facts",))
-    # If only one ruler sets the scale, the scene-scale prior is what contradicts it.
+        return Advice(f"{labels} contradict each other", remedies)
+    # If the rulers that set the scale agree, the scene-scale prior is what contradicts them.
     scene = estimate.details.scene_scale
     if scene is None:
-        return Advice("the evidence contradicts itself", ("drop", "line"))
-    why = f"the scene suggests a scale of about {scene.gsd_m_per_px:.2g} m/px"
-    if estimate.n_vehicles:
-        return Advice(why, ("drop", "line"))
-    return Advice(why, ("facts",))
+        return Advice("the evidence contradicts itself", remedies)
+    return Advice(f"the scene suggests a scale of about {scene.gsd_m_per_px:.2g} m/px", remedies)
 
 
 def _imprecise(estimate: GsdEstimate) -> Advice:
     why = "the interval is too wide"
     if estimate.n_vehicles is None:
         return Advice(why, ("vehicles", "line"))
+    if estimate.leading_ruler == "camera":
+        why = "the ground may lie higher or lower than the take-off"
+        return Advice(why, ("line",), also="give overlapping photographs of the flight together")
     if region_would_help(estimate):
         return Advice(why, ("region", "line"))
     return Advice(why, ("line",))
@@ -187,23 +205,27 @@ def _warns(estimate: GsdEstimate, code: str) -> bool:
 
 
 _SEVERAL_PICTURES = Advice("the image seems to consist of several pictures", ("apart",))
+# A strong tilt looks like a second scale, too.
+_VARIES = Advice(
+    "the scale varies over the image: it is tilted, or consists of several pictures",
+    ("nadir", "apart", "original"),
+)
 _ADVICE_ON_IMAGES: Mapping[str, Advice] = {
     "nothing_visible": Advice("nothing can be seen in the image", ("visible",)),
     "not_perspective": Advice("the image is not one perspective view", ("perspective",)),
     "several_pictures": _SEVERAL_PICTURES,
-    "several_scales": _SEVERAL_PICTURES,
 }
 """Advice by notices about the whole image, before any other: no line there says anything about the
 rest of it."""
 
 _ADVICE: Mapping[Reason, Advice] = {
-    "not_cars": Advice("the vehicles may not be cars", ("drop", "line")),
     "no_photograph": Advice("the image is drawn, not photographed", ("photograph", "line")),
     "assumed": Advice("it rests on assumed facts alone", ("measured", "elsewhere")),
 }
 _CAUSES: Mapping[Reason, Callable[[GsdEstimate], Advice]] = {
     "too_few": _too_few,
     "too_coarse": _too_coarse,
+    "not_cars": _not_cars,
     "disagree": _disagreement,
     "imprecise": _imprecise,
 }

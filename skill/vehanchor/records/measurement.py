@@ -32,14 +32,18 @@ MeasuredGsd = Annotated[
 ]
 MeasuredVehicles = Annotated[
     int | None,
-    Field(ge=0, description="N': vehicles behind the scale; null unless it was estimated now."),
+    Field(
+        ge=0,
+        description="N': vehicles behind the scale, or compared with the file's own; null without "
+        "a search.",
+    ),
 ]
 ScaleSourceField = Annotated[
     ScaleSource,
     Field(
         description="estimated: from this image, by the rulers in estimate. given: a number from "
         "the caller. reused: an earlier estimate of this image, which the caller gave back. file: "
-        "the georeference of the file, without a search."
+        "the georeference of the file, which no vehicles contradict."
     ),
 ]
 FileGsd = Annotated[

@@ -44,6 +44,7 @@ class NoticeCode(StrEnum):
     UNIT_MISTYPED = "unit_mistyped"
     KNOWN_LENGTHS_DISAGREE = "known_lengths_disagree"
     HEIGHT_REPEATED = "height_repeated"
+    FACT_UNUSED = "fact_unused"
     # About a flight.
     NOT_LINKED = "not_linked"
     SEVERAL_SORTIES = "several_sorties"

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from vehanchor.records.gsd_estimate import GsdEstimate
-from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.defaults import INTERVAL_PREMISE
 
 if TYPE_CHECKING:
-    from vehanchor.records import (
-        AreaMeasurement,
-        DistanceMeasurement,
-        FrameScale,
-        RulerScale,
-    )
+    from vehanchor.records import AreaMeasurement, DistanceMeasurement
     from vehanchor.records.measurement import Fit
 
 NO_SCALE = "no scale: nothing of known size found"
+
+
+class Scale(Protocol):
+    """A record that states a scale and its interval; None without a scale."""
+
+    @property
+    def gsd_m_per_px(self) -> float | None:
+        """The scale, in metres per pixel."""
+
+    @property
+    def gsd_ci95_low_m_per_px(self) -> float | None:
+        """Lower end of the 95 % interval, in metres per pixel."""
+
+    @property
+    def gsd_ci95_high_m_per_px(self) -> float | None:
+        """Upper end of the 95 % interval, in metres per pixel."""
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -69,21 +79,23 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def fit_in_words(fit: Fit) -> str:
-    """State what must fit, and with which probability it does."""
+def fit_in_words(fit: Fit, *, has_scale: bool = True) -> str:
+    """State what must fit, and with which probability it does; unknown without a scale."""
     if fit.diameter_m is not None:
         shape = f"a circle of {fit.diameter_m:g} m"
     else:
         shape = f"{fit.length_m:g} x {fit.width_m:g} m"
+    if not has_scale:
+        return f"whether {shape} fits is unknown without a scale"
     # Never rounded up to a limit that the probability does not reach.
     probability = math.floor(fit.fit_probability * 100) / 100
     text = f"{shape} fits with probability {probability:.2f}"
     if fit.n_fits_at_least is not None and fit.n_fits_at_least > 1:
-        text += f", at least {fit.n_fits_at_least} in rows"
+        text += f", at least {fit.n_fits_at_least} in rows even if the scale is at its low end"
     return text
 
 
-def scale_text(record: GsdEstimate | FrameScale) -> str:
+def scale_text(record: Scale) -> str:
     """Format the scale with its interval, or say that there is none."""
     return with_interval(
         record.gsd_m_per_px,
@@ -93,6 +105,19 @@ def scale_text(record: GsdEstimate | FrameScale) -> str:
         missing=NO_SCALE,
         premise=INTERVAL_PREMISE,
     )
+
+
+def scale_cells(record: Scale) -> tuple[str, str]:
+    """Format the scale and its interval as two cells of a table; "-" for what is unknown."""
+    scale = "-"
+    if record.gsd_m_per_px is not None:
+        scale = significant(record.gsd_m_per_px, 4)
+    interval = "-"
+    low = record.gsd_ci95_low_m_per_px
+    high = record.gsd_ci95_high_m_per_px
+    if low is not None and high is not None:
+        interval = f"{significant(low)} to {significant(high)}"
+    return scale, interval
 
 
 def pixel_text(gsd_m_per_px: float | None, pixel_aspect: float | None) -> str:
@@ -111,37 +136,13 @@ def pixel_text(gsd_m_per_px: float | None, pixel_aspect: float | None) -> str:
     return f"{significant(across_m)} m across, {significant(down_m)} m down"
 
 
-def contradiction_text(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:
-    """State the scale of the file and the one that contradicts it; empty if nothing does.
-
-    The file's scale is that of its georeference, or that of its camera against the vehicles.
-    """
-    for notice in record.warnings:
-        if notice.code == NoticeCode.GEOREFERENCE_DIFFERS:
-            return notice.message.partition(". ")[0]
-    estimate = record if isinstance(record, GsdEstimate) else record.estimate
-    return "" if estimate is None else _camera_contradiction(estimate)
-
-
-def _camera_contradiction(estimate: GsdEstimate) -> str:
-    """State the scales of camera and vehicles if their intervals do not meet."""
-    if not any(notice.code == NoticeCode.RULERS_DISAGREE for notice in estimate.warnings):
-        return ""
-    rulers = {ruler.kind: ruler for ruler in estimate.rulers}
-    camera = rulers.get("camera")
-    vehicles = rulers.get("vehicles")
-    if camera is None or vehicles is None or _intervals_meet(camera, vehicles):
-        return ""
-    file_gsd = significant(camera.gsd_m_per_px)
-    own_gsd = significant(vehicles.gsd_m_per_px)
-    return f"The camera in the file gives {file_gsd} m/px, the vehicles {own_gsd} m/px"
-
-
-def _intervals_meet(first: RulerScale, second: RulerScale) -> bool:
-    """Test whether the 95 % intervals of two rulers have a common scale."""
-    low = max(first.gsd_ci95_low_m_per_px, second.gsd_ci95_low_m_per_px)
-    high = min(first.gsd_ci95_high_m_per_px, second.gsd_ci95_high_m_per_px)
-    return low <= high
+def file_source_text(record: AreaMeasurement | DistanceMeasurement) -> str:
+    """State what the file's own scale, with which a record was measured, was compared with."""
+    if record.n_vehicles is None:
+        return "too large a file to be compared with cars"
+    if not record.n_vehicles:
+        return "no cars to compare with"
+    return f"not contradicted by {count(record.n_vehicles, 'vehicle')}"
 
 
 def file_scale_text(record: GsdEstimate | AreaMeasurement | DistanceMeasurement) -> str:

@@ -6,6 +6,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.records import Notice
+from vehanchor.records.notices import NoticeCode
 from vehanchor.records.ruler_registry import RULERS
 from vehanchor.rulers.standards import check_name
 
@@ -66,6 +68,19 @@ def active_rulers(options: Rulers) -> tuple[Ruler, ...]:
         for ruler in allowed_rulers(options)
         if ruler.fact is None or getattr(options, ruler.fact)
     )
+
+
+def unused_facts(options: Rulers) -> tuple[Notice, ...]:
+    """Warn of facts from the caller whose rulers the caller leaves out."""
+    if options.rulers is None:
+        return ()
+    notices = []
+    for ruler in map(ruler_class, RULERS):
+        is_given = ruler.fact is not None and getattr(options, ruler.fact)
+        if is_given and ruler.kind not in options.rulers:
+            message = f"The {ruler.label} is not used: the chosen rulers leave out {ruler.kind}."
+            notices.append(Notice(code=NoticeCode.FACT_UNUSED, message=message))
+    return tuple(notices)
 
 
 def uses(options: Rulers, kind: str) -> bool:

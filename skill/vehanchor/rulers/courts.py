@@ -11,7 +11,7 @@ from vehanchor.courts.find import find_courts
 from vehanchor.rulers.ruler import Ruler, point_witness
 from vehanchor.scale.density import on_grid
 from vehanchor.scale.posterior import Mark
-from vehanchor.scale.reliability import RELIABILITY, court_wrong
+from vehanchor.scale.reliability import RELIABILITY, court_misfit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,8 +80,9 @@ def witness_of(courts: Sequence[Court]) -> Witness | None:
         Courts.kind,
         math.exp(mean),
         log_sd=max(reliability.log_sd, spread, mean_log_sd),
-        chance_wrong=min(court_wrong(court.quality) for court in consistent),
+        chance_wrong=reliability.chance_wrong,
         statement=f"{_subject_and_verb(consistent)} {{}}.",
+        shared=[court_misfit(max(court.quality for court in consistent))],
         n=len(consistent),
         marks=[mark for court in consistent for mark in _marks(court)],
     )

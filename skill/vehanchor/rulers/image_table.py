@@ -6,17 +6,20 @@ import csv
 import io
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from vehanchor.imagery.sources.files import canonical_path
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Mapping, Sequence
+    from typing import TypeAlias
 
     from vehanchor.errors import InvalidParameterError
 
-    Cells = Mapping[str, str | None]
+    Cells: TypeAlias = Mapping[str, str | None]
+    """Text of a line's cells by column; None for cells that the line lacks."""
 
 _Row = TypeVar("_Row")
 PHOTOGRAPH = "photograph"
@@ -24,10 +27,10 @@ PHOTOGRAPH = "photograph"
 # Former name of that column.
 _FORMER_COLUMN = "file"
 _MAX_BYTES = 64 << 20
+# A choice above what spreadsheets of measurements have.
+_MAX_COLUMNS = 1_000
 _DELIMITERS = (",", ";", "\t")
-_BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
-# Encoding of the spreadsheets of Western Europe, if a table is not UTF-8.
-_OTHER_ENCODING = "cp1252"
+_STATED_DELIMITER = re.compile(r"sep=.\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 
 
@@ -59,61 +62,101 @@ def read_image_table(
             row is invalid.
     """
     table = Path(path)
-    rows: dict[str, tuple[_Row, ...]] = {}
+    rows: dict[str, list[_Row]] = {}
     try:
         if table.stat().st_size > _MAX_BYTES:
             raise error(
                 f"{str(table)!r} is larger than {_MAX_BYTES >> 20} MiB: give a table of {content}"
             )
-        with io.StringIO(_decoded(table.read_bytes()), newline="") as handle:
-            delimiter = _delimiter(handle, needed)
-            reader = csv.DictReader(handle, delimiter=delimiter)
-            columns = _with_current_name(reader.fieldnames or ())
-            reader.fieldnames = columns
-            missing = [name for name in needed if name not in columns]
-            if missing:
-                first_line = ",".join((*needed, *optional))
-                raise error(
-                    f"{str(table)!r} has no column {', '.join(missing)}: the first line must be "
-                    f"{first_line}"
-                )
-            for row_cells in reader:
-                if not any(row_cells.values()):
-                    continue  # spreadsheets write rows of empty cells
-                cells: Cells = row_cells
-                if delimiter != ",":
-                    cells = _with_decimal_points(row_cells)
+        columns, lines = read_table(table.read_bytes(), needed)
+        missing = [name for name in needed if name not in columns]
+        if missing:
+            first_line = ",".join((*needed, *optional))
+            raise error(
+                f"{str(table)!r} has no column {', '.join(missing)}: the first line must be "
+                f"{first_line}"
+            )
+        for number, cells in lines:
+            try:
                 file = cells[PHOTOGRAPH] or ""
-                try:
-                    if not file:
-                        raise error("the photograph is not named")
-                    row = read_row(cells)
-                except ValueError as problem:
-                    raise error(f"{str(table)!r}, line {reader.line_num}: {problem}") from None
+                if not file:
+                    raise error("the photograph is not named")
+                row = read_row(cells)
+                # A name with a NUL is none.
                 image = canonical_path(table.parent / file)
-                earlier_rows = rows.get(image, ())
-                rows[image] = (*earlier_rows, row)
+            except ValueError as problem:
+                raise error(f"{str(table)!r}, line {number}: {problem}") from None
+            rows.setdefault(image, []).append(row)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise error(f"cannot read the {content} in {str(table)!r}: {problem}") from None
     if not rows:
         raise error(f"{str(table)!r} has no {content}: give at least one")
-    return rows
+    return {image: tuple(own_rows) for image, own_rows in rows.items()}
 
 
-def _decoded(content: bytes) -> str:
-    """Decode a table of UTF-8, UTF-16 with a byte order mark, or Windows-1252."""
-    if content.startswith(_BYTE_ORDER_MARKS):
-        return content.decode("utf-16")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode(_OTHER_ENCODING)
+class Table(NamedTuple):
+    """Cells of a CSV.
+
+    Attributes:
+        columns: names of the first line.
+        lines: number of each further line, and its cells by column; without empty lines.
+    """
+
+    columns: list[str]
+    lines: list[tuple[int, Cells]]
+
+
+def read_table(content: bytes, needed: Sequence[str]) -> Table:
+    """Read a CSV as spreadsheets of all countries write it.
+
+    Args:
+        content: the file.
+        needed: columns by which the delimiter is recognised, in small letters.
+
+    Raises:
+        UnicodeDecodeError: the encoding is unknown.
+        csv.Error: it is not a CSV, has too many columns or one column twice, or a line has more
+            cells than columns.
+    """
+    with io.StringIO(decoded(content), newline="") as handle:
+        delimiter = _delimiter(handle, needed)
+        reader = csv.DictReader(handle, delimiter=delimiter)
+        columns = _with_current_name(reader.fieldnames or ())
+        # A row is completed by an empty cell for each column that it lacks.
+        if len(columns) > _MAX_COLUMNS:
+            raise csv.Error(f"it has {len(columns)} columns: give at most {_MAX_COLUMNS}")
+        reader.fieldnames = columns
+        for name in needed:
+            if columns.count(name) > 1:
+                raise csv.Error(f"the column {name} has two places")
+        lines: list[tuple[int, Cells]] = []
+        for row in reader:
+            surplus = row.pop(None, ())
+            if any(surplus):
+                raise csv.Error(
+                    f"line {reader.line_num} has more cells than the first line; a number with a "
+                    "decimal comma needs quotes or another delimiter"
+                )
+            cells: Cells = {name: text and text.strip() for name, text in row.items()}
+            if not any(cells.values()):
+                continue  # spreadsheets write rows of empty cells
+            if delimiter != ",":
+                cells = _with_decimal_points(cells)
+            lines.append((reader.line_num, cells))
+    return Table(columns, lines)
 
 
 def _delimiter(handle: io.StringIO, needed: Sequence[str]) -> str:
-    """Find the delimiter at which the first line has most of the needed columns."""
+    """Find the delimiter at which the first line has most of the needed columns.
+
+    A line before it that states the delimiter, as Excel writes it, is passed over.
+    """
     first_line = handle.readline()
-    handle.seek(0)
+    start = 0
+    if _STATED_DELIMITER.fullmatch(first_line):
+        start = handle.tell()
+        first_line = handle.readline()
+    handle.seek(start)
 
     def n_found(delimiter: str) -> int:
         names = next(csv.reader([first_line], delimiter=delimiter), [])
@@ -123,10 +166,11 @@ def _delimiter(handle: io.StringIO, needed: Sequence[str]) -> str:
 
 
 def _with_current_name(columns: Sequence[str]) -> list[str]:
-    """Rename the former column of the images."""
-    if PHOTOGRAPH in columns:
-        return list(columns)
-    return [PHOTOGRAPH if name == _FORMER_COLUMN else name for name in columns]
+    """Rename the former column of the images; names are in small letters, without spaces."""
+    names = [name.strip().casefold() for name in columns]
+    if PHOTOGRAPH in names:
+        return names
+    return [PHOTOGRAPH if name == _FORMER_COLUMN else name for name in names]
 
 
 def _with_decimal_points(cells: Cells) -> Cells:

@@ -46,7 +46,7 @@ class Positions(Ruler):
     """Positions in the metadata of photographs; a flight measures them with ``baseline``."""
 
     kind = "positions"
-    label = "positions"
+    label = "positions of the photographs"
     plural = True
     help = "photographs of a flight with positions in their metadata"
     colour = "#56B4E9"

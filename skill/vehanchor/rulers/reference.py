@@ -197,8 +197,8 @@ def unmeasured_region(card: DetectorCard, reference: Reference) -> tuple[Notice,
     if region is None or _region_length(region, _box_lengths_m(card)) is not None:
         return ()
     message = (
-        f"Nobody has measured the cars of {region}: for them, the region counts as unknown. Things "
-        "of known size there keep their sizes."
+        f"Nobody has measured the cars of {region}: their lengths are those of an unknown region, "
+        "and there is nothing to do about it. Things of known size there keep their sizes."
     )
     return (Notice(code=NoticeCode.REGION_UNMEASURED, message=message),)
 

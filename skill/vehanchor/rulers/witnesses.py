@@ -152,7 +152,7 @@ def _sees_scene(witness: Witness) -> bool:
 
 
 def with_doubts(
-    witnesses: Sequence[Witness], notices: Iterable[Remark] = ()
+    witnesses: Sequence[Witness], notices: Iterable[Remark] = (), *, tilt_chance: float = 0.0
 ) -> tuple[Witness, ...]:
     """Add to witnesses the errors that doubts make common.
 
@@ -162,12 +162,13 @@ def with_doubts(
     Args:
         witnesses: witnesses of an image, with their own doubts as notices.
         notices: further doubts.
+        tilt_chance: 0..1, chance that the image has no single scale because of an unknown tilt.
     """
     codes = {notice.code for notice in notices}
     for witness in witnesses:
         codes.update(notice.code for notice in witness.notices)
     no_one_scale = not NO_ONE_SCALE_CODES.isdisjoint(codes)
-    stretch_chance = _stretch_chance(witnesses)
+    several_scales_chance = 1.0 - (1.0 - _stretch_chance(witnesses)) * (1.0 - tilt_chance)
     vehicles = vehicle_witness(witnesses)
     p_look_alikes = 0.0
     if vehicles is not None and vehicles.found:
@@ -181,9 +182,9 @@ def with_doubts(
         shared = witness
         if no_one_scale:
             shared = with_shared_error(shared, NO_ONE_SCALE, removes="disagree")
-        elif stretch_chance > 0:
+        elif several_scales_chance > 0:
             # More cars would settle it.
-            unsettled = NO_ONE_SCALE._replace(chance_wrong=stretch_chance)
+            unsettled = NO_ONE_SCALE._replace(chance_wrong=several_scales_chance)
             shared = with_shared_error(shared, unsettled, removes="too_few")
         depends_on_cars = witness.kind == Vehicles.kind or not witness.sets_scale
         if no_cars.chance_wrong > 0 and depends_on_cars:
@@ -214,32 +215,37 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
         if not witness.sets_scale:
             continue
         setting.append(witness)
-        if p_right < PROBABLY_RIGHT:
+        # One that shares an error with all others, and has their scale, does not disagree.
+        if p_right < PROBABLY_RIGHT and not witness.allows(answer.gsd_m_per_px):
             doubted.append(witness)
     if answer.reason == "disagree" and not doubted:
-        doubted = setting
+        # Rulers that allow the answer are contradicted by a prior, not by each other.
+        doubted = [witness for witness in setting if not witness.allows(answer.gsd_m_per_px)]
     for pair in answer.contradictions:
         contradicting = [informative[k] for k in pair]
         doubted += [witness for witness in contradicting if witness not in doubted]
     notices = []
     # A single ruler has none to disagree with.
-    if len(setting) > 1:
-        for witness in doubted:
-            message = (
-                f"{_stated_scale(witness)} m/px, and all rulers together "
-                f"{answer.gsd_m_per_px:.2g}. Check which is wrong before using either."
-            )
-            notice = Notice(code=NoticeCode.RULERS_DISAGREE, message=message)
-            notices.append(notice)
+    if doubted and len(setting) > 1:
+        first, *others = [f"{_stated_scale(witness)} m/px" for witness in doubted]
+        scales = [first, *(f"{scale[0].lower()}{scale[1:]}" for scale in others)]
+        message = (
+            f"{', '.join(scales)}, and all rulers together {answer.gsd_m_per_px:.2g}. Check which "
+            "is wrong before using either."
+        )
+        notices.append(Notice(code=NoticeCode.RULERS_DISAGREE, message=message))
     return notices + _unit_notices(informative)
 
 
 def _unit_notices(witnesses: Sequence[Witness]) -> list[Notice]:
-    """Warn of stated facts that differ from another ruler by a factor of about 100."""
+    """Warn of stated facts that differ from another ruler by a factor of about 100.
+
+    A prior alone is too rough to doubt a unit.
+    """
     notices = {}
     for fact, other in permutations(witnesses, 2):
         is_fact = ruler_class(fact.kind).fact is not None
-        if not is_fact:
+        if not is_fact or not other.sets_scale:
             continue
         if fact.gsd_m_per_px is None or other.gsd_m_per_px is None:
             continue

@@ -1,4 +1,8 @@
-"""Groups of witnesses that share errors, and their factors of the posterior."""
+"""Groups of witnesses that share errors, and their factors of the posterior.
+
+Groups are nested: an error acts on the witnesses that have it, and on no others. Look-alikes make
+the vehicles and the prior wrong, but not a line that shares another error with both.
+"""
 
 from __future__ import annotations
 
@@ -31,18 +35,44 @@ class Member(Protocol):
         """Compute the part ``[g]`` of the factor in which the witness is wrong."""
 
 
-class Group(NamedTuple):
-    """Witnesses that are linked by shared errors; a witness without any is a group of its own.
+class _Single(NamedTuple):
+    """Witness with the errors that it alone has.
 
     Attributes:
-        factors: ``[g]`` factor of each member by its index, with the errors of that member alone.
-        if_wrong: ``[g]`` part of each factor in which the member is wrong.
-        common: errors of two or more members, by name.
+        number: its index.
+        factor: ``[g]`` its factor.
+        if_wrong: ``[g]`` part of the factor in which it is wrong.
     """
 
-    factors: Mapping[int, Density]
-    if_wrong: Mapping[int, Density]
+    number: int
+    factor: Density
+    if_wrong: Density
+
+    @property
+    def indices(self) -> frozenset[int]:
+        """Its index."""
+        return frozenset({self.number})
+
+    def density(self, wrong: Collection[int]) -> Density:
+        """Return the factor ``[g]``, or of a wrong witness the part in which it is wrong."""
+        return self.if_wrong if self.number in wrong else self.factor
+
+
+class Group(NamedTuple):
+    """Witnesses with common errors, and groups inside whose witnesses share further errors.
+
+    Attributes:
+        parts: the single witnesses and the groups inside.
+        common: errors that all of them have, by name.
+    """
+
+    parts: Sequence[_Single | Group]
     common: Mapping[str, Shared]
+
+    @property
+    def indices(self) -> frozenset[int]:
+        """Indices of all its witnesses."""
+        return frozenset[int]().union(*(part.indices for part in self.parts))
 
     def density(self, wrong: Collection[int]) -> Density:
         """Compute the group's factor ``[g]`` of the posterior.
@@ -50,19 +80,17 @@ class Group(NamedTuple):
         Args:
             wrong: indices of witnesses of which only the part is used in which they are wrong.
         """
-        used = []
-        for k, factor in self.factors.items():
-            used.append(self.if_wrong[k] if k in wrong else factor)
+        used = [part.density(wrong) for part in self.parts]
         if len(used) == 1:
             return used[0]
         # The whole product scales the part, so that the part stays below the whole.
-        factors = list(self.factors.values())
-        part = _part(used, factors)
-        whole = _part(factors, factors)
-        return with_errors(part, tuple(self.common.values()), whole=whole)
+        factors = [part.density(()) for part in self.parts]
+        used_share = _share(used, factors)
+        whole = _share(factors, factors)
+        return with_errors(used_share, tuple(self.common.values()), whole=whole)
 
 
-def _part(used: Sequence[Density], whole: Sequence[Density]) -> Density:
+def _share(used: Sequence[Density], whole: Sequence[Density]) -> Density:
     """Compute the part ``[g]`` of a product in which some factors are replaced by smaller ones.
 
     Args:
@@ -72,10 +100,10 @@ def _part(used: Sequence[Density], whole: Sequence[Density]) -> Density:
     total = float(np.prod(whole, axis=0).sum())
     if total > 0.0:
         return np.asarray(np.prod(used, axis=0) / total)
-    return _part_with_floors(used, whole)
+    return _share_with_floors(used, whole)
 
 
-def _part_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Density:
+def _share_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Density:
     """Compute the part ``[g]`` of a product in which some factors are used by their floor alone.
 
     Factors that exclude each other have no scale in common: the product underflows. With a floor
@@ -85,42 +113,85 @@ def _part_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Dens
         used: the factors, some of them replaced by their floor.
         whole: all factors; their product, with floors, has the sum 1.
     """
-    log_part = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in used], axis=0)
+    log_used = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in used], axis=0)
     log_whole = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in whole], axis=0)
     # The largest cell becomes 1 before the exponential, so that no product underflows.
     log_peak = log_whole.max()
-    return np.asarray(np.exp(log_part - log_peak) / np.exp(log_whole - log_peak).sum())
+    return np.asarray(np.exp(log_used - log_peak) / np.exp(log_whole - log_peak).sum())
+
+
+class _Cluster(NamedTuple):
+    """Witnesses that have the same errors in common.
+
+    Attributes:
+        indices: the witnesses.
+        errors: by name.
+    """
+
+    indices: frozenset[int]
+    errors: Mapping[str, Shared]
+
+    def crosses(self, other: _Cluster) -> bool:
+        """Test whether two clusters have witnesses in common, and neither is a part of the other.
+
+        Two clusters of the same witnesses count as crossing.
+        """
+        if self.indices.isdisjoint(other.indices):
+            return False
+        return not (self.indices < other.indices or other.indices < self.indices)
 
 
 def group_by_shared_errors(witnesses: Mapping[int, Member]) -> list[Group]:
-    """Group witnesses, by index, that share an error, directly or through others."""
+    """Group witnesses, by index, that share errors; a witness without any is a group of its own."""
     n_sharing: Counter[str] = Counter()
     for witness in witnesses.values():
         n_sharing.update({error.name for error in witness.shared})
-
-    groups: list[Group] = []
+    parts: list[_Single | Group] = []
     for k, witness in witnesses.items():
         own = [error for error in witness.shared if n_sharing[error.name] == 1]
-        common = {error.name: error for error in witness.shared if n_sharing[error.name] > 1}
-        factors = {k: witness.factor(own)}
-        if_wrong = {k: witness.factor_if_wrong(own)}
-        # A witness can link groups that had nothing in common before: they become one.
-        names = set(common)
-        linked = [group for group in groups if not names.isdisjoint(group.common)]
-        groups = [group for group in groups if names.isdisjoint(group.common)]
-        for group in linked:
-            factors = {**group.factors, **factors}
-            if_wrong = {**group.if_wrong, **if_wrong}
-            common = _larger_errors(common, group.common)
-        groups.append(Group(factors, if_wrong, common=common))
-    return groups
+        parts.append(_Single(k, witness.factor(own), witness.factor_if_wrong(own)))
+
+    # Small groups become parts of the larger ones around them.
+    for cluster in _clusters(witnesses):
+        inside = [part for part in parts if part.indices <= cluster.indices]
+        parts = [part for part in parts if not part.indices <= cluster.indices]
+        parts.append(Group(inside, cluster.errors))
+    return [part if isinstance(part, Group) else Group([part], {}) for part in parts]
 
 
-def _larger_errors(first: Mapping[str, Shared], second: Mapping[str, Shared]) -> dict[str, Shared]:
-    """Merge errors by name; of two sizes of one error, the larger is used."""
-    merged = dict(first)
-    for name, error in second.items():
-        same = merged.get(name, error)
+def _clusters(witnesses: Mapping[int, Member]) -> list[_Cluster]:
+    """Collect the errors that witnesses have in common, those of the fewest witnesses first.
+
+    Of two clusters, one contains the other, or they have no witness in common.
+    """
+    by_name: dict[str, _Cluster] = {}
+    for k, witness in witnesses.items():
+        for error in witness.shared:
+            alone = _Cluster(frozenset({k}), {error.name: error})
+            by_name[error.name] = _merged(by_name.get(error.name, alone), alone)
+    clusters: list[_Cluster] = []
+    for cluster in by_name.values():
+        if len(cluster.indices) > 1:
+            clusters = _with_cluster(clusters, cluster)
+    return sorted(clusters, key=lambda cluster: len(cluster.indices))
+
+
+def _with_cluster(clusters: Sequence[_Cluster], cluster: _Cluster) -> list[_Cluster]:
+    """Add a cluster; it becomes one with those that it crosses."""
+    crossing = [other for other in clusters if other.crosses(cluster)]
+    if not crossing:
+        return [*clusters, cluster]
+    apart = [other for other in clusters if not other.crosses(cluster)]
+    for other in crossing:
+        cluster = _merged(cluster, other)
+    return _with_cluster(apart, cluster)
+
+
+def _merged(first: _Cluster, second: _Cluster) -> _Cluster:
+    """Make one cluster of two; of two sizes of one error, the larger is used."""
+    errors = dict(first.errors)
+    for name, error in second.errors.items():
+        same = errors.get(name, error)
         sizes = zip(error[1:], same[1:], strict=True)
-        merged[name] = Shared(name, *(max(pair) for pair in sizes))
-    return merged
+        errors[name] = Shared(name, *(max(pair) for pair in sizes))
+    return _Cluster(first.indices | second.indices, errors)

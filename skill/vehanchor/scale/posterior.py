@@ -22,7 +22,8 @@ The answer follows from this posterior alone:
 * The interval is the central 95 % of the same distribution. It is extended to cover witnesses that
   are probably right, but exclude each other.
 * The chance is the posterior's mass within 20 % of the value. What a caller assumes gains no
-  chance by the agreement of a prior.
+  chance by the agreement of a prior. What is stated, by the caller or the file, loses chance where
+  what is seen in the picture excludes it.
 * The scale is usable if the chance is at least 0.9.
 * The reason is the weakness whose removal would raise the chance most.
 """
@@ -49,7 +50,7 @@ from vehanchor.scale.density import (
 )
 from vehanchor.scale.groups import group_by_shared_errors
 from vehanchor.scale.lengths import Interval
-from vehanchor.scale.reliability import MAX_CHANCE, Shared
+from vehanchor.scale.reliability import CONTRADICTION_POWER, FILE, MAX_CHANCE, MEASURING, Shared
 from vehanchor.scale.shared_errors import blurred_by, with_errors
 
 if TYPE_CHECKING:
@@ -169,6 +170,11 @@ class Witness:
             return None
         low, high = credible_interval(blurred_by(self.right_with_guess, self.shared))
         return Interval(min(low, self.gsd_m_per_px), max(high, self.gsd_m_per_px))
+
+    def allows(self, gsd_m_per_px: float) -> bool:
+        """Test whether a scale lies in the 95 % interval."""
+        interval = self.interval
+        return interval is not None and interval.low <= gsd_m_per_px <= interval.high
 
     def factor(self, errors: Sequence[Shared]) -> Density:
         """Compute the factor ``[g]`` of the posterior.
@@ -322,10 +328,40 @@ def judge(witnesses: Sequence[Witness]) -> Answer | None:
     return Answer(
         value,
         interval=credible_interval(supported),
-        chance=min(chance, MAX_CHANCE),
+        chance=min(chance, MAX_CHANCE, _ceiling_of_contradiction(witnesses, value)),
         density=supported,
         posterior=posterior.density,
     )
+
+
+def _ceiling_of_contradiction(witnesses: Sequence[Witness], gsd_m_per_px: float) -> float:
+    """Compute the largest chance of a scale that stated facts set against what is seen.
+
+    In the product only ratios count: a line that is right with 0.93 wins against cars that are
+    right with 0.4, at a chance of 0.95. But how often callers and files are wrong is a choice, and
+    a fact that is contradicted is more often wrong than others. The ceiling is the chance that what
+    is seen is wrong, as far as it excludes the scale: cars that are a tenth off hardly lower it.
+
+    Args:
+        witnesses: those that found something.
+        gsd_m_per_px: the scale by all of them.
+    """
+    # A guess about the cars' length is stated, too.
+    seen = [replace(witness, guess=None) for witness in witnesses if not _is_stated(witness)]
+    if len(seen) == len(witnesses):
+        return 1.0
+    by_sight = judge(seen)
+    if by_sight is None:
+        return 1.0
+    chance_here = mass_within(by_sight.posterior, gsd_m_per_px)
+    excluded_share = max(0.0, 1.0 - chance_here / by_sight.chance)
+    return 1.0 - by_sight.chance * math.pow(excluded_share, CONTRADICTION_POWER)
+
+
+def _is_stated(witness: Witness) -> bool:
+    """Test whether a witness rests on a statement of the caller or of the file."""
+    names = {error.name for error in witness.shared}
+    return not names.isdisjoint({MEASURING.name, FILE.name})
 
 
 def _share_of_usual_errors(witness: Witness) -> Density:
@@ -384,13 +420,7 @@ def _exclude_each_other(first: Witness, second: Witness) -> bool:
     """Test whether the scale of each of two witnesses lies outside the other's 95 % interval."""
     if first.gsd_m_per_px is None or second.gsd_m_per_px is None:
         return False
-    return not (_allows(first, second.gsd_m_per_px) or _allows(second, first.gsd_m_per_px))
-
-
-def _allows(witness: Witness, gsd_m_per_px: float) -> bool:
-    """Test whether a scale lies in the 95 % interval of a witness."""
-    interval = witness.interval
-    return interval is not None and interval.low <= gsd_m_per_px <= interval.high
+    return not (first.allows(second.gsd_m_per_px) or second.allows(first.gsd_m_per_px))
 
 
 def _hull(interval: Interval, others: Iterable[Interval | None]) -> Interval:

@@ -19,11 +19,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vehanchor.errors import ImageTooLargeError, ModelContractError
+from vehanchor.errors import ImageTooLargeError, InvalidParameterError, ModelContractError
 from vehanchor.imagery.raster import Window, outer_sides
 from vehanchor.models.files import file_cached, models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import metadata_number, open_session
+from vehanchor.models.zoo import resolve_segmenter
 from vehanchor.options import ImageLimits
 from vehanchor.segmentation.box_error import (
     BOX_ERROR_PX,
@@ -45,12 +46,16 @@ from vehanchor.segmentation.prompt import MIN_BOX_PX, Prompt
 from vehanchor.segmentation.shape import touches_edge
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Sequence
-    from typing import Self
+    from typing import Self, TypeAlias
 
     from vehanchor.imagery.raster import Raster
     from vehanchor.segmentation.contracts import EncodedCrop
     from vehanchor.segmentation.shape import Mask
+
+    SegmenterSource: TypeAlias = "Segmenter | tuple[str | os.PathLike[str], str | os.PathLike[str]]"
+    """Paths of encoder and decoder, or a loaded segmenter."""
 
 # Default: masks with a lower predicted IoU need a check of the outline.
 MIN_MASK_SCORE = 0.7
@@ -341,6 +346,27 @@ def load_segmenter(
     call = runtime or Runtime()
     segmenter = _opened(encoder_path, decoder_path, runtime=call.idle)
     return segmenter.under(call)
+
+
+def open_segmenter(source: SegmenterSource | None, runtime: Runtime) -> Segmenter:
+    """Open a segmenter.
+
+    Raises:
+        ModelError: it cannot be used.
+        InvalidParameterError: the source is neither a ``Segmenter`` nor two paths.
+    """
+    if isinstance(source, Segmenter):
+        return source
+    files = None
+    if source is not None:
+        if isinstance(source, str) or len(source) != 2:
+            raise InvalidParameterError(
+                f"segmenter is {source!r}: give two paths, of its encoder and its decoder"
+            )
+        encoder, decoder = source
+        files = (Path(encoder), Path(decoder))
+    encoder_path, decoder_path = resolve_segmenter(files)
+    return load_segmenter(encoder_path, decoder_path, runtime)
 
 
 def _is_within_limits(window: Window, limits: ImageLimits) -> bool:

@@ -26,8 +26,7 @@ from vehanchor.cli.terminal import (
     work_progress,
 )
 from vehanchor.errors import InvalidParameterError
-from vehanchor.records.text import NO_SCALE, count, significant, with_interval
-from vehanchor.scale.defaults import INTERVAL_PREMISE
+from vehanchor.records.text import count, scale_cells, scale_text, significant
 from vehanchor.storage.atomic import beside, check_output_path, write_record
 
 if TYPE_CHECKING:
@@ -202,7 +201,7 @@ def _facts(record: FlightEstimate, short_names: Mapping[str, str]) -> list[tuple
     """List what holds for the whole flight, with headings."""
     facts = []
     if record.same_scale:
-        facts.append(("scale of all", _common_scale_text(record)))
+        facts.append(("scale of all", scale_text(record)))
         if record.pixels_per_meter is not None:
             facts.append(("pixels per metre", significant(record.pixels_per_meter, 4)))
     status_text = STATUS_TEXTS[record.status]
@@ -230,17 +229,6 @@ def _sortie_sizes(record: FlightEstimate) -> list[int]:
     numbers = [photograph.sortie for photograph in record.photographs]
     sizes = Counter(number for number in numbers if number is not None)
     return list(sizes.values())
-
-
-def _common_scale_text(record: FlightEstimate) -> str:
-    return with_interval(
-        record.gsd_m_per_px,
-        record.gsd_ci95_low_m_per_px,
-        high=record.gsd_ci95_high_m_per_px,
-        unit="m/px",
-        missing=NO_SCALE,
-        premise=INTERVAL_PREMISE,
-    )
 
 
 def _rulers_text(record: FlightEstimate) -> str:
@@ -303,14 +291,7 @@ def _print_photographs(
 
 def _cells(photograph: FlightPhotograph, short_names: Mapping[str, str]) -> tuple[str, ...]:
     """Make the cells of a photograph's line; "-" for what is unknown."""
-    gsd = "-"
-    if photograph.gsd_m_per_px is not None:
-        gsd = significant(photograph.gsd_m_per_px, 4)
-    interval = "-"
-    low = photograph.gsd_ci95_low_m_per_px
-    high = photograph.gsd_ci95_high_m_per_px
-    if low is not None and high is not None:
-        interval = f"{significant(low)} to {significant(high)}"
+    gsd, interval = scale_cells(photograph)
     confidence = "-"
     if photograph.confidence is not None:
         confidence = f"{photograph.confidence:.2f}"

@@ -1,4 +1,4 @@
-"""Our reading and writing of models against COLMAP's: ``pip install 'vehanchor[sfm]'``."""
+"""Our reading and writing of models against COLMAP's: ``pip install '.[sfm]'``."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 pytest.importorskip("torch")
 pytest.importorskip("onnxruntime")
 
+import onnx
 import torch
 
 from research.scenes.fleet import Fleet
@@ -30,6 +31,7 @@ from research.training.chips.stream import (
 )
 from research.training.chips.train import losses
 from research.training.detector.data import TrainImage
+from research.training.letters.export import HEAD_PREFIX, with_head
 from research.training.warm_start import load_exported
 from vehanchor.detection.boxes import box_corners
 from vehanchor.detection.chips import CHIP_COLUMNS, CHIP_ROWS, KINDS, ChipNetwork
@@ -207,6 +209,7 @@ def test_the_file_answers_as_the_network_in_half_of_its_space(tmp_path: Path) ->
     export(network, tmp_path / "chips.onnx")
     numbers = sum(values.numel() for values in network.parameters())
     assert (tmp_path / "chips.onnx").stat().st_size < 2.4 * numbers
+    _add_empty_head(tmp_path / "chips.onnx", n_features=_n_features(network))
     chips = np.random.default_rng(0).integers(0, 255, (3, CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)
     exported = ChipNetwork(tmp_path / "chips.onnx", runtime=Runtime(threads=1))
     answers = exported.answers(chips, views=1)
@@ -216,13 +219,33 @@ def test_the_file_answers_as_the_network_in_half_of_its_space(tmp_path: Path) ->
     np.testing.assert_allclose(answers.logit, expected.logit.numpy(), atol=2e-2)
 
 
+def _n_features(network: ChipNet) -> int:
+    """Count the features that the heads read."""
+    dense = next(network.seen[0].children())
+    assert isinstance(dense, torch.nn.Linear)
+    return dense.in_features
+
+
+def _add_empty_head(path: Path, n_features: int) -> None:
+    """Add the output of the head for drawn things, without which the file is not a chip network."""
+    head = {
+        "hidden_weight": np.zeros((1, n_features), np.float32),
+        "hidden_bias": np.zeros(1, np.float32),
+        "out_weight": np.zeros((1, 1), np.float32),
+        "out_bias": np.zeros(1, np.float32),
+    }
+    model = onnx.load(path)
+    with_head(model, head, offset=0.0)
+    onnx.save(model, path)
+
+
 def test_training_begins_from_the_bundled_file() -> None:
     path = auxiliary_model(resolve_model(), "chips")
     assert path is not None
     network = ChipNet()
     chips = np.random.default_rng(0).integers(0, 255, (16, CHIP_ROWS, CHIP_COLUMNS, 3), np.uint8)
     planes = torch.from_numpy(chips.transpose(0, 3, 1, 2).copy()).float() / 255
-    load_exported(network, path, planes)
+    load_exported(network, path, planes, without=(HEAD_PREFIX,))
     with torch.no_grad():
         outputs = network.eval()(planes)
     answers = ChipNetwork(path, runtime=Runtime(threads=1)).answers(chips, views=1)

@@ -384,6 +384,53 @@ def test_measurements_by_clicks_have_the_arguments_of_the_scale(
     assert host.page.locator(".drawn path.measured").count() == 1
 
 
+def test_an_outline_has_the_pixels_of_the_caller_and_what_must_fit(host: Host) -> None:
+    host.show(tools=True)
+    host.result("good", {"frame": HALF})
+    host.page.get_by_label("Must fit").fill("9")
+    host.answers("failed")
+    host.presses("Outline")
+    host.clicks((100, 100), (300, 100), (300, 200), (300, 200))
+    host.reads(".picture [role=status]", re.compile("^Not measured"))
+    assert host.page.get_by_role("button", name="Close the outline").is_visible(), "corners stay"
+    host.answers("area")
+    host.presses("Take back the last corner")
+    host.clicks((300, 250), (100, 250))
+    host.presses("Close the outline")
+    host.page.locator("ol.measured li").wait_for()
+    _, asked = host.asked()
+    [target] = asked["arguments"]["targets"]
+    corners = [50, 50, 150, 50, 150, 125, 50, 125]
+    assert target["polygon"] == pytest.approx(corners, abs=1), "in pixels of the copy"
+    assert asked["arguments"]["must_fit"] == {"diameter_m": 9}
+
+
+def test_a_size_that_is_none_is_refused_in_words(host: Host) -> None:
+    host.show("good", tools=True)
+    host.page.get_by_label("Must fit").fill("12 x 5 x 3")
+    host.types("Tab")
+    host.reads(".picture [role=status]", re.compile("^Type a diameter"))
+
+
+def test_people_choose_feet_and_centimetres(host: Host) -> None:
+    host.show(tools=True)
+    host.result("good", {"height_m": 30.48})
+    host.page.get_by_label("Lengths in").select_option("ft")
+    host.page.get_by_label("Scale in").select_option("cm/px")
+    record = host.record("good")
+    scale = f"{record['gsd_m_per_px'] * 100:#.3g}"
+    host.reads(".readings > div:first-child .value", f"{scale}cm/px")
+    host.page.get_by_text("Region and height").click()
+    height = host.page.get_by_label("Camera height above ground, ft")
+    assert height.input_value() == "100"
+    height.fill("200")
+    host.answers("rulers")
+    host.presses("Measure with these")
+    host.reads("#sentence", host.panel("rulers")["sentence"])
+    [asked] = host.asked()
+    assert asked["arguments"]["height_m"] == pytest.approx(60.96)
+
+
 def test_corrections_of_vehicles_follow_those_of_the_call(host: Host) -> None:
     vehicles = {each[6]: each for each in host.panel("corrected")["drawing"]["vehicles"]}
     row = [n for n, each in vehicles.items() if each[1] < 95]

@@ -12,10 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from rasterio.transform import Affine
 
 from tests.sam_models import SamFiles
 from tests.server.app_page.viewing import Person, viewing
 from tests.server.conftest import POOL_BOX, paint_scene, with_pool, write_image
+from tests.skill.imagery.files import geotiff, smooth_rgb
 from vehanchor.records.columns import COLUMNS
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
@@ -52,6 +54,28 @@ def person(chromium: Any, address: Address) -> Iterator[Person]:
     tab.get_by_role("button", name="large.png").wait_for()
     yield person
     person.leave(address.url(), "data:", "blob:")
+
+
+@pytest.fixture
+def surveyor(chromium: Any, detector_path: Path, tmp_path: Path) -> Iterator[Person]:
+    """Somebody with two georeferenced photographs of one name: one has cars, of another scale."""
+    pictures = {"east": paint_scene(640, 512), "west": smooth_rgb(640, 512)}
+    for name, picture in pictures.items():
+        (tmp_path / name).mkdir()
+        transform = Affine(0.3, 0, 500_000, 0, -0.3, 5_000_000)
+        geotiff(tmp_path / name / "map.tif", picture, transform=transform)
+    settings = Settings(
+        roots=(tmp_path.resolve(),),
+        detector=str(detector_path),
+        threads=1,
+        isolation="in-process",
+    )
+    with viewing(settings, tmp_path / "dropped") as address:
+        tab = chromium.new_page(viewport={"width": 1280, "height": 900})
+        person = Person(tab, tab)
+        tab.goto(address.url())
+        yield person
+        person.leave(address.url(), "data:", "blob:")
 
 
 def choose_pool(person: Person) -> None:
@@ -168,6 +192,26 @@ def test_the_list_can_be_searched_or_passed_by_one_tab(person: Person) -> None:
     assert person.runs("document.activeElement.textContent") == "Distance"
 
 
+def test_a_size_is_placed_in_an_outline_by_hand(person: Person, tmp_path: Path) -> None:
+    choose_pool(person)
+    person.presses("Outline")
+    person.clicks((100, 300), (300, 300), (300, 400), (100, 400), (100, 300))
+    person.reads("ol.measured .number", re.compile(r"^[\d.,]+ m²$"))
+    person.page.get_by_label("Must fit").fill("12,5 x 5")
+    person.types("Enter")
+    person.reads(
+        "ol.measured .fits",
+        re.compile(r"^12\.5\s\S\s5\sm fits with probability 0\.9\d, at least \d in rows$"),
+    )
+    assert person.page.locator(".drawn path.fit").count() == 1
+    record = json.loads(saved(person, "Record", tmp_path).read_text())
+    layer = json.loads(saved(person, "GeoJSON", tmp_path).read_text())
+    [area] = record["measured"]
+    assert area["polygon_area_px"] == pytest.approx(200 * 100, rel=0.02)
+    assert (area["fit"]["length_m"], area["fit"]["width_m"]) == (12.5, 5)
+    assert layer["features"][-1]["properties"]["kind"] == "fit"
+
+
 def test_a_known_length_says_that_the_tick_is_missing(person: Person) -> None:
     choose_pool(person)
     person.presses("Draw a known length")
@@ -183,6 +227,21 @@ def test_the_search_finds_a_folder(person: Person) -> None:
     person.page.get_by_label("Find a photograph").fill(folder)
     assert person.page.get_by_role("button", name="pool.png").is_visible()
     person.page.get_by_label("Find a photograph").fill("")
+
+
+def test_the_files_own_scale_measures_unless_cars_contradict_it(surveyor: Person) -> None:
+    scales = {"east/map.tif": "differs from the estimate", "west/map.tif": "by its georeference"}
+    for name, note in scales.items():
+        surveyor.presses(name)
+        says = "^The file's own scale is 0.3 m/px" if note.startswith("differs") else "^No car"
+        surveyor.reads("#sentence", re.compile(says))
+        surveyor.reads(".readings > div:has-text('own scale')", re.compile(f"0.300m/px{note}$"))
+        surveyor.presses("Distance")
+        surveyor.drags((100, 300), (300, 300))
+        by_file = re.compile("by the file's own scale")
+        measured = surveyor.page.locator("ol.measured li")
+        measured.wait_for()
+        assert bool(by_file.search(measured.inner_text())) == (name == "west/map.tif")
 
 
 def test_facts_hold_for_all_photographs_corrections_for_one(person: Person) -> None:
@@ -224,7 +283,7 @@ def test_all_photographs_are_measured_into_a_table(person: Person, tmp_path: Pat
     assert list(rows[0]) == list(COLUMNS), "as the tables of 'vehanchor batch'"
     status_of = {Path(row["photograph"]).name: row["status"] or "error" for row in rows}
     reasons = person.page.locator(".overview tr", has_text="large.png").inner_text()
-    assert "too few vehicles" in reasons
+    assert "No car was found" in reasons
     assert (status_of["broken.png"], status_of["pool.png"], status_of["large.png"]) == (
         "error",
         "ok",

@@ -151,7 +151,7 @@ def test_a_refused_path_comes_with_a_reason(
     root: Path,
 ) -> None:
     assert "The nearest names are deep/b c%41.png." in str(refusal(root, "B C_41.png"))
-    assert "Check the path." in str(refusal(root, "quite-different.tiff"))
+    assert "Check the path; view_image" in str(refusal(root, "quite-different.tiff"))
     assert "is a folder. Name a file in it" in str(refusal(root, "deep"))
     assert "this is a URL, not a path" in str(refusal(root, "https://images.example/a.png"))
 
@@ -283,7 +283,19 @@ def test_a_file_that_is_removed_while_it_is_opened_leaves_no_descriptor(
 
 
 @pytest.mark.parametrize(
-    "named", ["local://a.png", "data:image/png;base64,AAAA", "~/a.png", "C:\\a.png", "s3://b/a.png"]
+    "named",
+    [
+        "local://a.png",
+        "data:image/png;base64,AAAA",
+        "blob:https://a/b",
+        "sandbox:/mnt/data/a.png",
+        "~/a.png",
+        "$HOME/a.png",
+        "%USERPROFILE%\\a.png",
+        "C:\\a.png",
+        "\\\\server\\share\\a.png",
+        "s3://b/a.png",
+    ],
 )
 def test_names_of_other_places_point_to_the_list_of_images(root: Path, named: str) -> None:
     error = refusal(root, named)

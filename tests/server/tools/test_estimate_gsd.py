@@ -49,7 +49,7 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     assert text_of(result) == (
         "No ruler was found, confidence 0: no metric scale (no car was found); if a car or a "
         "court, container or rail is in sight, mark it (add, known_lengths), or give the camera's "
-        "height (height_m) or photographs with cars (more_images)."
+        "height and lens (height_m, focal_35mm), or photographs with cars (more_images)."
     )
 
 
@@ -161,7 +161,10 @@ LINE = "draw a line over a parking bay or lane dash (known_lengths)"
 CAR = "add a car that has no box (add)"
 REGION = "give the region (region)"
 MEASURED = "give a measured length or height, no further assumed one (basis)"
-ELSEWHERE = "give the camera's height (height_m) or photographs with cars (more_images)"
+ELSEWHERE = (
+    "give the camera's height and lens (height_m, focal_35mm), or photographs with cars "
+    "(more_images)"
+)
 DROP = "drop boxes that are not cars, see view_image (drop)"
 
 

@@ -161,8 +161,8 @@ async def test_a_mask_that_the_segmenter_doubts_comes_with_a_warning(
     result = await asked(server, pool_in(images / "pool.png"))
     assert record_of(result)["status"] == "low_confidence"
     assert (
-        "do not rely on it; look at it with view_image, and give a tight box drawn by eye."
-        in text_of(result)
+        "do not rely on it; look at it with view_image, and give a tight box, or its outline "
+        "(polygon), by eye." in text_of(result)
     )
     assert (
         "Warning mask_score_low: The expected overlap with the object is 0.40, below 0.7."

@@ -265,26 +265,25 @@ async def test_a_search_that_the_clock_may_end_is_not_remembered(
 
 @pytest.fixture
 def orthophoto(images: Path) -> Iterator[Path]:
-    """Write the picture as a GeoTIFF of 0.2 m/px; other tests count the files of the folder."""
+    """Write the picture as a GeoTIFF of 0.16 m/px; other tests count the files of the folder."""
     picture = cv2.imread(str(images / "pool.png"))
     assert picture is not None
     path = geotiff(
         images / "ortho.tif",
         np.ascontiguousarray(picture[:, :, ::-1]),
-        transform=Affine(0.2, 0, 500_000, 0, -0.2, 5_000_000),
+        transform=Affine(0.16, 0, 500_000, 0, -0.16, 5_000_000),
     )
     yield path
     path.unlink()
 
 
-@pytest.mark.usefixtures("never_searches")
 async def test_a_georeferenced_file_is_measured_with_its_own_scale(
     settings: Settings, orthophoto: Path
 ) -> None:
     server = create_server(create_services(settings))
     record = await measured(server, orthophoto, "measure_distance")
     assert (record["status"], record["scale_source"]) == ("ok", "file")
-    assert record["distance_m"] == pytest.approx(100)
+    assert record["distance_m"] == pytest.approx(80)
 
 
 async def test_who_asks_for_the_estimate_gets_it(settings: Settings, orthophoto: Path) -> None:

@@ -26,15 +26,9 @@ from vehanchor_server.app_page.page import view_html
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
 
-# one for all: each looks for certificates, which takes a second
-WEB = httpx.Client(timeout=60, verify=False)
-
-
-# tests of other modules can run between those of this one
-@pytest.fixture(scope="session", autouse=True)
-def _web_is_closed() -> Iterator[None]:
-    yield
-    WEB.close()
+# One for all: each looks for certificates, which takes a second. It keeps no connection, because
+# no test of another module that uses it would close it.
+WEB = httpx.Client(timeout=60, verify=False, limits=httpx.Limits(max_keepalive_connections=0))
 
 
 @pytest.fixture(scope="module")

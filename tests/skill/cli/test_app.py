@@ -22,6 +22,8 @@ from tests.models import car_park, write_detector, write_other_model
 from tests.skill.imagery.files import bmp_header
 from vehanchor import analyse_scale, engine, records
 from vehanchor.cli import app as cli
+from vehanchor.cli import estimated_file
+from vehanchor.cli.cli_options import ParsedOptions
 from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
 from vehanchor.records.ruler_registry import RULERS
@@ -148,6 +150,80 @@ def test_one_bad_image_does_not_stop_the_rest(run: Any) -> None:
     ]
 
 
+# The decoder of one image ends its process. The script is a file, because the process of several
+# images reads it again.
+POISONED_COMMAND = """
+import os, signal
+from vehanchor.cli.app import main
+from vehanchor.imagery.sources import opening
+
+decode = opening.decode
+
+def crash(data, source, header):
+    if "poison" in source:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return decode(data, source, header)
+
+opening.decode = crash
+if __name__ == "__main__":
+    main()
+"""
+
+
+@pytest.fixture(scope="module")
+def poisoned(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> subprocess.CompletedProcess[str]:
+    """An estimate of three images, the second of which crashes its decoder."""
+    path = tmp_path_factory.mktemp("poisoned")
+    for name in ("few.png", "poison.png", "last.png"):
+        (path / name).symlink_to(folder / "few.png")
+    (path / "run.py").write_text(POISONED_COMMAND)
+    command = [sys.executable, "run.py", "estimate", "few.png", "poison.png", "last.png", "--json"]
+    command += ["--detector", str(folder / "detector.onnx"), "--rulers", "vehicles"]
+    return subprocess.run(command, cwd=path, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.promise("crashes")
+def test_an_image_that_crashes_its_decoder_has_an_error(
+    poisoned: subprocess.CompletedProcess[str],
+) -> None:
+    lines = [json.loads(line) for line in poisoned.stdout.splitlines()]
+    assert [line["photograph"] for line in lines] == ["few.png", "poison.png", "last.png"]
+    assert lines[1]["error"]["code"] == "worker_died"
+
+
+@pytest.mark.promise("crashes")
+def test_the_images_after_a_crash_are_estimated(
+    poisoned: subprocess.CompletedProcess[str],
+) -> None:
+    first, _, last = (json.loads(line) for line in poisoned.stdout.splitlines())
+    assert first | {"photograph": ""} == last | {"photograph": ""}
+
+
+def test_the_exit_status_tells_of_a_crash(poisoned: subprocess.CompletedProcess[str]) -> None:
+    assert poisoned.returncode == 2
+    assert poisoned.stderr.startswith(
+        "error[worker_died]: poison.png: this image ended the process"
+    )
+
+
+def test_a_defect_that_one_of_several_images_triggers_is_its_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Defect:
+        def analyse_scale(self, *_: object, **__: object) -> None:
+            raise IndexError("list index out of range")
+
+    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
+    monkeypatch.setattr(estimated_file, "_loaded_engine", lambda _: Defect())
+    estimate = estimated_file._prepare_process(ParsedOptions({}))
+    result = estimate(estimated_file.PhotographFile("a.png", {}, details=False), print)
+    assert result.error is not None
+    assert result.error.code == "internal_error"
+    assert "IndexError: list index out of range" in str(result.error)
+
+
 def test_several_images_have_one_table_of_names_in_their_folder(run: Any, folder: Path) -> None:
     images = [folder / name for name in ("cars.png", "text.png", "few.png")]
     result = _estimate(run, *images)
@@ -257,7 +333,7 @@ def test_a_missing_extra_ends_the_command_before_the_work(
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr.startswith("error[missing_extra]: ")
-    assert "vehanchor[plots]" in result.stderr
+    assert "pip install '.[plots]'" in result.stderr
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import cv2
@@ -10,9 +11,13 @@ import pytest
 import rasterio
 from affine import Affine
 from numpy.typing import NDArray
+from rasterio.control import GroundControlPoint
+from rasterio.crs import CRS
 from rasterio.enums import Resampling
+from rasterio.errors import NotGeoreferencedWarning
 
 from tests.oblong import cosine_of, longitude_pixel, rotated, write_geotiff
+from tests.skill.imagery.files import geotiff
 from vehanchor.errors import ImageTooLargeError
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
@@ -46,6 +51,9 @@ def noise() -> NDArray[np.uint8]:
         ("EPSG:4326", longitude_pixel(1e-6, 30), (320, 277), None),
         ("EPSG:4326", longitude_pixel(1e-6, 0), (320, 240), None),
         ("EPSG:3857", Affine(0.2, 0, 1e6, 0, -0.2, 6e6), (320, 240), None),
+        # Plate carree and an equal-area cylinder, in metres, at 47.1 and 59.7 degrees north.
+        ("EPSG:4087", Affine(0.2, 0, 1e6, 0, -0.2, 5.24e6), (320, 352), 0.1363),
+        ("EPSG:6933", Affine(0.2, 0, 1e6, 0, -0.2, 6.348e6), (320, 715), 0.1160),
     ],
 )
 def test_an_image_has_square_pixels_of_the_shorter_side(
@@ -146,7 +154,46 @@ def test_a_skewed_or_absurd_pixel_is_a_doubt(
     path = write_geotiff(tmp_path / "a.tif", noise, crs, transform)
     with open_raster(path) as raster:
         assert raster.grid.is_square
+        # No single scale holds, so that nothing is measured by that of the file.
+        assert raster.georeference_gsd_m_per_px is None
         assert [note.code for note in raster.warnings] == ["stretched"]
+
+
+@pytest.mark.parametrize(
+    ("transform", "aspect"),
+    [
+        (longitude_pixel(1e-6, 60), 2.0),
+        (longitude_pixel(1e-6, -47), 1 / cosine_of(47)),
+        (Affine(0.1, 0, 5e5, 0, -0.145, 5e6), 1.45),
+        (Affine(0.1, 0, 0, 0, -0.1, 24), 1.0),
+        (Affine.identity(), 1.0),
+    ],
+)
+def test_a_transform_without_reference_system_gives_the_shape_of_a_pixel(
+    transform: Affine, aspect: float, noise: NDArray[np.uint8], tmp_path: Path
+) -> None:
+    path = geotiff(tmp_path / "a.tif", noise, crs=None, transform=transform)
+    with open_raster(path) as raster:
+        assert raster.georeference_gsd_m_per_px is None
+        assert raster.grid.aspect == pytest.approx(aspect, rel=5e-3)
+
+
+def test_control_points_give_the_shape_of_a_pixel(noise: NDArray[np.uint8], tmp_path: Path) -> None:
+    path = geotiff(tmp_path / "a.tif", noise, crs=None, transform=None)
+    degrees = longitude_pixel(1e-6, 60)
+    corners = [(column, row) for column in (0, 320) for row in (0, 240)]
+    points = []
+    for column, row in corners:
+        x, y = degrees @ (column, row)
+        points.append(GroundControlPoint(row=row, col=column, x=x, y=y))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        dataset = rasterio.open(path, "r+")
+    with dataset:
+        dataset.gcps = (points, CRS.from_epsg(4326))
+    with open_raster(path) as raster:
+        assert raster.georeference_gsd_m_per_px is None
+        assert raster.grid.aspect == pytest.approx(2.0, rel=5e-3)
 
 
 def test_a_degree_of_longitude_is_shorter_by_the_cosine(

@@ -10,7 +10,7 @@ from rasterio.transform import Affine
 import vehanchor
 from tests.models import pool_among_cars, write_detector
 from tests.skill.imagery.files import geotiff
-from vehanchor.records.text import file_scale_text
+from vehanchor.records.text import file_scale_text, file_source_text
 from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
@@ -18,18 +18,21 @@ if TYPE_CHECKING:
 
     from vehanchor.records import DistanceMeasurement
 
-FILE_GSD = 0.21
+# Within the interval of the cars, and not their scale.
+FILE_GSD = 0.16
 LINE = [(100.0, 100.0), (400.0, 100.0)]
 
 
-def _write(path: Path, across_m: float = FILE_GSD, down_m: float = FILE_GSD) -> Path:
+def _write(
+    path: Path, across_m: float = FILE_GSD, down_m: float = FILE_GSD, *, n_cars: int = 30
+) -> Path:
     transform = Affine(across_m, 0, 500_000, 0, -down_m, 5_000_000)
-    return geotiff(path, pool_among_cars(), transform=transform)
+    return geotiff(path, pool_among_cars(n_cars), transform=transform)
 
 
 @pytest.fixture(scope="module")
 def orthophoto(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a GeoTIFF whose scale is not that of its cars."""
+    """Write a GeoTIFF whose scale is not quite that of its cars."""
     return _write(tmp_path_factory.mktemp("file_scale") / "ortho.tif")
 
 
@@ -50,9 +53,32 @@ def test_a_distance_takes_the_scale_of_the_file(orthophoto: Path, detector: Path
     assert record.distance_m == pytest.approx(300 * FILE_GSD)
 
 
-def test_the_scale_of_the_file_needs_no_search(orthophoto: Path, detector: Path) -> None:
+def test_the_scale_of_the_file_is_compared_with_cars(orthophoto: Path, detector: Path) -> None:
     record = _distance(orthophoto, detector)
-    assert (record.estimate, record.n_vehicles) == (None, None)
+    assert record.estimate is None
+    assert record.n_vehicles == 30
+    assert file_source_text(record) == "not contradicted by 30 vehicles"
+
+
+def test_cars_that_contradict_the_file_measure(detector: Path, tmp_path: Path) -> None:
+    image = _write(tmp_path / "stale.tif", across_m=2 * FILE_GSD, down_m=2 * FILE_GSD)
+    record = _distance(image, detector)
+    assert record.scale_source == "estimated"
+    assert record.distance_m == pytest.approx(300 * FILE_GSD, rel=0.1)
+    assert record.warnings[0].message.startswith("The file's own scale is 0.32 m/px, the rulers")
+
+
+def test_a_file_without_cars_has_its_own_scale(detector: Path, tmp_path: Path) -> None:
+    record = _distance(_write(tmp_path / "field.tif", n_cars=0), detector)
+    assert (record.status, record.scale_source, record.n_vehicles) == ("ok", "file", 0)
+
+
+def test_a_survey_is_too_large_to_be_compared(
+    orthophoto: Path, detector: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vehanchor.measure.scale_source._MAX_COMPARED_PX", 1000)
+    record = _distance(orthophoto, detector)
+    assert (record.scale_source, record.n_vehicles) == ("file", None)
 
 
 def test_the_scale_of_the_file_has_a_stated_interval(orthophoto: Path, detector: Path) -> None:
@@ -72,6 +98,7 @@ def test_the_scale_of_the_file_is_usable(orthophoto: Path, detector: Path) -> No
     "asked",
     [
         {"file_scale": False},
+        {"metadata": False},
         {"rulers": ("vehicles", "scene_scale")},
         {"height_m": 100.0, "focal_35mm": 24.0},
         {"gsd_m_per_px": None, "known_lengths": [(100, 100, 400, 100, 45.0)]},
@@ -96,7 +123,7 @@ def test_a_file_without_a_scale_is_searched(detector: Path) -> None:
 
 
 def test_pixels_that_are_not_square_show_both_sides(detector: Path, tmp_path: Path) -> None:
-    image = _write(tmp_path / "oblong.tif", across_m=0.2, down_m=0.3)
+    image = _write(tmp_path / "oblong.tif", across_m=0.2, down_m=0.3, n_cars=0)
     record = _distance(image, detector)
     assert record.distance_m == pytest.approx(300 * 0.2, rel=0.01)
     assert file_scale_text(record) == "0.2000 m/px (0.200 m across, 0.300 m down)"

@@ -15,6 +15,7 @@ from vehanchor.detection.detector import Detector
 from vehanchor.errors import InvalidParameterError
 from vehanchor.measure.fit import fit_probability, read_must_fit
 from vehanchor.measure.scale_source import MeasurementScale
+from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measurement import FIT_RGB
 from vehanchor.records import AreaMeasurement
 from vehanchor.records.measurement import Fit
@@ -94,6 +95,15 @@ def test_what_the_confidence_leaves_out_counts_against_a_scale_given_back() -> N
     sure = _scale(spread=Spread(0.02, 0.02), confidence=0.99)
     unsure = _scale(spread=Spread(0.02, 0.02), confidence=0.5)
     assert fit_probability(10.0, 100.0, unsure, 0.0) < fit_probability(10.0, 100.0, sure, 0.0)
+
+
+@pytest.mark.parametrize("gsd", [0.05, 20.0], ids=["on the grid", "off the grid"])
+def test_a_measured_scale_has_its_own_posterior(gsd: float) -> None:
+    facts = {"gsd_m_per_px": gsd, "gsd_basis": "measured", "gsd_tolerance": 0.02 * gsd}
+    options = ScaleOptions().with_keywords(facts)
+    too_large = {"diameter_m": 300 * gsd}
+    fit = _fit(too_large, [[100, 100, 300, 100, 300, 300, 100, 300]], options=options)
+    assert fit.fit_probability < 0.1
 
 
 def test_without_a_scale_nothing_fits() -> None:
@@ -220,9 +230,16 @@ def test_a_doubtful_mask_bounds_the_probability(detector: Detector, tmp_path: An
 
 def test_a_probability_is_never_rounded_up() -> None:
     fit = Fit(fit_probability=0.899, length_m=12, width_m=5, n_fits_at_least=3)
-    assert fit_in_words(fit) == "12 x 5 m fits with probability 0.89, at least 3 in rows"
+    text = fit_in_words(fit)
+    assert text.startswith("12 x 5 m fits with probability 0.89, at least 3 in rows")
     circle = Fit(fit_probability=0.5, diameter_m=8)
     assert fit_in_words(circle) == "a circle of 8 m fits with probability 0.50"
+
+
+def test_without_a_scale_nobody_knows_whether_it_fits() -> None:
+    fit = Fit(fit_probability=0.0, length_m=12, width_m=5)
+    words = fit_in_words(fit, has_scale=False)
+    assert words == "whether 12 x 5 m fits is unknown without a scale"
 
 
 @pytest.mark.parametrize(
@@ -230,10 +247,11 @@ def test_a_probability_is_never_rounded_up() -> None:
     [
         (12, 'give {"diameter_m": 12}'),
         ({}, "has no size"),
-        ({"diameter_m": 0}, "use metres above 0"),
-        ({"diameter_m": math.nan}, "use metres above 0"),
-        ({"diameter_m": True}, "use metres above 0"),
-        ({"diameter_m": "12"}, "use metres above 0"),
+        ({"diameter_m": 0}, "use 0.001 to 100000 metres"),
+        ({"length_m": 1e-200, "width_m": 1e-200}, "use 0.001 to 100000 metres"),
+        ({"diameter_m": math.nan}, "use 0.001 to 100000 metres"),
+        ({"diameter_m": True}, "use 0.001 to 100000 metres"),
+        ({"diameter_m": "12"}, "use 0.001 to 100000 metres"),
         ({"length_m": 12}, "has length_m"),
         ({"length_m": 12, "width_m": 5, "diameter_m": 3}, "has length_m, width_m, diameter_m"),
         ({"radius_m": 12}, "has radius_m"),

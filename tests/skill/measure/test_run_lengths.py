@@ -50,6 +50,7 @@ def test_compressed_counts_are_those_of_pycocotools(mask: np.ndarray) -> None:
         ("h" * 30, "damaged"),
         ("h", "end within a number"),
         ([2**70], "not whole numbers"),
+        ("0" * 10_000_001, "give at most 10000000"),
     ],
 )
 def test_bad_counts_are_refused(counts: Any, message: str) -> None:
@@ -57,7 +58,7 @@ def test_bad_counts_are_refused(counts: Any, message: str) -> None:
         _mask(counts)
 
 
-@pytest.mark.parametrize("size", [None, [3], [0, 2], ["a", 2], [3, 2, 1]])
+@pytest.mark.parametrize("size", [None, [3], [0, 2], ["a", 2], [3, 2, 1], [float("inf"), 2]])
 def test_a_bad_size_is_refused(size: Any) -> None:
     with pytest.raises(PromptError, match="use height, width"):
         read_run_lengths({"size": size, "counts": COUNTS})

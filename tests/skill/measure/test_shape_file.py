@@ -7,13 +7,17 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import rasterio
 from affine import Affine
+from numpy.typing import NDArray
 
+from tests.bombs import png_of_text
+from tests.skill.imagery.files import geotiff
+from tests.skill.imagery.samples import SAMPLES
 from vehanchor import analyse_areas, measure_areas
 from vehanchor.errors import PromptError
 from vehanchor.export.geojson import write_shapes
 from vehanchor.measure.shape_file import read_shape_file
+from vehanchor.options import ImageLimits
 
 IMAGE = np.full((120, 200, 3), 90, np.uint8)
 FLAT = [20, 30, 80, 30, 80, 70, 20, 70]
@@ -56,6 +60,22 @@ def test_coco_names_the_image_by_its_file_name(photo: Path, tmp_path: Path) -> N
     assert names == ["roof 12", "13"]
 
 
+@pytest.mark.promise("sidecars")
+def test_a_file_of_very_many_empty_lists_is_refused(
+    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vehanchor.measure.shape_file._MAX_CONTAINERS", 100)
+    file = _json(tmp_path, {**COCO, "licenses": [[]] * 100})
+    with pytest.raises(PromptError, match="more than 100 lists and objects"):
+        read_shape_file(file, str(photo))
+
+
+def test_shapes_may_have_another_encoding(photo: Path, tmp_path: Path) -> None:
+    file = tmp_path / "shapes.json"
+    file.write_text(json.dumps(COCO), encoding="utf-16")
+    assert len(_areas(file, photo)) == 2
+
+
 def test_of_equal_names_in_folders_the_path_decides(photo: Path, tmp_path: Path) -> None:
     own_name = f"{tmp_path.name}/photo.png"
     images = [
@@ -89,34 +109,21 @@ def test_geojson_in_pixels_is_read_as_it_is_written(photo: Path, tmp_path: Path)
 
 
 @pytest.fixture
-def geotiff(tmp_path: Path) -> Path:
+def ortho(tmp_path: Path) -> Path:
     """A photograph of 0.1 m per pixel in UTM."""
-    path = tmp_path / "photo.tif"
     transform = Affine(0.1, 0, 500_000, 0, -0.1, 5_000_000)
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=200,
-        height=120,
-        count=3,
-        dtype="uint8",
-        crs="EPSG:32631",
-        transform=transform,
-    ) as file:
-        file.write(IMAGE.transpose(2, 0, 1))
-    return path
+    return geotiff(tmp_path / "photo.tif", IMAGE, transform=transform)
 
 
-def test_geojson_in_degrees_is_read_as_it_is_written(geotiff: Path, tmp_path: Path) -> None:
-    (analysis,) = analyse_areas(geotiff, [FLAT], gsd_m_per_px=0.1)
+def test_geojson_in_degrees_is_read_as_it_is_written(ortho: Path, tmp_path: Path) -> None:
+    (analysis,) = analyse_areas(ortho, [FLAT], gsd_m_per_px=0.1)
     file = tmp_path / "roof.geojson"
     write_shapes(file, analysis)
     longitude, latitude = json.loads(file.read_text())["features"][0]["geometry"]["coordinates"][0][
         0
     ][0]
     assert (longitude, latitude) == pytest.approx((3, 45.15), abs=0.01)
-    assert _areas(file, geotiff) == pytest.approx([24.0], rel=1e-4)
+    assert _areas(file, ortho) == pytest.approx([24.0], rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -128,12 +135,12 @@ def test_geojson_in_degrees_is_read_as_it_is_written(geotiff: Path, tmp_path: Pa
     ],
 )
 def test_degrees_elsewhere_are_refused(
-    geotiff: Path, tmp_path: Path, corners: Any, message: str
+    ortho: Path, tmp_path: Path, corners: Any, message: str
 ) -> None:
     geometry = {"type": "Polygon", "coordinates": [corners]}
     file = _json(tmp_path, geometry, "place.geojson")
     with pytest.raises(PromptError, match=message):
-        _areas(file, geotiff)
+        _areas(file, ortho)
 
 
 @pytest.mark.parametrize(
@@ -183,6 +190,40 @@ def test_a_bad_file_is_refused(
 def test_a_missing_file_is_refused(photo: Path) -> None:
     with pytest.raises(PromptError, match="cannot be read"):
         _areas(photo.with_name("none.json"), photo)
+
+
+@pytest.mark.promise("sidecars")
+def test_zipped_texts_in_an_image_of_ids_are_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[bytes] = []
+
+    def decode(data: NDArray[np.uint8], _: int) -> NDArray[np.uint8]:
+        decoded.append(bytes(data))
+        return np.ones((64, 64), np.uint8)
+
+    monkeypatch.setattr("vehanchor.imagery.formats.decoding.cv2.imdecode", decode)
+    (tmp_path / "ids.png").write_bytes(png_of_text(3))
+    read_shape_file(tmp_path / "ids.png", "photo.png")
+    assert b"zTXt" not in decoded[0]
+
+
+def test_an_image_of_ids_is_a_png(tmp_path: Path) -> None:
+    (tmp_path / "ids.png").write_bytes(SAMPLES["BMP"])
+    with pytest.raises(PromptError, match="it is a BMP"):
+        read_shape_file(tmp_path / "ids.png", "photo.png")
+
+
+def test_ids_whose_boxes_are_far_larger_than_the_image_are_refused(tmp_path: Path) -> None:
+    """Each number in two opposite corners has the whole image as its box."""
+    ids = np.zeros((200, 400), np.uint16)
+    numbers = np.arange(1, 101)
+    ids[0, :100] = numbers
+    ids[-1, -100:] = numbers
+    cv2.imwrite(str(tmp_path / "ids.png"), ids)
+    limits = ImageLimits(max_decoded_bytes=1 << 20)
+    with pytest.raises(PromptError, match="measure fewer at a time"):
+        read_shape_file(tmp_path / "ids.png", "photo.png", limits=limits)
 
 
 def test_a_picture_is_not_an_image_of_ids(photo: Path, tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ import pytest
 from tests.skill.imagery.files import HEIGHT_PX, WIDTH_PX, jpeg_with, png_with, tiff_with
 from tests.skill.imagery.test_raster import UPRIGHT
 from vehanchor import analyse_areas, measure_areas
-from vehanchor.errors import PromptError
+from vehanchor.errors import ImageTooLargeError, PromptError
 from vehanchor.measure.shapes import MAX_SHAPES, CallerPolygon, read_shapes
+from vehanchor.options import ImageLimits
 from vehanchor.records import AreaMeasurement
 
 GSD = 0.1
@@ -299,6 +300,31 @@ def test_the_orientation_of_a_pillow_image_is_known() -> None:
 def test_bad_shapes_are_refused(shapes: Any, message: str) -> None:
     with pytest.raises(PromptError, match=message):
         measure_areas(IMAGE, shapes, gsd_m_per_px=GSD)
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [[RECTANGLE] * 1000, {"type": "FeatureCollection", "features": [FEATURE] * 1000}],
+    ids=["list", "GeoJSON"],
+)
+def test_no_more_corners_are_compared_than_a_call_may_have(
+    monkeypatch: pytest.MonkeyPatch, shapes: Any
+) -> None:
+    n_compared: list[object] = []
+    monkeypatch.setattr("vehanchor.measure.shapes.MAX_CORNERS_OF_ALL", 40)
+    monkeypatch.setattr("vehanchor.measure.shapes.find_crossing", n_compared.append)
+    with pytest.raises(PromptError, match="more than 40 corners"):
+        read_shapes(shapes)
+    assert len(n_compared) <= 11
+
+
+@pytest.mark.parametrize(
+    "shape", [{"size": [120, 200], "counts": [0, 1, 23998, 1]}, RECTANGLE], ids=["runs", "polygon"]
+)
+def test_boxes_far_larger_than_the_image_are_refused(shape: Any) -> None:
+    limits = ImageLimits(max_decoded_bytes=100_000)
+    with pytest.raises(ImageTooLargeError, match="measure fewer at a time"):
+        measure_areas(IMAGE, [shape] * 100, gsd_m_per_px=GSD, limits=limits)
 
 
 @pytest.mark.parametrize("edge_px", [-1, float("nan"), float("inf"), "wide", True])

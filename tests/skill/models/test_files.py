@@ -12,7 +12,7 @@ from onnx.external_data_helper import set_external_data
 
 from tests.models import write_detector, write_other_model
 from tests.sam_models import keep_weights_beside, write_sam2
-from vehanchor import Engine, engine
+from vehanchor import Engine
 from vehanchor.detection import detector as detector_module
 from vehanchor.detection.detector import load_detector, networks_sha256
 from vehanchor.errors import ModelNotFoundError
@@ -265,7 +265,7 @@ def added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BundledModel:
     loader = f"{__name__}:load_added"
     # An absolute path replaces the folder of bundled models.
     model = BundledModel(name="added", file=str(path), role="ruler", loader=loader)
-    for module in (zoo, engine, detector_module):
+    for module in (zoo, detector_module):
         monkeypatch.setattr(module, "BUNDLED_MODELS", (*BUNDLED_MODELS, model))
     LOADED.clear()
     return model

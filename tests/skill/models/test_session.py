@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from pathlib import Path
@@ -54,6 +55,18 @@ def test_a_file_that_cannot_be_loaded_is_named(tmp_path: Path, is_read: bool) ->
     content = path.read_bytes() if is_read else None
     with pytest.raises(ModelContractError, match=r"text\.onnx is not an ONNX model"):
         open_session(path, content=content)
+
+
+def test_a_session_keeps_no_bytes_of_its_file(model: Path) -> None:
+    content = model.read_bytes()
+    n_references = sys.getrefcount(content)
+    opened = open_session(model, content=content)
+    assert opened.get_inputs()
+    assert sys.getrefcount(content) == n_references, (
+        "ONNX Runtime keeps the bytes of each model, 9 MB in a process that estimates. In its "
+        "onnxruntime_inference_collection.py find the attribute of InferenceSession that holds "
+        "path_or_bytes, and clear that one in vehanchor.models.session._release_file"
+    )
 
 
 # --- Execution providers

@@ -13,8 +13,9 @@ from tests.models import pool_among_cars, write_detector
 from tests.skill.imagery.files import geotiff
 from vehanchor.batch.row import BatchRow
 from vehanchor.cli import app as cli
+from vehanchor.pictures.scale import safe_lines
 from vehanchor.records import GsdEstimate, Notice, RulerScale
-from vehanchor.records.text import contradiction_text
+from vehanchor.records.contradiction import contradiction_text
 from vehanchor_server.tools.messages import answer_of
 
 if TYPE_CHECKING:
@@ -124,3 +125,27 @@ def test_a_camera_that_the_cars_may_confirm_is_not(
 ) -> None:
     rulers = [_ruler("camera", 0.1), _ruler("vehicles", gsd)]
     assert contradiction_text(_with_rulers(estimate, rulers, *codes)) == ""
+
+
+@pytest.mark.parametrize("kind", ["known_length", "height", "stated_scale"])
+def test_a_fact_that_the_cars_contradict_is_stated_first(estimate: GsdEstimate, kind: str) -> None:
+    fact = _ruler(kind, 0.1).model_copy(update={"probably_right": False})
+    record = _with_rulers(estimate, [fact, _ruler("vehicles", 0.2)], "rulers_disagree")
+    text = answer_of([record.model_copy(update={"status": "ok"})], [], "short").text
+    assert text.startswith(f"The {kind} gives 0.100 m/px, the vehicles 0.200 m/px.")
+    assert f"safe to use if the {kind} is wrong: " in text
+    assert "Warning" not in text
+
+
+def test_the_caption_of_a_contradicted_scale_has_both_numbers(estimate: GsdEstimate) -> None:
+    fact = _ruler("known_length", 0.1).model_copy(update={"probably_right": False})
+    record = _with_rulers(estimate, [fact, _ruler("vehicles", 0.2)], "rulers_disagree")
+    (verdict,), (scales,) = safe_lines(record)
+    assert verdict[1].startswith("safe to use if the known_length is wrong")
+    assert scales[1] == contradiction_text(record)
+
+
+def test_an_estimate_without_a_scale_names_that_of_the_file(estimate: GsdEstimate) -> None:
+    changes = {"status": "no_scale", "gsd_m_per_px": None, "reason": "too_few", "warnings": ()}
+    text = answer_of([estimate.model_copy(update=changes)], [], "short").text
+    assert "georeference gives 0.250 m/px: measure_area and measure_distance use it" in text

@@ -21,7 +21,7 @@ from vehanchor.scale.density import (
     vehicle_likelihood,
 )
 from vehanchor.scale.posterior import Answer, Lack, Witness, answer, judge
-from vehanchor.scale.reliability import CALLER, Shared
+from vehanchor.scale.reliability import CALLER, MEASURING, Shared
 
 VOTES = Votes(-13.76, 17.4)
 LENS = Shared("lens", 0.03)
@@ -164,6 +164,20 @@ def test_witnesses_of_one_lens_do_not_confirm_each_other() -> None:
     assert both.chance > apart.chance or abs(both.gsd_m_per_px - 0.0417) > 0.01
 
 
+def test_an_error_acts_only_on_the_witnesses_that_have_it() -> None:
+    stretched = Shared("stretched image", 0.0, 0.001)
+    look_alikes = Shared("look-alikes", 0.0, 0.999)
+    cars = replace(_cars(40, gsd=0.2), shared=(stretched, look_alikes))
+    prior = replace(_prior(0.2), shared=(stretched, look_alikes))
+    line = replace(_point(0.12), shared=(stretched,))
+    alone = answer([line])
+    together = answer([cars, prior, line])
+    assert alone is not None
+    assert together is not None
+    assert together.chance == pytest.approx(alone.chance, abs=0.01)
+    assert together.p_right[2] > 0.9
+
+
 def test_an_error_in_common_widens_the_product_of_its_members() -> None:
     one = replace(_point(0.1, 0.02), shared=(HEIGHT,))
     two = replace(_point(0.1, 0.02, kind="other"), shared=(HEIGHT,))
@@ -283,3 +297,39 @@ def test_a_near_mistake_does_not_widen_the_interval(n_lines: int) -> None:
     assert other is not None
     assert decided.interval == pytest.approx(other.interval, rel=1e-3)
     assert decided.gsd_m_per_px == pytest.approx(0.12, rel=0.01)
+
+
+def _stated(gsd: float) -> Witness:
+    """Make a line that its caller measured."""
+    witness = _point(gsd, log_sd=0.01, chance_wrong=0.02)
+    return replace(witness, shared=(MEASURING,))
+
+
+def _chance_beside_doubtful_car(factor: float, n_lines: int = 1) -> float:
+    """Judge measured lines at a multiple of the scale of one car that is right with 0.5."""
+    car = replace(_cars(1), chance_wrong=0.4)
+    lines = [_stated(0.12 * factor * (1 + 0.005 * k)) for k in range(n_lines)]
+    decided = judge([car, *lines])
+    assert decided is not None
+    return decided.chance
+
+
+@pytest.mark.parametrize("n_lines", [1, 2])
+@pytest.mark.parametrize("factor", [1 / 2, 1 / 1.5, 1.4, 1.5, 2])
+def test_a_doubtful_car_keeps_lines_that_it_excludes_from_being_usable(
+    factor: float, n_lines: int
+) -> None:
+    assert _chance_beside_doubtful_car(factor, n_lines) < 0.8
+
+
+@pytest.mark.parametrize("n_lines", [1, 2])
+@pytest.mark.parametrize("factor", [1 / 1.1, 1.0, 1.1])
+def test_a_doubtful_car_that_is_a_tenth_off_hardly_costs_a_line(
+    factor: float, n_lines: int
+) -> None:
+    assert _chance_beside_doubtful_car(factor, n_lines) > 0.95
+
+
+def test_a_contradiction_lowers_the_chance_smoothly() -> None:
+    chances = [_chance_beside_doubtful_car(factor) for factor in np.linspace(1.0, 1.6, 31)]
+    assert np.abs(np.diff(chances)).max() < 0.06

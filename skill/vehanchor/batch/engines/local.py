@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
-import threading
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from vehanchor.batch.engines.isolated import (
+    IsolatedProcess,
+    ignore_interrupts_and_end_with_parent,
+)
 from vehanchor.batch.row import BatchRow
 from vehanchor.batch.worker import Worker
 from vehanchor.errors import WorkerDiedError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from vehanchor.batch.worker import BatchJob, Task
 
@@ -139,8 +142,10 @@ class IsolatedWorker:
     """
 
     def __init__(self, job: BatchJob) -> None:
-        self._job = job
-        self._pool: ProcessPoolExecutor | None = None
+        self._process: IsolatedProcess[Task, BatchRow] = IsolatedProcess(
+            partial(_row_maker, job),
+            remedy="Finished rows are kept; run the same command again with fewer --workers",
+        )
 
     def row(self, task: Task) -> BatchRow:
         """Make the row of one image; the death of the process goes into the row, too.
@@ -149,39 +154,25 @@ class IsolatedWorker:
             WorkerDiedError: the process died before it had the image.
             ModelError: the model cannot be loaded.
         """
-        pool = self._started_pool()
+        self._process.start()
         try:
-            return pool.submit(_make_row, task).result()
-        except BrokenProcessPool:
-            self.close()
-            return BatchRow.failed(
-                task.file,
-                WorkerDiedError(
-                    "this image ended the process that read it: its decoder crashed, or took too "
-                    "much memory. Save it again in another format"
-                ),
-            )
-
-    def _started_pool(self) -> ProcessPoolExecutor:
-        if self._pool is not None:
-            return self._pool
-        pool = _pool(self._job, workers=1)
-        try:
-            pool.submit(os.getpid).result()
-        except BrokenProcessPool:
-            raise WorkerDiedError(
-                "a worker process died before it had an image, usually for lack of memory: each "
-                "holds a model and an image. Finished rows are kept; run the same command again "
-                "with fewer --workers"
-            ) from None
-        self._pool = pool
-        return pool
+            return self._process.run(task)
+        except WorkerDiedError as error:
+            return BatchRow.failed(task.file, error)
 
     def close(self) -> None:
         """End the process."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
+        self._process.close()
+
+
+def _row_maker(job: BatchJob) -> Callable[[Task, object], BatchRow]:
+    """Prepare an isolated process; return the function that makes rows."""
+    worker = Worker.for_this_process(job)
+
+    def make_row(task: Task, _: object) -> BatchRow:
+        return worker.row(task)
+
+    return make_row
 
 
 def _pool(job: BatchJob, workers: int) -> ProcessPoolExecutor:
@@ -196,17 +187,8 @@ def _pool(job: BatchJob, workers: int) -> ProcessPoolExecutor:
 def _start_worker(job: BatchJob) -> None:
     """Make this process a worker; it ignores Ctrl-C, and ends with its parent."""
     global _worker
-    # The terminal sends Ctrl-C to all processes; the parent alone ends the run.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    ignore_interrupts_and_end_with_parent()
     _worker = Worker.for_this_process(job)
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _make_row(task: Task) -> BatchRow:

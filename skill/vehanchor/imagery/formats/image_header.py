@@ -25,6 +25,7 @@ class TiffLayout:
         alpha: whether a band is declared to be alpha.
         block_px: pixels of a strip or tile, which is decoded whole.
         mask_block_px: pixels of a strip or tile of its mask; 0 without one.
+        has_no_data_value: whether it states a value of pixels without data.
         other_pages: width and height of further pages, which are neither overviews nor masks.
     """
 
@@ -37,6 +38,7 @@ class TiffLayout:
     alpha: bool
     block_px: int
     mask_block_px: int
+    has_no_data_value: bool = False
     other_pages: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -62,6 +64,7 @@ class ImageHeader:
         structure_bytes: memory for the structures of a tile beside its pixels, and for the list of
             all tiles; 0 for other formats than JPEG 2000.
         bands: samples per pixel of a JPEG 2000; 0 for other formats.
+        n_frames: pictures of an animation; 1 for other files.
         metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
     """
 
@@ -75,4 +78,5 @@ class ImageHeader:
     tile_px: int = 0
     structure_bytes: int = 0
     bands: int = 0
+    n_frames: int = 1
     metadata: tuple[tuple[int, int], ...] = ()

@@ -41,6 +41,9 @@ _GEO_TAGS = frozenset({33550, 34264, 34735})
 """ModelPixelScale, ModelTransformation and GeoKeyDirectory."""
 
 _RAW_TAGS = frozenset({_TAG_DNG_VERSION})
+_TAG_NO_DATA = 42113
+"""GDAL's value of pixels without data, as text."""
+
 _TAGS_PER_BAND = frozenset({_TAG_BITS, _TAG_SAMPLE_FORMAT})
 """Tags with a value for each band."""
 
@@ -95,7 +98,7 @@ def read_tiff(read_at: ReadAt) -> ImageHeader:
     tags = read_ifd(
         read_at,
         _TAGS_OF_ONE_VALUE | _TAGS_PER_BAND | _TAGS_OF_SEVERAL_VALUES,
-        _GEO_TAGS | _RAW_TAGS,
+        _GEO_TAGS | _RAW_TAGS | {_TAG_NO_DATA},
     )
     if _TAG_WIDTH not in tags or _TAG_HEIGHT not in tags:
         raise ImageDecodeError("the TIFF's first directory declares no width and height: damaged")
@@ -124,6 +127,9 @@ def read_tiff(read_at: ReadAt) -> ImageHeader:
 def decoded_by_opencv(layout: TiffLayout) -> bool:
     """Test whether OpenCV decodes a TIFF of this layout correctly and without loss."""
     if layout.bands not in (1, 3, 4) or layout.planar:
+        return False
+    # OpenCV reads pixels without data like all others.
+    if layout.mask_block_px or layout.has_no_data_value:
         return False
     bits = set(layout.bits)
     if layout.sample_format == _FLOAT:
@@ -161,6 +167,7 @@ def _layout(read_at: ReadAt, tags: _Tags, *, width: int, height: int) -> TiffLay
         alpha=not _ALPHA_SAMPLES.isdisjoint(extra_samples),
         block_px=_block_px(tags, width, height),
         mask_block_px=_mask_block_px(read_at),
+        has_no_data_value=_TAG_NO_DATA in tags,
         other_pages=_other_pages(read_at),
     )
 

@@ -1,14 +1,14 @@
 """Pixel of a georeferenced raster on the ground: its ground sampling distance (GSD) and its shape.
 
 Estimates never use the GSD. Records report it next to the estimate, and the evaluation uses it as
-ground truth. Measurements use it without a search (``vehanchor.measure.scale_source``). The shape
-is a fact without a scale: images are analysed in square pixels.
+ground truth. Measurements use it if nothing contradicts it
+(``vehanchor.measure.scale_source``). The shape is a fact without a scale: images are analysed in
+square pixels.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -55,6 +55,16 @@ class GroundPixel(NamedTuple):
         sine = self.gsd_m_per_px**2 / (self.across_m * self.down_m)
         return sine >= _LEAST_SINE
 
+    @property
+    def has_sides(self) -> bool:
+        """Whether the sides and the area are finite and above 0."""
+        return all(math.isfinite(side) and side > 0 for side in self)
+
+    def is_like(self, other: GroundPixel) -> bool:
+        """Test whether another pixel has these sides and this area, within one percent."""
+        log_ratios = np.abs(np.log(self) - np.log(other))
+        return bool(log_ratios.max() <= math.log(_MAX_GRID_SCALE))
+
 
 class Ground(NamedTuple):
     """Georeference of an image, in rasterio's types.
@@ -83,10 +93,14 @@ _MAX_COORDINATE = 1e9
 PROJ loops for hours on coordinates such as 1e20.
 """
 
-_MERCATOR_WKT = re.compile(r'(?:PROJECTION|METHOD)\["(?:Mercator|Popular Visualisation)')
-"""Mercator and Web Mercator (EPSG:3857) in WKT 1 and WKT 2.
+_MAX_DEGREES_PER_PX = 1e-4
+"""Longest side of a pixel that can be in degrees, some ten metres; in another unit it would be a
+tenth of a millimetre. A choice."""
 
-Transverse and Oblique Mercator are other methods, with other names.
+_MAX_GRID_SCALE = 1.01
+"""Ratio of lengths on the ground and in a projection up to which both count as equal.
+
+UTM and most national grids are within 1.001. A choice.
 """
 
 
@@ -131,10 +145,10 @@ def pixel_of_transform(
 ) -> GroundPixel | None:
     """Measure the pixel at the centre of an image.
 
-    In projected systems a side is that of the transform times the linear unit in metres. Mercator
-    (EPSG:3857, 3395) stretches metres by 1/cos(latitude), so its pixels are converted to degrees
-    first. The grid scale of other projections is ignored; it is within 0.1 % in UTM and most
-    national grids. In geographic systems, a degree of longitude is shorter than one of latitude.
+    In projected systems a side is that of the transform times the linear unit in metres, if this is
+    right within one percent, as in UTM and most national grids. Other projections, such as Mercator
+    and plate carree, stretch metres, so their pixels are converted to degrees first. In geographic
+    systems, a degree of longitude is shorter than one of latitude.
 
     Args:
         affine: from pixels to coordinates, an ``affine.Affine``.
@@ -159,9 +173,34 @@ def pixel_of_transform(
     if metric is None:
         return None
     pixel = metric.pixel
-    if not all(math.isfinite(side) and side > 0 for side in pixel):
+    return pixel if pixel.has_sides else None
+
+
+def shape_of_transform(affine: Any, *, width_px: int, height_px: int) -> GroundPixel | None:
+    """Measure the shape of the pixel at the centre of an image whose reference system is unknown.
+
+    The shape needs no scale. The unit can only be a degree if a pixel is so small that it would be
+    far below a millimetre otherwise.
+
+    Args:
+        affine: from pixels to coordinates, an ``affine.Affine``.
+        width_px: columns.
+        height_px: rows.
+
+    Returns:
+        The pixel in an unknown unit of length; None without a transform.
+    """
+    transform: AffineCoefficients = (affine.a, affine.b, affine.c, affine.d, affine.e, affine.f)
+    if transform == _IDENTITY or not all(map(math.isfinite, transform)):
         return None
-    return pixel
+    _, _, _, d, e, f = transform
+    by_units = _MetricTransform(transform, 1.0, 1.0)
+    latitude_deg = d * width_px / 2 + e * height_px / 2 + f
+    if by_units.pixel.gsd_m_per_px <= _MAX_DEGREES_PER_PX and abs(latitude_deg) < 90:
+        latitude_m, longitude_m = metres_per_degree(latitude_deg)
+        by_units = _MetricTransform(transform, longitude_m, latitude_m)
+    pixel = by_units.pixel
+    return pixel if pixel.has_sides else None
 
 
 class _MetricTransform(NamedTuple):
@@ -192,8 +231,6 @@ def _metric_transform(
     transform: AffineCoefficients, crs: Any, column: float, row: float
 ) -> _MetricTransform | None:
     """Find the length of a transform's units at a pixel; None if the place has none."""
-    from rasterio.warp import transform as reproject
-
     a, b, c, d, e, f = transform
     x = a * column + b * row + c
     y = d * column + e * row + f
@@ -208,26 +245,58 @@ def _metric_transform(
         return _MetricTransform(transform, unit_deg * longitude_m, unit_deg * latitude_m)
     if not crs.is_projected:
         return None
-    # Mercator's scale depends on the latitude, and on the latitude of true scale: the pixel and its
-    # neighbours to the right and below are converted to degrees.
-    if _MERCATOR_WKT.search(crs.to_wkt()):
-        xs = [x, x + a, x + b]
-        ys = [y, y + d, y + e]
-        longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
-        longitude, longitude_right, longitude_below = longitudes
-        latitude, latitude_right, latitude_below = latitudes
-        transform_in_degrees = (
-            longitude_right - longitude,
-            longitude_below - longitude,
-            0.0,
-            latitude_right - latitude,
-            latitude_below - latitude,
-            0.0,
-        )
-        latitude_m, longitude_m = metres_per_degree(latitude)
-        return _MetricTransform(transform_in_degrees, longitude_m, latitude_m)
     unit_m = float(crs.linear_units_factor[1])
-    return _MetricTransform(transform, unit_m, unit_m)
+    by_units = _MetricTransform(transform, unit_m, unit_m)
+    if not by_units.pixel.has_sides:
+        return None
+    # A projection can stretch metres, and in one direction only, as Mercator, plate carree and
+    # equal-area maps of the world do.
+    by_degrees = _by_degrees(transform, crs, x, y)
+    if by_degrees is None or not by_degrees.pixel.has_sides:
+        return by_units
+    return by_units if by_degrees.pixel.is_like(by_units.pixel) else by_degrees
+
+
+def _by_degrees(
+    transform: AffineCoefficients, crs: Any, x: float, y: float
+) -> _MetricTransform | None:
+    """Convert a pixel, and its neighbours to the right and below, to degrees.
+
+    Returns:
+        Its transform to degrees; None if the projection has no degrees there.
+    """
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import RasterioError
+    from rasterio.warp import transform as reproject
+
+    a, b, _, d, e, _ = transform
+    xs = [x, x + a, x + b]
+    ys = [y, y + d, y + e]
+    if max(map(abs, (*xs, *ys))) > _MAX_COORDINATE:
+        return None
+    try:
+        longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
+    except (CPLE_BaseError, RasterioError, ValueError):  # outside the projection
+        return None
+    longitude, longitude_right, longitude_below = longitudes
+    latitude, latitude_right, latitude_below = latitudes
+    if not all(map(math.isfinite, (*longitudes, *latitudes))):
+        return None
+    in_degrees = (
+        _step_deg(longitude, longitude_right),
+        _step_deg(longitude, longitude_below),
+        0.0,
+        latitude_right - latitude,
+        latitude_below - latitude,
+        0.0,
+    )
+    latitude_m, longitude_m = metres_per_degree(latitude)
+    return _MetricTransform(in_degrees, longitude_m, latitude_m)
+
+
+def _step_deg(first_deg: float, second_deg: float) -> float:
+    """Compute the difference of two longitudes, which jump by a full turn at the 180th meridian."""
+    return (second_deg - first_deg + 180) % 360 - 180
 
 
 def is_in_pixels(collection: Mapping[str, Any]) -> bool:

@@ -11,6 +11,8 @@ import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.parsers import expat
 
+from vehanchor.errors import how_to_install
+
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.georeference import AffineCoefficients
 
@@ -154,17 +156,20 @@ def _system_of(text: str) -> Any:
         UnusableSidecarError: the system is unknown or names a file, or rasterio is not installed.
     """
     try:
+        from rasterio import Env
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
     except ImportError as error:
-        raise UnusableSidecarError("it needs rasterio: pip install 'vehanchor[geo]'") from error
+        raise UnusableSidecarError(f"it needs rasterio: {how_to_install('geo')}") from error
     epsg = _EPSG.fullmatch(text)
     if epsg is None and _WKT.match(text) is None:
         raise UnusableSidecarError("its reference system is neither WKT nor an EPSG code")
     if _NAMES_A_FILE.search(text):
         raise UnusableSidecarError("its reference system names another file")
     try:
-        system = CRS.from_epsg(int(epsg[1])) if epsg else _of_wkt(text)
+        # Within it, GDAL writes nothing of the file to stderr.
+        with Env():
+            system = CRS.from_epsg(int(epsg[1])) if epsg else _of_wkt(text)
     except (CRSError, ValueError) as error:
         raise UnusableSidecarError("its reference system is unknown") from error
     return system

@@ -39,7 +39,11 @@ from vehanchor.imagery.formats.ifd import in_memory
 from vehanchor.imagery.limits import check_bytes, check_whole_size
 from vehanchor.imagery.metadata.camera import read_camera
 from vehanchor.imagery.metadata.density import density_aspect
-from vehanchor.imagery.metadata.georeference import Ground, pixel_of_transform
+from vehanchor.imagery.metadata.georeference import (
+    Ground,
+    pixel_of_transform,
+    shape_of_transform,
+)
 from vehanchor.imagery.metadata.sidecar_georeference import UnusableSidecarError
 from vehanchor.imagery.raster import Raster, RasterNote, oriented
 from vehanchor.imagery.sources.arrays import ArrayRaster, check_array_size, without_mask
@@ -297,7 +301,8 @@ def _georeference(raster: Raster, stated: SidecarGeoreference | None) -> None:
     """Georeference an image by a transform of its stored pixels.
 
     Raises:
-        UnusableSidecarError: the transform does not lead to the Earth.
+        UnusableSidecarError: the transform does not lead to the Earth, or its reference system is
+            unknown; then it still gives the shape of a pixel.
     """
     if stated is None:
         return
@@ -312,10 +317,14 @@ def _georeference(raster: Raster, stated: SidecarGeoreference | None) -> None:
     placed = coefficients[:, :2] @ to_stored
     placed[:, 2] += coefficients[:, 2]
     transform = Affine(*placed.ravel().tolist())
+    size = {"width_px": raster.width_px, "height_px": raster.height_px}
+    if stated.system is None:
+        shape = shape_of_transform(transform, **size)
+        if shape is not None:
+            raster.take_shape(shape)
+        raise UnusableSidecarError(stated.lack)
     ground = Ground(transform, stated.system)
-    pixel = pixel_of_transform(
-        transform, stated.system, width_px=raster.width_px, height_px=raster.height_px
-    )
+    pixel = pixel_of_transform(transform, stated.system, **size)
     if pixel is None:
         raise UnusableSidecarError("the coordinates are not those of the stated reference system")
     raster.georeference(pixel, ground)
@@ -347,7 +356,13 @@ def _read_sidecars(
 
 
 def _unused_pages(header: ImageHeader) -> tuple[RasterNote, ...]:
-    """Warn of further pages of a TIFF, of which the first is read."""
+    """Warn of further pages of a TIFF or frames of an animation, of which the first is read."""
+    if header.n_frames > 1:
+        message = (
+            f"The file is an animation of {header.n_frames} pictures, and only the first one is "
+            "read. Save the picture that you mean as a file of its own."
+        )
+        return (RasterNote("pages_unused", message),)
     if header.tiff is None or not header.tiff.other_pages:
         return ()
     pages = header.tiff.other_pages

@@ -22,7 +22,12 @@ from vehanchor.imagery.bands import check_dtype, choose_bands, is_alpha, merge_b
 from vehanchor.imagery.file_check import missing_rasterio
 from vehanchor.imagery.formats.header import IMAGE_FORMATS
 from vehanchor.imagery.limits import check_block, check_windowed_size
-from vehanchor.imagery.metadata.georeference import Ground, ground_pixel
+from vehanchor.imagery.metadata.georeference import (
+    Ground,
+    ground_pixel,
+    pixel_of_transform,
+    shape_of_transform,
+)
 from vehanchor.imagery.raster import Raster, StoredPixels, Window, stored_window
 from vehanchor.imagery.stretch import SAMPLE_PX
 
@@ -314,15 +319,11 @@ class DatasetRaster(Raster):
             orientation=orientation,
             notes=notes,
         )
-        pixel = ground_pixel(dataset)
-        if pixel is not None:
-            self.georeference(pixel, Ground(dataset.transform, dataset.crs))
-        else:
-            self.ground = _ground_of_control_points(dataset)
         first_index = self._indexes[0]
         dtype = _dtype(dataset.dtypes[first_index - 1])
         check_dtype(dtype)
         self._dataset = dataset
+        self._read_place()
         self._unique_indexes = sorted(set(self._indexes))
         self._has_mask = self._find_mask()
         self._valid = valid
@@ -332,6 +333,23 @@ class DatasetRaster(Raster):
             sample = self._sample()
             # A coarser sample shows as well whether an image of 8 bits is faint.
             self._choose_stretch(sample[::_FAINT_STEP] if dtype == np.uint8 else sample)
+
+    def _read_place(self) -> None:
+        """Read the place of the image, and the size and shape of a pixel on the ground."""
+        dataset = self._dataset
+        pixel = ground_pixel(dataset)
+        if pixel is not None:
+            self.georeference(pixel, Ground(dataset.transform, dataset.crs))
+            return
+        size = {"width_px": dataset.width, "height_px": dataset.height}
+        self.ground = _ground_of_control_points(dataset)
+        if self.ground is None:
+            # Without a reference system, a transform still gives the shape.
+            shape = shape_of_transform(dataset.transform, **size)
+        else:
+            shape = pixel_of_transform(*self.ground, **size)
+        if shape is not None:
+            self.take_shape(shape)
 
     def close(self) -> None:
         """Close the file unless it is the caller's dataset."""
@@ -505,7 +523,8 @@ class DatasetRaster(Raster):
 def _ground_of_control_points(dataset: Any) -> Ground | None:
     """Fit map coordinates to ground control points; None without points that an affine map fits.
 
-    They give coordinates to results, and no scale: photographs with such points are not maps.
+    They give coordinates to results and the shape of a pixel, and no scale: photographs with such
+    points are not maps.
     """
     from rasterio.transform import from_gcps
 

@@ -98,8 +98,7 @@ class Sidecars:
         ``.aux.xml`` goes before a world file and ``.prj``, as in GDAL.
 
         Raises:
-            UnusableSidecarError: a file is unusable, or no file states the reference system. The
-                message begins with the name of the file.
+            UnusableSidecarError: a file is unusable. The message begins with its name.
         """
         pam_names = [self._file_name + _PAM_SUFFIX]
         name, pam = self._parsed(pam_names, _MAX_PAM_BYTES, read_pam)
@@ -115,11 +114,10 @@ class Sidecars:
         if system is None:
             projection_names = _spellings(Path(self._file_name).stem, _PROJECTION_SUFFIX)
             _, system = self._parsed(projection_names, _MAX_PROJECTION_BYTES, read_projection_file)
+        lack = ""
         if system is None:
-            raise UnusableSidecarError(
-                f"{name}: no reference system is stated, such as by a file {projection_names[0]}"
-            )
-        return SidecarGeoreference(transform, system)
+            lack = f"{name}: no reference system is stated, such as by a file {projection_names[0]}"
+        return SidecarGeoreference(transform, system, lack)
 
     def _world_names(self) -> list[str]:
         """List the names of world files, the usual one first."""
@@ -160,11 +158,13 @@ class SidecarGeoreference(NamedTuple):
 
     Attributes:
         transform: from pixels to coordinates.
-        system: a ``rasterio.crs.CRS``.
+        system: a ``rasterio.crs.CRS``; None if no file states it.
+        lack: why there is no system; empty with one.
     """
 
     transform: AffineCoefficients
     system: Any
+    lack: str = ""
 
 
 def unreadable_mask(error: VehAnchorError) -> RasterNote:

@@ -90,7 +90,11 @@ def _with_nodata(path: Path) -> Path:
     return geotiff(path, marked, nodata=255)
 
 
-@pytest.mark.parametrize("make", [_with_mask, _with_alpha, _with_nodata])
+def _plain_with_mask(path: Path) -> Path:
+    return geotiff(path, RGB, MASK, crs=None, transform=None)
+
+
+@pytest.mark.parametrize("make", [_with_mask, _with_alpha, _with_nodata, _plain_with_mask])
 def test_pixels_without_data_are_black(make: Callable[[Path], Path], tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_all(make(tmp_path / "a.tif")), WITH_HOLE)
 
