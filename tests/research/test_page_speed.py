@@ -8,9 +8,6 @@ from typing import Any
 import pytest
 
 from research.benchmarks.page import measure_page, table, viewer, write_photographs
-from tests.server.app_page.conftest import chromium
-
-__all__ = ["chromium"]
 
 pytestmark = pytest.mark.browser
 

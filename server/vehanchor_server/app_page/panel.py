@@ -109,6 +109,8 @@ def _sentence_for_people(record: BaseModel) -> str | None:
             return "No object found."
         if record.status != "ok" and (estimate is None or estimate.status == "ok"):
             return "The outline is doubtful: look at it, or draw a tight box around the object."
+        if record.scale_source == "file":
+            return "Measured with the file's own scale."
         advice = advice_for(estimate)
     elif isinstance(record, GsdEstimate):
         estimate = record
