@@ -356,6 +356,15 @@ def estimate() -> GsdEstimate:
             "send the original image",
         ),
         (
+            {
+                "reason": "too_few",
+                "n_vehicles": 1,
+                "warnings": (Notice(code="detail_missing", message="It is enlarged."),),
+            },
+            "the image is enlarged or blurred",
+            "send the original image",
+        ),
+        (
             {"reason": "too_coarse", "n_vehicles": 0},
             "no car was found, and the scene looks too coarse for cars",
             "send the original image",

@@ -175,6 +175,15 @@ def test_vehicles_without_the_detail_of_their_pixels_are_guarded(
     assert [w.code for w in e.warnings] == (["detail_missing"] if guarded else [])
 
 
+@pytest.mark.parametrize(("detail_share", "codes"), [(0.6, []), (0.4, ["detail_missing"])])
+def test_an_image_without_vehicles_is_asked_for_its_detail(
+    searching: Detector, detail_share: float, codes: list[str]
+) -> None:
+    e = _analysis(searching, [(30.0, 0, 0.9, 1.0)], detail_share)
+    assert (e.status, e.n_vehicles) == ("no_scale", 0)
+    assert [w.code for w in e.warnings] == codes
+
+
 # --- The bundled model
 # -----------------------------------------------------------------------------------------------
 

@@ -42,6 +42,9 @@ _IN_WORDS: Mapping[Remedy, str] = {
     "photograph": "send a photograph from above",
     "apart": "send each picture alone, as it was taken",
 }
+_MASK_DOUBTS = frozenset(
+    {NoticeCode.MASK_SCORE_LOW, NoticeCode.MASK_DEPENDS_ON_BOX, NoticeCode.EXTENT_UNKNOWN}
+)
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"
 _ON_MASK = "look at it with view_image, and give a tight box, or its outline (polygon), by eye"
@@ -59,12 +62,26 @@ def advice_on(record: BaseModel) -> str:
     advice = advice_for(estimate)
     if advice is not None:
         remedies = advice.remedies[:_MAX_REMEDIES]
-        return ", or ".join(_IN_WORDS[remedy] for remedy in remedies)
+        on_scale = ", or ".join(_IN_WORDS[remedy] for remedy in remedies)
+        # A scale that becomes usable does not make a doubtful mask so.
+        if isinstance(record, AreaMeasurement) and _doubts_mask(record):
+            return f"{on_scale}; and for the mask, {_advice_on_mask(record)}"
+        return on_scale
     if isinstance(record, AreaMeasurement):
         confidence = record.scale_confidence
         if confidence is None or confidence >= USABLE_CHANCE:
-            codes = [notice.code for notice in record.warnings]
-            if NoticeCode.MASK_DEPENDS_ON_BOX in codes:
-                return _ON_SMALL
-            return _ON_CHOICES if record.alternatives else _ON_MASK
+            return _advice_on_mask(record)
     return _ON_STATED
+
+
+def _doubts_mask(area: AreaMeasurement) -> bool:
+    """Test whether a mask needs a check, whatever the scale."""
+    return any(notice.code in _MASK_DOUBTS for notice in area.warnings)
+
+
+def _advice_on_mask(area: AreaMeasurement) -> str:
+    """State what would make a mask usable."""
+    codes = [notice.code for notice in area.warnings]
+    if NoticeCode.MASK_DEPENDS_ON_BOX in codes:
+        return _ON_SMALL
+    return _ON_CHOICES if area.alternatives else _ON_MASK

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 _LARGE_PX = 1000  # longer side of images in which nobody points at the first 100 px alone
 _PER_CENT = 100
+# Largest tolerance, as a share of the scale, with which a measured scale is usable.
+_USABLE_TOLERANCE = 0.18
 
 
 async def run_measuring_call(
@@ -112,6 +114,8 @@ def _hints_about_flight(record: AnyRecord) -> list[str]:
     scale = record.scale
     assert scale is not None  # every usable scale can be given back
     half_width = (scale.gsd_ci95_high_m_per_px - scale.gsd_ci95_low_m_per_px) / 2
+    # The chance that all rulers are wrong counts once more in a measured scale.
+    half_width = min(half_width, _USABLE_TOLERANCE * scale.gsd_m_per_px)
     return [
         f"To measure in this image, give gsd_m_per_px {significant(scale.gsd_m_per_px)}, "
         f'gsd_tolerance {significant(half_width, 2)} and gsd_basis "measured".'

@@ -6,14 +6,15 @@ the server has those for models.
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from vehanchor.records.text import count
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
-    from vehanchor.records import GsdEstimate, Reason
+    from vehanchor.records import GsdEstimate, Reason, RulerScale
 
 Remedy: TypeAlias = Literal[
     "original",
@@ -127,6 +128,9 @@ def _too_few(estimate: GsdEstimate) -> Advice:
     why = "too little evidence"
     if estimate.n_vehicles is None:
         return Advice(why, ("vehicles", "line"))
+    # More cars do not help before the original image does.
+    if _warns(estimate, "detail_missing"):
+        return _ENLARGED
     if estimate.n_vehicles == 0:
         return Advice("no car was found", _without_cars(estimate))
     vehicles = count(estimate.n_vehicles, "vehicle")
@@ -144,12 +148,12 @@ def _without_cars(estimate: GsdEstimate) -> tuple[Remedy, ...]:
 
 
 def _too_coarse(estimate: GsdEstimate) -> Advice:
+    if _warns(estimate, "detail_missing"):
+        return _ENLARGED
     if not estimate.n_vehicles:
         return Advice(
             "no car was found, and the scene looks too coarse for cars", ("original", "thing")
         )
-    if _warns(estimate, "detail_missing"):
-        return Advice("the image is enlarged or blurred", ("original", "line"))
     if estimate.mode_length_px is None:
         return Advice("the vehicles have too little detail", ("lower", "line"))
     return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ("lower", "line"))
@@ -172,13 +176,15 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
         why = "the image is stretched in one direction"
         return Advice(why, ("line",) if is_orthophoto else ("original", "aspect"))
     setting = [ruler for ruler in estimate.rulers if ruler.sets_scale]
-    facts = [ruler for ruler in setting if ruler.kind != "vehicles"]
+    facts = [ruler for ruler in setting if ruler.kind not in ("vehicles", "positions")]
     remedies: tuple[Remedy, ...] = ("drop", "line")
     if len(facts) > 1:
         remedies = ("facts", "elsewhere")
     elif facts:
         remedies = ("facts", "second")
-    if len(setting) > 1 and _warns(estimate, "rulers_disagree"):
+    # The record of a photograph in a flight has the flight's rulers, without their warnings.
+    disagree = _warns(estimate, "rulers_disagree") or _some_exclude_each_other(setting)
+    if len(setting) > 1 and disagree:
         labels = " and ".join(ruler.label for ruler in setting)
         return Advice(f"{labels} contradict each other", remedies)
     # If the rulers that set the scale agree, the scene-scale prior is what contradicts them.
@@ -186,6 +192,18 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
     if scene is None:
         return Advice("the evidence contradicts itself", remedies)
     return Advice(f"the scene suggests a scale of about {scene.gsd_m_per_px:.2g} m/px", remedies)
+
+
+def _some_exclude_each_other(rulers: Sequence[RulerScale]) -> bool:
+    """Test whether two rulers exist of which each lies outside the other's 95 % interval."""
+    for first, second in combinations(rulers, 2):
+        if not (_allows(first, second) or _allows(second, first)):
+            return True
+    return False
+
+
+def _allows(ruler: RulerScale, other: RulerScale) -> bool:
+    return ruler.gsd_ci95_low_m_per_px <= other.gsd_m_per_px <= ruler.gsd_ci95_high_m_per_px
 
 
 def _imprecise(estimate: GsdEstimate) -> Advice:
@@ -204,6 +222,7 @@ def _warns(estimate: GsdEstimate, code: str) -> bool:
     return any(notice.code == code for notice in estimate.warnings)
 
 
+_ENLARGED = Advice("the image is enlarged or blurred", ("original", "line"))
 _SEVERAL_PICTURES = Advice("the image seems to consist of several pictures", ("apart",))
 # A strong tilt looks like a second scale, too.
 _VARIES = Advice(

@@ -16,11 +16,18 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detections import Detections
     from vehanchor.rulers.fleet import Fleet
+    from vehanchor.rulers.ruler import View
 
     Notices: TypeAlias = tuple[Notice, ...]
 
 # Chance of look-alikes from which a notice names them: then no scale by vehicles alone is usable.
 _NAMED_CHANCE = 1.0 - USABLE_CHANCE
+
+# Detail share below which an image without vehicles counts as enlarged: by two or more. None of 250
+# photographs, with and without vehicles, has one below 0.53.
+_ENLARGED_SHARE = 0.5
+# Patches across and down the image whose detail is measured.
+_PATCHES_ACROSS = 4
 
 _STRETCHED = Notice(
     code=NoticeCode.STRETCHED,
@@ -93,6 +100,21 @@ def copied_vehicles(detections: Detections) -> Notices:
         "each vehicle counts once."
     )
     return (Notice(code=NoticeCode.VEHICLES_COPIED, message=message),)
+
+
+def nothing_detailed(view: View) -> Notices:
+    """Warn of an image without vehicles that has no detail anywhere, as after enlarging it."""
+    shares = (np.arange(_PATCHES_ACROSS) + 0.5) / _PATCHES_ACROSS
+    x, y = np.meshgrid(shares * view.image.width_px, shares * view.image.height_px)
+    centres = np.column_stack([x.ravel(), y.ravel()])
+    detail_share = view.measure_detail_share(centres, 1.0)
+    if detail_share >= _ENLARGED_SHARE:
+        return ()
+    message = (
+        f"The image has no detail finer than {1 / detail_share:.2g} px, perhaps because it was "
+        "enlarged or blurred. Give the original image."
+    )
+    return (Notice(code=NoticeCode.DETAIL_MISSING, message=message),)
 
 
 def detail_missing(length_px: float, guard_px: float, detail_share: float) -> Notices:

@@ -35,6 +35,7 @@ from vehanchor.rulers.vehicle_notices import (
     copied_vehicles,
     detail_missing,
     doubts,
+    nothing_detailed,
 )
 from vehanchor.scale.density import (
     UNCALIBRATED,
@@ -441,7 +442,7 @@ class Vehicles(Ruler):
             only_kept=fleet.is_stated or others_identify_cars,
         )
         if mode_px is None:
-            return vehicles
+            return replace(vehicles, notices=(*vehicles.notices, *nothing_detailed(view)))
         unmeasured = unmeasured_region(card, view.options.reference)
         # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None

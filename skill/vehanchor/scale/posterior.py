@@ -23,7 +23,8 @@ The answer follows from this posterior alone:
   are probably right, but exclude each other.
 * The chance is the posterior's mass within 20 % of the value. What a caller assumes gains no
   chance by the agreement of a prior. What is stated, by the caller or the file, loses chance where
-  what is seen in the picture excludes it.
+  what is seen in the picture excludes it. Of two witnesses that exclude each other and are further
+  than 20 % apart, only one counts.
 * The scale is usable if the chance is at least 0.9.
 * The reason is the weakness whose removal would raise the chance most.
 """
@@ -41,6 +42,7 @@ import numpy as np
 from vehanchor.scale.defaults import PROBABLY_RIGHT, USABLE_CHANCE
 from vehanchor.scale.density import (
     MIN_PROBABILITY,
+    TOLERANCE,
     credible_interval,
     flat,
     mass_within,
@@ -284,10 +286,14 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
         p_usual = float((if_right * _share_of_usual_errors(witnesses[k])).sum())
         p_right.append(max(0.0, p_usual))
         answers_without.append(judge(_all_but(witnesses, k)))
+    contradictions = _contradictions(witnesses, p_right)
+    chance = decision.chance
+    for pair in contradictions:
+        chance = min(chance, _chance_between(witnesses, p_right, pair, decision.gsd_m_per_px))
+    decision = replace(decision, chance=chance)
     reason = None
     if not decision.usable:
         reason = _weakness(witnesses, answers_without, decision.chance)
-    contradictions = _contradictions(witnesses, p_right)
     # A compromise between witnesses that exclude each other is no more exact than they are apart.
     intervals = [witnesses[k].interval for pair in contradictions for k in pair]
     return replace(
@@ -414,6 +420,32 @@ def _contradictions(
     ]
     pairs = combinations(setting, 2)
     return tuple((a, b) for a, b in pairs if _exclude_each_other(witnesses[a], witnesses[b]))
+
+
+def _chance_between(
+    witnesses: Sequence[Witness],
+    p_right: Sequence[float],
+    pair: tuple[int, int],
+    gsd_m_per_px: float,
+) -> float:
+    """Compute the largest chance of a scale between two witnesses that exclude each other.
+
+    In the product both can be right, one of them by an unusually large error. More likely only one
+    is: then the chance is the share of those that are within 20 % of the scale.
+
+    Args:
+        witnesses: those that found something.
+        p_right: chance of each that it is right.
+        pair: indices of the two.
+        gsd_m_per_px: the scale.
+    """
+    p_near = 0.0
+    for k in pair:
+        own_gsd = witnesses[k].gsd_m_per_px
+        assert own_gsd is not None
+        if abs(gsd_m_per_px - own_gsd) <= TOLERANCE * own_gsd:
+            p_near += p_right[k]
+    return p_near / sum(p_right[k] for k in pair)
 
 
 def _exclude_each_other(first: Witness, second: Witness) -> bool:

@@ -16,10 +16,14 @@ from tests.models import paint_vehicles
 from tests.sam_models import SamFiles
 from tests.server.conftest import LENGTH_PX, paint_scene, write_image
 from tests.server.conversation import by_path, called, error_of, picture_of, record_of, text_of
+from vehanchor.options.rulers import StatedScale
+from vehanchor.rulers.stated_scale import stated_witness
+from vehanchor.scale.posterior import judge
 from vehanchor_server.app import create_server
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.flight_question import MAX_MORE_IMAGES
+from vehanchor_server.tools.measuring_call import _USABLE_TOLERANCE
 
 pytestmark = pytest.mark.anyio
 
@@ -209,3 +213,10 @@ async def test_a_scale_from_several_images_measures_the_first_as_its_text_says(
     record = record_of(result)
     assert record["status"] == "ok"
     assert record["distance_m"] == pytest.approx(100 * gsd, rel=0.01)
+
+
+def test_the_tolerance_to_give_leaves_a_scale_usable() -> None:
+    widest = StatedScale(0.05, "measured", tolerance=0.05 * _USABLE_TOLERANCE)
+    decided = judge([stated_witness(widest)])
+    assert decided is not None
+    assert decided.usable

@@ -152,6 +152,20 @@ def test_a_short_answer_omits_the_box_of_a_mask_of_unknown_extent(two_pools: Two
     assert "Mask:" not in two_pools.text
 
 
+async def test_advice_on_a_doubtful_scale_names_a_doubtful_mask_too(
+    settings: Settings, images: Path, tmp_path: Path
+) -> None:
+    server = create_server(
+        create_services(replace(settings, segmenter=write_sam(tmp_path, scores=[0.4])))
+    )
+    arguments = pool_in(images / "pool.png")
+    without_scale = {
+        name: value for name, value in arguments.items() if not name.startswith("gsd_")
+    }
+    text = text_of(await asked(server, {**without_scale, "drop": "2-24"}))
+    assert "; and for the mask, look at it with view_image" in text
+
+
 async def test_a_mask_that_the_segmenter_doubts_comes_with_a_warning(
     settings: Settings, images: Path, tmp_path: Path
 ) -> None:

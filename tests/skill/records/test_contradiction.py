@@ -15,6 +15,7 @@ from vehanchor.batch.row import BatchRow
 from vehanchor.cli import app as cli
 from vehanchor.pictures.scale import safe_lines
 from vehanchor.records import GsdEstimate, Notice, RulerScale
+from vehanchor.records.advice import advice_for
 from vehanchor.records.contradiction import contradiction_text
 from vehanchor_server.tools.messages import answer_of
 
@@ -149,3 +150,14 @@ def test_an_estimate_without_a_scale_names_that_of_the_file(estimate: GsdEstimat
     changes = {"status": "no_scale", "gsd_m_per_px": None, "reason": "too_few", "warnings": ()}
     text = answer_of([estimate.model_copy(update=changes)], [], "short").text
     assert "georeference gives 0.250 m/px: measure_area and measure_distance use it" in text
+
+
+def test_rulers_of_a_flight_that_exclude_each_other_are_named(estimate: GsdEstimate) -> None:
+    rulers = [_ruler("vehicles", 0.1), _ruler("positions", 0.2)]
+    record = _with_rulers(estimate, rulers).model_copy(
+        update={"status": "low_confidence", "reason": "disagree"}
+    )
+    advice = advice_for(record)
+    assert advice is not None
+    assert advice.why == "vehicles and positions contradict each other"
+    assert "facts" not in advice.remedies

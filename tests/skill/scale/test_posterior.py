@@ -264,6 +264,17 @@ def test_witnesses_without_a_floor_that_share_an_error_give_finite_numbers(
     assert np.isfinite(found.p_right).all()
 
 
+@pytest.mark.parametrize(("factor", "usable"), [(1.15, True), (1.7, False)])
+def test_of_two_witnesses_far_apart_only_one_counts(factor: float, usable: bool) -> None:
+    # The broad one allows the scale of the other by a large error, and stays probably right.
+    exact = replace(_point(0.05, 0.02), chance_wrong=0.01)
+    broad = replace(_point(0.05 * factor, 0.18 if factor > 1.5 else 0.06), chance_wrong=0.05)
+    decided = answer([exact, broad])
+    assert decided is not None
+    assert decided.contradictions == ((0, 1),)
+    assert decided.usable == usable
+
+
 def test_witnesses_without_a_floor_that_exclude_each_other_are_not_sure() -> None:
     shared = (HEIGHT,)
     contradiction = answer([_without_floor(0.1, shared), _without_floor(0.5, shared)])
