@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from research.scenes import Scene, SceneVehicle, render_scene
-from vehanchor import analyse_scale
+from vehanchor import Engine, analyse_scale
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.boxes import box_corners, oriented_iou
 from vehanchor.records.text import significant
@@ -288,6 +288,37 @@ def write_fit() -> None:
     write_overlay(IMAGES / "fit.jpg", ["--polygon", ROOF, "--must-fit", MUST_FIT])
 
 
+def draw_resampled(image: Path, gsd_m_per_px: float, side_m: float) -> Figure:
+    """Draw the middle of a photograph beside the same ground in its copy at another scale."""
+    copy = Engine().resample(str(image), gsd_m_per_px=gsd_m_per_px)
+    photograph = cv2.imread(str(image))
+    assert photograph is not None
+    own_gsd = copy.scale.gsd_m_per_px
+    assert own_gsd is not None
+    figure = Figure(figsize=(8, 4.3), dpi=110, layout="constrained")
+    panels = figure.subplots(1, 2)
+    pictures = (
+        (photograph[:, :, ::-1], own_gsd, "the photograph"),
+        (copy.pixels, copy.gsd_m_per_px, "its copy"),
+    )
+    for axes, (pixels, gsd, name) in zip(panels, pictures, strict=True):
+        height, width = pixels.shape[:2]
+        side = round(side_m / gsd)
+        top = (height - side) // 2
+        left = (width - side) // 2
+        axes.imshow(pixels[top : top + side, left : left + side], interpolation="nearest")
+        axes.set(xticks=[], yticks=[])
+        title = f"{name}: {significant(gsd)} m/px, {side} px for {side_m:g} m"
+        axes.set_title(title, fontsize=10)
+    return figure
+
+
+def write_resampled() -> None:
+    """Write the figure of a photograph and its copy at the scale of a model."""
+    figure = draw_resampled(PAGE_IMAGE, 0.3, side_m=25)
+    figure.savefig(IMAGES / "resampled.jpg", pil_kwargs={"quality": 85})
+
+
 def write_overlay(figure: Path, options: Sequence[str]) -> None:
     """Write the overlay of ``vehanchor measure`` with options as a figure."""
     with tempfile.TemporaryDirectory() as folder:
@@ -310,6 +341,7 @@ WRITERS = {
     "hits_and_misses": write_hits_and_misses,
     "own_shape": write_own_shape,
     "fit": write_fit,
+    "resampled": write_resampled,
     "page": write_page,
 }
 

@@ -139,6 +139,8 @@ def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) 
     else:
         action = Action.LAND
         reason = fits
+    # A zone without room for any circle has no centre.
+    center = fit.get("center", {})
     return Decision(
         action,
         reason,
@@ -146,8 +148,8 @@ def decide_zone(record: dict[str, Any], ruler: Ruler, zone: Zone, craft: Craft) 
         zone=zone,
         needed_m=craft.needed_m,
         fit_probability=fit["fit_probability"],
-        center_x_px=fit["center"]["x_px"],
-        center_y_px=fit["center"]["y_px"],
+        center_x_px=center.get("x_px"),
+        center_y_px=center.get("y_px"),
     )
 
 

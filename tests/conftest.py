@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.needs import needed_module, needed_program
 from vehanchor.courts.find import courts_among
 from vehanchor.courts.network import Proposal
 from vehanchor.imagery.identity import image_id
@@ -22,6 +23,7 @@ from vehanchor.models.session import run_session
 
 ROOT = Path(__file__).parent.parent
 MOST_WORKERS = 4  # each loads everything once
+CHROMIUM_START_MS = 120_000
 
 # What a test means does not depend on how busy the machine is; the timeout of pytest catches what
 # hangs.
@@ -82,3 +84,21 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     )
     quick = config.option.markexpr in config.getini("addopts")
     return min(os.cpu_count() or 1, MOST_WORKERS) if everything and quick else 0
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """Start one Chromium for all tests of the page."""
+    names = (os.environ.get("CHROMIUM"), "chromium", "google-chrome")
+    path = needed_program(
+        "chromium", "apt-get install chromium, or name one by CHROMIUM", candidates=names
+    )
+    api = needed_module("playwright.sync_api", "pip install -e '.[browser]'")
+    with api.sync_playwright() as playwright:
+        # A sandboxed frame in a process of its own is missing from screenshots.
+        arguments = ["--no-sandbox", "--disable-features=IsolateSandboxedIframes"]
+        browser = playwright.chromium.launch(
+            executable_path=path, args=arguments, timeout=CHROMIUM_START_MS
+        )
+        yield browser
+        browser.close()

@@ -3,7 +3,7 @@
 Prints Markdown; ``--record`` keeps it. It takes seven minutes on two quiet cores and needs no
 network access, if ``peers.py`` has made its environment (``--environment``). The speed of the bare
 network is measured before and after all others, so that a machine which changed its speed is
-noticed.
+noticed. ``starts.py`` measures the starts of commands.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import onnxruntime
 
 from research.benchmarks.batch import run_rows
 from research.benchmarks.peers import ENVIRONMENT
-from research.benchmarks.speed import bare_seconds, command_time, input_tiles, large_scene
+from research.benchmarks.speed import bare_seconds, input_tiles, large_scene
 from research.results.record import add_record_option, header, recording, tables_of
 from research.scenes import render_scene
 from vehanchor.engine import Engine
@@ -148,21 +148,11 @@ def car_park() -> list[Row]:
     return [(name, "1.3", [round(ratio, 2)])]
 
 
-def start(folder: Path) -> list[Row]:
-    """Measure starts, warm calls and memory."""
-    small = folder / "small.png"
-    cv2.imwrite(
-        str(small), render_scene(0.15, width_px=256, height_px=256, seed=5).image[:, :, ::-1]
-    )
-    overhead, first = printed("server_overhead", "--calls", "15", "--starts", "5")
-    picture = command_time("-m", "vehanchor", "estimate", str(small))
-    listing = first.value("first `tools/list` after the start, median, s", "value")
+def calls() -> list[Row]:
+    """Measure what a warm call over stdio costs beyond the library."""
+    (overhead,) = printed("server_overhead", "--calls", "15")
     beyond = overhead.value("`estimate_gsd`", "overhead, median, ms")
-    return [
-        ("`vehanchor estimate`, 256 x 256 px, s", "0.9", [round(picture, 2)]),
-        ("first `tools/list`, s", "0.8", [listing]),
-        ("warm `estimate_gsd` over stdio beyond the library, ms", "10", [beyond]),
-    ]
+    return [("warm `estimate_gsd` over stdio beyond the library, ms", "10", [beyond])]
 
 
 def main() -> None:
@@ -183,7 +173,7 @@ def main() -> None:
             *search(options.environment, options.rounds),
             *car_park(),
             *photographs(Path(name)),
-            *start(Path(name)),
+            *calls(),
         ]
         bare: list[Row] = [
             (f"bare network, {when}: ms a tile", "", [round(tile_time, 1)])

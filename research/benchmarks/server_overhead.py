@@ -1,8 +1,6 @@
 """Measure what a call over stdio costs beyond the library.
 
 ``python -m research.benchmarks.server_overhead``. Aim: < 8 ms, median.
-
-Also how long the first ``tools/list`` takes after the start. Aim: 0.45 s.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from typing import Any
 import anyio
 from mcp import Client, StdioServerParameters
 
-from research.results.record import add_record_option, header, recording, values_table
+from research.results.record import add_record_option, header, recording
 from tests.server_process import SERVE, middle_box, target, write_images
 from vehanchor.analysis.memory import AnalysisMemory
 from vehanchor.engine import Engine
@@ -78,29 +76,13 @@ async def overhead(n_calls: int, threads: int) -> None:
                 print(f"| `{tool}` | {n_calls} | {shown} |", flush=True)
 
 
-async def first_list(n_starts: int) -> None:
-    """From the start of the process to its first answer."""
-    times = []
-    for _ in range(n_starts):
-        started = time.perf_counter()
-        async with Client(StdioServerParameters(command=SERVE[0], args=SERVE[1:])) as client:
-            await client.list_tools()
-            times.append(time.perf_counter() - started)
-    values = {
-        "first `tools/list` after the start, median, s": statistics.median(times),
-        "starts": n_starts,
-    }
-    print("", *values_table(values), sep="\n")
-
-
 def main() -> None:
-    """Measure both."""
+    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--calls", type=int, default=40)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--starts", type=int, default=7)
     options = add_record_option(parser).parse_args()
-    with recording("server", ["overhead_stdio", "first_list"], options.record):
+    with recording("server", ["overhead_stdio"], options.record):
         print(
             header(
                 "call, 1024 x 1024 px",
@@ -111,7 +93,6 @@ def main() -> None:
             )
         )
         anyio.run(overhead, options.calls, options.threads)
-        anyio.run(first_list, options.starts)
 
 
 if __name__ == "__main__":

@@ -166,16 +166,6 @@ def peak_memory() -> str:
     return f"| peak memory, 4096 x 4096 PNG, MiB | {kib / 1024:.0f} |"
 
 
-def command_time(*command: str) -> float:
-    """Measure the median wall time of five runs of the interpreter, s."""
-    times = []
-    for _ in range(5):
-        started = time.perf_counter()
-        subprocess.run([sys.executable, *command], check=True, capture_output=True)
-        times.append(time.perf_counter() - started)
-    return statistics.median(times)
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)

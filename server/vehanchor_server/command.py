@@ -111,10 +111,10 @@ def serve(
     Every option has an environment variable: --deadline-s is VEHANCHOR_DEADLINE_S, --root is
     VEHANCHOR_ROOTS. The system's path separator separates several paths in one variable.
     """
-    if schemas is not None or skill:
-        _print_definitions(schemas, skill=skill)
-        return
     with exit_on_error():
+        if schemas is not None or skill:
+            _print_definitions(schemas, skill=skill)
+            return
         settings = Settings.from_environment(**_set_options(options))
         # Late, and before the transports: it makes their import of the SDK quicker.
         from vehanchor_server.transport.quick_import import import_sdk
@@ -176,14 +176,15 @@ def view(
     """
     import webbrowser
 
-    from vehanchor_server.transport.viewer import serve_viewer
-
     def opened(url: str) -> None:
         typer.echo(f"Open {url} in a browser on this machine. Press Ctrl-C to stop.", err=True)
         if browser:
             webbrowser.open(url)
 
     with exit_on_error():
+        # Here, so that a missing or older package is named.
+        from vehanchor_server.transport.viewer import serve_viewer
+
         selected = None
         roots: tuple[Path, ...] = ()
         if photographs is not None and photographs.is_file():

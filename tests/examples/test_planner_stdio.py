@@ -211,3 +211,10 @@ def test_a_probability_below_the_limit_is_not_enough(
     decision = decide_zone(_record(fit=fit))
     assert decision.action == "next_zone"
     assert decision.reason.startswith("too small: a circle of 8.0 m fits")
+
+
+def test_a_zone_without_room_for_any_circle_is_too_small(
+    decide_zone: Callable[[dict[str, Any]], Any],
+) -> None:
+    decision = decide_zone(_record(fit={"fit_probability": 0.0}))
+    assert (decision.action, decision.center_x_px) == ("next_zone", None)

@@ -290,3 +290,9 @@ def test_nothing_is_written_without_a_usable_size(rescale: Any, tmp_path: Path) 
     assert done.exit_code == 3
     assert "no file in metres was written" in done.stderr
     assert not (tmp_path / "geo.txt").exists()
+
+
+def test_a_running_camera_takes_no_basis_of_a_height_that_it_cannot_be_given() -> None:
+    result = CliRunner().invoke(cli.app, ["flight", "live", "--help"])
+    assert "--hold" in result.stdout
+    assert "--height" not in result.stdout

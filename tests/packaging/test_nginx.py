@@ -337,6 +337,7 @@ def test_bodies_are_not_stored(tmp_path: Path) -> None:
         assert not re.search("buffered to a temporary file", (tmp_path / "error.log").read_text())
 
 
+@pytest.mark.promise("proxy")
 def test_nginx_stays_within_its_memory_while_bodies_wait(tmp_path: Path) -> None:
     """Send as many bodies of 31 MiB as one address may, to a server that reads none of them.
 

@@ -24,6 +24,7 @@ from vehanchor.errors import (
     ImageFormatError,
     ImageListError,
     InvalidParameterError,
+    KnownLengthError,
     VehAnchorError,
 )
 from vehanchor.options import declared_options
@@ -270,8 +271,22 @@ def test_options_of_a_call_replace_all_options_of_the_engine(
 
 
 def test_an_unknown_keyword_is_refused(four_metres: Engine, image: np.ndarray) -> None:
-    with pytest.raises(InvalidParameterError, match="there is no option 'regoin'"):
+    with pytest.raises(InvalidParameterError, match="no option 'regoin'; the nearest is region"):
         four_metres.estimate(image, regoin="europe")
+
+
+def test_a_shortened_keyword_is_answered_with_the_whole_one(
+    four_metres: Engine, image: np.ndarray
+) -> None:
+    with pytest.raises(InvalidParameterError, match="the nearest is height_basis or height_m or"):
+        four_metres.estimate(image, height=80)
+
+
+def test_a_line_outside_a_list_is_answered_with_its_form(
+    four_metres: Engine, image: np.ndarray
+) -> None:
+    with pytest.raises(KnownLengthError, match=r"a list of items, each \(x1, y1, x2, y2, metres"):
+        four_metres.estimate(image, known_lengths=(100, 120, 400, 520, 60))
 
 
 # --- Models

@@ -34,7 +34,7 @@ async function measureAll() {
       result = await estimated(path);
     } while (!result);
     const record = result.isError ? { error_code: codeOf(result), error: textOf(result) } : recordOf(result);
-    rows.push({ path, record, reason: reasonOf(result) });
+    rows.push({ path, record, reason: reasonOf(result), contradiction: result._meta?.[PANEL_KEY]?.contradiction });
     body.append(tableRow(rows.at(-1)));
   }
   if (!table.isConnected) return;
@@ -45,10 +45,12 @@ async function measureAll() {
 let rewriteTable = () => {};
 unitsChanged.push(() => rewriteTable());
 
-// Why there is no usable scale: the error, or the first clause of the sentence for people.
+// Why there is no usable scale: the error, what contradicts the file, or the first clause of the sentence for people.
 function reasonOf(result) {
   if (result.isError) return textOf(result);
-  return recordOf(result).status === "ok" ? "" : (result._meta?.[PANEL_KEY]?.sentence ?? "").split(/[;.]/)[0];
+  const { sentence, contradiction } = result._meta?.[PANEL_KEY] ?? {};
+  if (contradiction) return contradiction;
+  return recordOf(result).status === "ok" ? "" : (sentence ?? "").split(/[;.]/)[0];
 }
 
 function tableRow({ path, record, reason }) {
@@ -67,8 +69,8 @@ function tableRow({ path, record, reason }) {
 }
 
 // The values of a record by column, as in vehanchor.records.flat.
-const columnsOf = ({ path, record }) => ({
-  ...record, photograph: path, tilt_deg: record.tilt?.tilt_deg, warning_codes: record.warnings?.map(({ code }) => code).join(" "),
+const columnsOf = ({ path, record, contradiction }) => ({
+  ...record, photograph: path, contradiction, tilt_deg: record.tilt?.tilt_deg, warning_codes: record.warnings?.map(({ code }) => code).join(" "),
 });
 
 // A cell that a spreadsheet would run begins with an apostrophe.

@@ -13,6 +13,7 @@ from pydantic import FailFast, Field
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
+from vehanchor.records.contradiction import contradiction_of
 from vehanchor.records.text import by_hand_text
 from vehanchor_server.base_model import FrozenModel
 
@@ -69,9 +70,10 @@ def panel_meta(
         drawing: shapes over the image; None for a stated scale.
         record: the whole record, if the result is compact.
         shown: the record that the page shows; a sentence for people states the basis of its scale,
-            or what the scale lacks.
+            or what the scale lacks. ``contradiction`` is the text of the batch table's column.
     """
-    data: dict[str, Any] = dict.fromkeys(("picture_jpeg", "drawing", "record", "sentence"))
+    names = ("picture_jpeg", "drawing", "record", "sentence", "contradiction")
+    data: dict[str, Any] = dict.fromkeys(names)
     data["record"] = record
     if picture is not None:
         data["picture_jpeg"] = base64.b64encode(picture).decode()
@@ -79,7 +81,24 @@ def panel_meta(
         data["drawing"] = drawing.model_dump(mode="json")
     if shown is not None:
         data["sentence"] = _sentence_for_people(shown)
+        _add_contradiction(data, shown)
     return {PANEL_KEY: data}
+
+
+def _add_contradiction(data: dict[str, Any], shown: BaseModel) -> None:
+    """State both scales of a contradiction; of a usable result, in the sentence, too."""
+    if not isinstance(shown, AreaMeasurement | GsdEstimate):
+        return
+    contradiction = contradiction_of(shown)
+    if contradiction is None:
+        return
+    data["contradiction"] = contradiction.text
+    if shown.status != "ok":
+        return
+    parts = [contradiction.text]
+    if contradiction.premise:
+        parts.append(f"Safe to use {contradiction.premise}")
+    data["sentence"] = ". ".join([*parts, data["sentence"]])
 
 
 def _sentence_for_people(record: BaseModel) -> str | None:
@@ -90,6 +109,8 @@ def _sentence_for_people(record: BaseModel) -> str | None:
             return "No object found."
         if record.status != "ok" and (estimate is None or estimate.status == "ok"):
             return "The outline is doubtful: look at it, or draw a tight box around the object."
+        if record.scale_source == "file":
+            return "Measured with the file's own scale."
         advice = advice_for(estimate)
     elif isinstance(record, GsdEstimate):
         estimate = record

@@ -63,7 +63,7 @@ function readings(record) {
       ? reading("Area", whole(record.mask_area_px), "px", "no scale: pixels only")
       : measuredReading("Area", record.area_m2, "area", interval(record.area_ci95_low_m2, record.area_ci95_high_m2, "area")),
   ];
-  if (record.fit) tiles.push(reading(`Fits: ${fitName(record.fit)}`, fitChance(record.fit), "", "probability", fitCount(record.fit)));
+  if (record.fit && record.area_m2 !== null) tiles.push(reading(`Fits: ${fitName(record.fit)}`, fitChance(record.fit), "", "probability", fitCount(record.fit)));
   if (record.inscribed_diameter_m !== null) {
     const bounds = [record.inscribed_diameter_ci95_low_m, record.inscribed_diameter_ci95_high_m];
     const diameter = number(inUnits(record.inscribed_diameter_m, "length"));

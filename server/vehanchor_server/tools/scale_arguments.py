@@ -155,19 +155,19 @@ def _unit_check(limits: Limits) -> BeforeValidator:
     def check(value: Any) -> Any:
         if not isinstance(value, str) or not value.strip()[-1:].isalpha():
             return value
-        expected = f"give a number without a unit{_in_unit(value, limits)}"
+        expected = _expected_number(value, limits)
         raise PydanticCustomError("unit", "{expected}", {"expected": expected})
 
     return BeforeValidator(check)
 
 
-def _in_unit(text: str, limits: Limits) -> str:
-    """State the number of a text in the unit of an option; empty if it is unknown."""
+def _expected_number(text: str, limits: Limits) -> str:
+    """Ask for the number of a text in the unit of an option, and state it if it is known."""
     try:
         number = limits.check("", text)
     except InvalidParameterError:
-        return f", {limits.unit}" if limits.unit else ""
-    return f": {number:.4g} {limits.unit}"
+        return f"give a number, in {limits.unit}" if limits.unit else "give a number"
+    return f"give a number without a unit: {number:.4g} {limits.unit}"
 
 
 def scale_options(

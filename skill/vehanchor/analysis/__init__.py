@@ -1,1 +1,1 @@
-"""Analysis of an image: the pipeline to its scale, and results with drawing and export."""
+"""Analysis of an image: the pipeline to its scale, results with drawing and export, its process."""

@@ -41,7 +41,7 @@ from vehanchor.records import (
 )
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class, unused_facts
-from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice
+from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice, unknown_tilt_chance
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
@@ -244,13 +244,13 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
     witnesses = measure_all(view, earlier)
     vehicles = vehicle_witness(witnesses)
     notices: tuple[Notice, ...] = ()
+    tilt_chance = 0.0
     # The vehicles may show a tilt, or several scales, only if no tilt is known.
     if view.tilt is None and vehicles is not None and vehicles.found:
-        notices = tilt_notice(
-            view.image,
-            view.options,
-            view.detections,
-            log_size_sd=view.card.errors.boxes.log_size_sd,
+        log_size_sd = view.card.errors.boxes.log_size_sd
+        notices = tilt_notice(view.image, view.options, view.detections, log_size_sd=log_size_sd)
+        tilt_chance = unknown_tilt_chance(
+            view.image, view.options, view.detections, log_size_sd=log_size_sd
         )
         notices += several_scales_notice(
             view.image,
@@ -258,11 +258,15 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
             length_m=vehicles.reference.length_m,
             errors=view.card.errors,
         )
-    return conclude(view, witnesses, notices)
+    return conclude(view, witnesses, notices, tilt_chance=tilt_chance)
 
 
 def conclude(
-    view: View, measured: tuple[Witness, ...], notices: Sequence[Notice] = ()
+    view: View,
+    measured: tuple[Witness, ...],
+    notices: Sequence[Notice] = (),
+    *,
+    tilt_chance: float = 0.0,
 ) -> ScaleAnalysis:
     """Decide on the scale, and make the record.
 
@@ -270,10 +274,11 @@ def conclude(
         view: view of the image.
         measured: witnesses of all rulers.
         notices: notices of the tilt.
+        tilt_chance: 0..1, chance that the image has no single scale because of an unknown tilt.
     """
     measured = doubted_as_drawing(measured, view.drawing_chance)
     doubts: tuple[Remark, ...] = (*view.image.notices, *notices)
-    witnesses = with_doubts(_without_repetition(measured), doubts)
+    witnesses = with_doubts(_without_repetition(measured), doubts, tilt_chance=tilt_chance)
     is_paper = view.options.method.preset == "paper"
     decided = None if is_paper else answer(witnesses)
     if decided is not None:

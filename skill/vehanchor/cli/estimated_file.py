@@ -16,7 +16,7 @@ from vehanchor.errors import OutOfMemoryError, VehAnchorError, WorkerDiedError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from vehanchor.batch.engines.isolated import IsolatedProcess
+    from vehanchor.analysis.isolated_process import IsolatedProcess
     from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor.engine import Engine
     from vehanchor.records import GsdEstimate
@@ -74,7 +74,7 @@ class Estimator:
         if not isolated:
             self._estimate = partial(_estimate, chosen.loaded_engine())
             return
-        from vehanchor.batch.engines.isolated import IsolatedProcess
+        from vehanchor.analysis.isolated_process import IsolatedProcess
 
         self._process = IsolatedProcess(
             partial(_prepare_process, chosen), remedy="Close other programs and try again"

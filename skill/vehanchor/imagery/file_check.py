@@ -24,6 +24,7 @@ from vehanchor.errors import ImageDecodeError, ImageFormatError, MissingExtraErr
 from vehanchor.imagery.formats.header import IMAGE_FORMATS, read_header
 from vehanchor.imagery.formats.tiff import decoded_by_opencv
 from vehanchor.imagery.limits import (
+    block_bytes,
     check_block,
     check_bytes,
     check_decoding_memory,
@@ -120,9 +121,12 @@ def _check_blocks(header: ImageHeader, source: str, limits: ImageLimits) -> None
             sample_bytes=_OPENJPEG_SAMPLE_BYTES,
             limits=limits,
         )
+        tile_bytes = block_bytes(
+            header.tile_px, samples=header.bands, sample_bytes=_OPENJPEG_SAMPLE_BYTES
+        )
         check_decoding_memory(
             f"{header.format}'s tiles",
-            header.structure_bytes,
+            header.structure_bytes + tile_bytes,
             size=f"{header.tile_px} px",
             limits=limits,
         )

@@ -122,6 +122,11 @@ def check_windowed_size(name: str, width_px: int, *, height_px: int, limits: Ima
     check_side(width_px, height_px)
 
 
+def block_bytes(block_px: int, *, samples: int, sample_bytes: int) -> int:
+    """Compute the memory for decoding a strip or tile; see ``check_block``."""
+    return _BLOCK_COPIES * block_px * samples * sample_bytes
+
+
 def check_block(
     name: str, block_px: int, *, samples: int, sample_bytes: int, limits: ImageLimits
 ) -> None:
@@ -138,7 +143,7 @@ def check_block(
         ImageTooLargeError: decoding the block would exceed the limits.
     """
     n_samples = block_px * samples
-    decoding_bytes = _BLOCK_COPIES * n_samples * sample_bytes
+    decoding_bytes = block_bytes(block_px, samples=samples, sample_bytes=sample_bytes)
     has_too_many_samples = n_samples > _MAX_SAMPLES_PER_PIXEL * limits.max_pixels
     if has_too_many_samples or decoding_bytes > limits.max_decoded_bytes:
         raise ImageTooLargeError(

@@ -339,12 +339,18 @@ class Raster(ABC):
             note = RasterNote("pixels_stretched", "; ".join(clauses))
             self.warnings = (*self.warnings, note)
         if sample.size == 0 or sample.min() == sample.max():
-            note = RasterNote(
-                "nothing_visible",
+            self._warn_of_nothing(
                 "All sampled pixels have one value, so that nothing can be seen: check that the "
-                "file is complete and was exported with its picture.",
+                "file is complete and was exported with its picture."
             )
-            self.warnings = (*self.warnings, note)
+        elif np.isin(sample, (sample.min(), sample.max())).all():
+            self._warn_of_nothing(
+                "The image has two values only, such as black and white, so that hardly anything "
+                "can be seen: give it with its grey levels or colours."
+            )
+
+    def _warn_of_nothing(self, message: str) -> None:
+        self.warnings = (*self.warnings, RasterNote("nothing_visible", message))
 
 
 def oriented(stored: NDArray[_Value], orientation: int) -> NDArray[_Value]:

@@ -52,7 +52,9 @@ def read_path(path: Sequence[Place]) -> tuple[Place, ...]:
         raise PromptError(f"the path is {path!r}: give a line, or points as x, y")
     points = []
     for point in coordinates:
-        x, y = read_numbers(point, (2,), name="a point of the path", expected="x, y")
+        x, y = read_numbers(
+            point, (2,), name="a point of the path", expected="x, y, as in [(x1, y1), (x2, y2)]"
+        )
         points.append((x, y))
     if not 2 <= len(points) <= MAX_PATH_POINTS:
         n_points = count(len(points), "point")

@@ -48,7 +48,7 @@ _SAME_UNIT_FACTOR = 10
 _CONTRADICTING_SDS = 3.0
 # Georeferenced files of at most so many pixels are searched for what contradicts their scale, which
 # takes seconds. A survey of 10,000 megapixels would take minutes for one roof. A choice.
-_MAX_COMPARED_PX = 50_000_000
+_MAX_COMPARED_PX = 25_000_000
 
 ScaleInput: TypeAlias = "Callable[[Raster, ScaleOptions], ScaleAnalysis] | float | KnownScale"
 """The known scale, or the analysis that finds it."""

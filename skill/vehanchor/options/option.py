@@ -309,6 +309,11 @@ def in_order(*names: str) -> BeforeValidator:
         values = value
         if isinstance(value, str):
             values = value.replace(",", " ").split()
+        if isinstance(values, int | float):
+            form = ", ".join(names)
+            raise PydanticCustomError(
+                "in_order", "give a list of items, each ({form})", {"form": form}
+            )
         if isinstance(values, dict) or not isinstance(values, Iterable):
             return values
         # Surplus values get the names "0", "1", ..., which no group has, so pydantic refuses them.

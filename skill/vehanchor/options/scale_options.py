@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typing
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -23,6 +24,15 @@ _Line = TypeVar("_Line", KnownLength, AddedVehicle)
 
 # Options of the method that a preset leaves to the caller.
 _FREE = ("tile_px", "stride_px")
+
+
+def _no_option(name: str) -> str:
+    """Refuse an option that does not exist, and name the nearest ones."""
+    names = sorted(declared_options())
+    nearest = [option for option in names if option.startswith(name)]
+    nearest = nearest or get_close_matches(name, names)
+    hint = f"; the nearest is {' or '.join(nearest)}" if nearest else ""
+    return f"there is no option {name!r}{hint}. The options are {', '.join(names)}"
 
 
 def _method_defaults() -> dict[str, Any]:
@@ -171,8 +181,7 @@ class ScaleOptions:
         for name, value in keywords.items():
             declared = declared_options().get(name)
             if declared is None:
-                names = ", ".join(sorted(declared_options()))
-                raise InvalidParameterError(f"there is no option {name!r}: the options are {names}")
+                raise InvalidParameterError(_no_option(name))
             values_by_group.setdefault(declared.group, {})[name] = value
         groups = {
             group: replace(getattr(self, group), **values)

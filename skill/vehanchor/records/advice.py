@@ -210,6 +210,9 @@ def _imprecise(estimate: GsdEstimate) -> Advice:
     why = "the interval is too wide"
     if estimate.n_vehicles is None:
         return Advice(why, ("vehicles", "line"))
+    if estimate.leading_ruler == "camera":
+        why = "the ground may lie higher or lower than the take-off"
+        return Advice(why, ("line",), also="give overlapping photographs of the flight together")
     if region_would_help(estimate):
         return Advice(why, ("region", "line"))
     return Advice(why, ("line",))

@@ -20,6 +20,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
 from vehanchor.rulers.ruler import Ruler, mark_of_height, point_witness, unusable
 from vehanchor.scale.density import on_grid
+from vehanchor.scale.posterior import Lack
 from vehanchor.scale.reliability import (
     FILE,
     HILL_CHANCE,
@@ -176,7 +177,7 @@ class Camera(Ruler):
             chance_large=HILL_CHANCE,
             large_log_sd=math.hypot(tilt_log_sd, HILL_LOG_SD),
         )
-        return point_witness(
+        witness = point_witness(
             self.kind,
             gsd,
             log_sd=_OWN_LOG_SD,
@@ -185,6 +186,9 @@ class Camera(Ruler):
             shared=[lens_error(optics), of_file],
             notices=notices,
         )
+        level = of_file._replace(chance_large=0.0)
+        over_level_ground = replace(witness, shared=(lens_error(optics), level))
+        return replace(witness, lacks=(Lack("imprecise", over_level_ground),))
 
     def _unusable(self, *causes: str) -> Witness:
         """Report why the metadata cannot be used; empty causes are left out."""

@@ -25,8 +25,10 @@ from vehanchor.imagery.metadata.lens import (
 )
 from vehanchor.records import Notice, TiltEstimate
 from vehanchor.records.notices import NoticeCode
+from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.lengths import Z95
 from vehanchor.scale.plane import GroundPlane
+from vehanchor.scale.reliability import chance_of_tilt
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -79,6 +81,20 @@ _SURE_SDS = 2.33
 # d log(square root of a car's area) / d tan(tilt): the GSD of ``vehanchor.scale.plane`` has the
 # exponent -1.5.
 _EXPONENT = 1.5
+
+# Chance of a tilt by few cars: a camera on a pole looks ahead, with the far cars above.
+_UPRIGHT_TILTS_DEG = np.arange(25.0, 61.0, 5.0)
+# Spread of the log sizes of few cars over that of one fleet, and the share of other vehicles and
+# their spread. Choices.
+_FEW_CARS_SPREAD = 1.2
+_OTHERS_SHARE = 0.1
+_OTHERS_LOG_SD = 0.45
+# Fewest and most cars for it; more tell every tilt.
+_FEW_CARS = (2, 2 * MIN_CARS)
+# Log sizes of the image's centre, relative to the median car.
+_CENTRE_LOG_SIZES = np.arange(-1.5, 1.5, 0.02)
+# Least share of the scale at the image's centre: rows at the horizon have none.
+_MIN_NEARNESS = 0.05
 
 # Lengths of cars under a tilt.
 # Share of the width in the log of a length; on the train split 0.2 to 0.3 do alike at 30 and 45
@@ -297,6 +313,94 @@ def _fitted_slopes(places: Points, log_sizes: Lengths, log_sd: float) -> tuple[S
     return slopes, np.asarray(covariance[1:, 1:])
 
 
+class _UprightTilt(NamedTuple):
+    """Tilt of a camera that looks ahead, with the far cars above.
+
+    Attributes:
+        tilt_deg: most likely angle between its axis and straight down.
+        log_odds: log of the likelihood of all such tilts over that of an image at nadir.
+    """
+
+    tilt_deg: float
+    log_odds: float
+
+
+def _upright_tilt(
+    boxes: Boxes, height_px: int, *, focal_px: float, log_size_sd: float
+) -> _UprightTilt | None:
+    """Weigh tilts from 25 to 60 degrees, all equally likely, by the sizes of cars.
+
+    Args:
+        boxes: of cars that lie completely in the image.
+        height_px: height of the image.
+        focal_px: focal length, pixels.
+        log_size_sd: as in ``suspected_tilt``.
+
+    Returns:
+        None for fewer than two cars, and for many.
+    """
+    fewest, most = _FEW_CARS
+    if not fewest <= len(boxes) <= most:
+        return None
+    places = (boxes[:, 1] - height_px / 2) / focal_px
+    areas = boxes[:, 2] * boxes[:, 3]
+    log_sizes = np.log(areas) / 2
+    log_sizes -= np.median(log_sizes)
+    log_sd = _FEW_CARS_SPREAD * log_size_sd
+    at_nadir = _log_likelihood(log_sizes, log_sd)
+    log_odds = []
+    for tilt in np.radians(_UPRIGHT_TILTS_DEG):
+        # Sizes follow the nearness of the ground below a row, with the exponent of the GSD.
+        nearness = np.maximum(1.0 + places * math.tan(tilt), _MIN_NEARNESS)
+        expected = _EXPONENT * np.log(nearness)
+        of_level_ground = log_sizes - expected + expected.mean()
+        log_odds.append(_log_likelihood(of_level_ground, log_sd) - at_nadir)
+    likeliest = int(np.argmax(log_odds))
+    of_all = float(np.logaddexp.reduce(log_odds)) - math.log(len(log_odds))
+    return _UprightTilt(float(_UPRIGHT_TILTS_DEG[likeliest]), of_all)
+
+
+def _log_likelihood(log_sizes: Lengths, log_sd: float) -> float:
+    """Compute the log likelihood of sizes that scatter around an unknown common one.
+
+    Args:
+        log_sizes: ``[n]``, relative to about the median.
+        log_sd: spread of cars; other vehicles spread more.
+    """
+    deviations = log_sizes[:, None] - _CENTRE_LOG_SIZES
+    cars = np.exp(-0.5 * (deviations / log_sd) ** 2) / log_sd
+    others = np.exp(-0.5 * (deviations / _OTHERS_LOG_SD) ** 2) / _OTHERS_LOG_SD
+    logs = np.log((1.0 - _OTHERS_SHARE) * cars + _OTHERS_SHARE * others)
+    return float(np.logaddexp.reduce(logs.sum(axis=0)))
+
+
+def unknown_tilt_chance(
+    image: ImageFacts, options: ScaleOptions, detections: Detections, *, log_size_sd: float
+) -> float:
+    """Compute the chance that a camera of unknown tilt looks ahead, by the sizes of its cars.
+
+    Args:
+        image: as in ``tilt_notice``.
+        options: as in ``tilt_notice``.
+        detections: as in ``tilt_notice``.
+        log_size_sd: as in ``suspected_tilt``.
+
+    Returns:
+        0..1; 0 if the tilt is known, or if the sizes do not speak for one.
+    """
+    camera = image.camera if options.rulers.metadata else None
+    if image.georeference_gsd_m_per_px is not None:
+        return 0.0
+    if camera is not None and camera.off_nadir_deg is not None:
+        return 0.0
+    focal_px, _ = focal_length(image, options)
+    boxes = _whole_cars(detections, image.width_px, image.height_px)
+    tilt = _upright_tilt(boxes, image.height_px, focal_px=focal_px, log_size_sd=log_size_sd)
+    if tilt is None:
+        return 0.0
+    return chance_of_tilt(tilt.log_odds)
+
+
 def tilt_notice(
     image: ImageFacts, options: ScaleOptions, detections: Detections, *, log_size_sd: float
 ) -> tuple[Notice, ...]:
@@ -324,14 +428,7 @@ def tilt_notice(
             "the scale varies over it, and areas and lengths may be wrong. Give the original file."
         )
         return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
-    focal_px, _ = focal_length(image, options)
-    tilt_deg = suspected_tilt(
-        detections,
-        image.width_px,
-        image.height_px,
-        focal_px=focal_px,
-        log_size_sd=log_size_sd,
-    )
+    tilt_deg = _probable_tilt_deg(image, options, detections, log_size_sd=log_size_sd)
     if tilt_deg is None:
         return ()
     message = (
@@ -341,6 +438,27 @@ def tilt_notice(
         "the object."
     )
     return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
+
+
+def _probable_tilt_deg(
+    image: ImageFacts, options: ScaleOptions, detections: Detections, *, log_size_sd: float
+) -> float | None:
+    """Find a tilt that is nearly certain by many cars, or probable by few; arguments as above."""
+    focal_px, _ = focal_length(image, options)
+    tilt_deg = suspected_tilt(
+        detections,
+        image.width_px,
+        image.height_px,
+        focal_px=focal_px,
+        log_size_sd=log_size_sd,
+    )
+    if tilt_deg is not None:
+        return tilt_deg
+    boxes = _whole_cars(detections, image.width_px, image.height_px)
+    tilt = _upright_tilt(boxes, image.height_px, focal_px=focal_px, log_size_sd=log_size_sd)
+    if tilt is None or chance_of_tilt(tilt.log_odds) < PROBABLY_RIGHT:
+        return None
+    return tilt.tilt_deg
 
 
 def _whole_cars(detections: Detections, width_px: int, height_px: int) -> Boxes:

@@ -43,13 +43,17 @@ def stated_witness(stated: Stated) -> Witness:
     """Make the witness of a stated scale.
 
     Raises:
-        InvalidParameterError: the scale is outside the range in which rulers are compared.
+        InvalidParameterError: the interval of the scale reaches beyond the range in which rulers
+            are compared.
     """
-    if not on_grid(stated.gsd_m_per_px):
+    # A density that the end of the grid cuts would have another median than the stated scale.
+    low = stated.gsd_m_per_px - stated.tolerance
+    high = stated.gsd_m_per_px + stated.tolerance
+    if not on_grid(low) or not on_grid(high):
         raise InvalidParameterError(
-            f"gsd_m_per_px is {stated.gsd_m_per_px:g}: rulers are compared from "
-            f"{math.exp(GRID[0]):.2g} to {math.exp(GRID[-1]):.2g} m/px. Measure areas and "
-            "distances with it, without an estimate"
+            f"gsd_m_per_px is {stated.gsd_m_per_px:g} +- {stated.tolerance:.2g}: rulers are "
+            f"compared from {math.exp(GRID[0]):.3g} to {math.exp(GRID[-1]):.3g} m/px. Check its "
+            "unit; areas and distances need no estimate if gsd_basis is measured"
         )
     witness = point_witness(
         StatedScale.kind,

@@ -152,7 +152,7 @@ def _sees_scene(witness: Witness) -> bool:
 
 
 def with_doubts(
-    witnesses: Sequence[Witness], notices: Iterable[Remark] = ()
+    witnesses: Sequence[Witness], notices: Iterable[Remark] = (), *, tilt_chance: float = 0.0
 ) -> tuple[Witness, ...]:
     """Add to witnesses the errors that doubts make common.
 
@@ -162,12 +162,13 @@ def with_doubts(
     Args:
         witnesses: witnesses of an image, with their own doubts as notices.
         notices: further doubts.
+        tilt_chance: 0..1, chance that the image has no single scale because of an unknown tilt.
     """
     codes = {notice.code for notice in notices}
     for witness in witnesses:
         codes.update(notice.code for notice in witness.notices)
     no_one_scale = not NO_ONE_SCALE_CODES.isdisjoint(codes)
-    stretch_chance = _stretch_chance(witnesses)
+    several_scales_chance = 1.0 - (1.0 - _stretch_chance(witnesses)) * (1.0 - tilt_chance)
     vehicles = vehicle_witness(witnesses)
     p_look_alikes = 0.0
     if vehicles is not None and vehicles.found:
@@ -181,9 +182,9 @@ def with_doubts(
         shared = witness
         if no_one_scale:
             shared = with_shared_error(shared, NO_ONE_SCALE, removes="disagree")
-        elif stretch_chance > 0:
+        elif several_scales_chance > 0:
             # More cars would settle it.
-            unsettled = NO_ONE_SCALE._replace(chance_wrong=stretch_chance)
+            unsettled = NO_ONE_SCALE._replace(chance_wrong=several_scales_chance)
             shared = with_shared_error(shared, unsettled, removes="too_few")
         depends_on_cars = witness.kind == Vehicles.kind or not witness.sets_scale
         if no_cars.chance_wrong > 0 and depends_on_cars:

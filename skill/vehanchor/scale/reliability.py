@@ -291,6 +291,27 @@ def chance_of_stretch(log_odds: float) -> float:
     return odds / (1 + odds)
 
 
+UPRIGHT_SHARE = 0.015
+"""Share of photographs of unknown tilt that a camera on a pole took, for which the sizes of their
+cars must speak. A choice: of 21 rendered views from poles 11 were `ok`, 6 of them wrong; 2 of
+these, with a single car, remain. 6 of 1,044 right scales of photographs at nadir are lost, 5 of 323
+with one to four cars. The proportions of boxes tell less: those of 1 of the 6 are beyond 99 of 100
+at nadir."""
+
+
+def chance_of_tilt(log_odds: float) -> float:
+    """Compute the chance that the camera looks ahead, by the log odds of its cars' sizes.
+
+    What the sizes leave open is in the other chances: only odds above even ones count.
+    """
+    excess = math.expm1(min(max(log_odds, 0.0), _MAX_LOG_ODDS))
+    odds = UPRIGHT_SHARE / (1 - UPRIGHT_SHARE) * excess
+    return odds / (1 + odds)
+
+
+# Limit of log odds, beyond which nothing changes.
+_MAX_LOG_ODDS = 50.0
+
 _OBLONG_DENSITY = 1.1
 _STRETCHED_SHARE_BY_DENSITY = 0.1
 

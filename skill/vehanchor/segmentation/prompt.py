@@ -106,7 +106,7 @@ def _read_points(points: Sequence[Point]) -> tuple[LabelledPoint, ...]:
             point,
             (2, 3),
             name="a point",
-            expected="x, y and whether it is on the object",
+            expected="x, y and whether it is on the object, as in points=[(x, y, True)]",
         )
         # A point without the third value is on the object.
         read.append((x, y, all(include)))

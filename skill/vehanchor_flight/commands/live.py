@@ -11,7 +11,17 @@ from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import printable
 
 
-@scale_command(without=(*OF_ONE_IMAGE, "rulers", "height_m", "focal_35mm", "metadata"))
+@scale_command(
+    without=(
+        *OF_ONE_IMAGE,
+        "rulers",
+        "height_m",
+        "height_basis",
+        "height_tolerance_m",
+        "focal_35mm",
+        "metadata",
+    )
+)
 def live(
     source: Annotated[
         str,

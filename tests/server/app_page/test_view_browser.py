@@ -17,7 +17,7 @@ from rasterio.transform import Affine
 from tests.sam_models import SamFiles
 from tests.server.app_page.viewing import Person, viewing
 from tests.server.conftest import POOL_BOX, paint_scene, with_pool, write_image
-from tests.skill.imagery.files import geotiff
+from tests.skill.imagery.files import geotiff, smooth_rgb
 from vehanchor.records.columns import COLUMNS
 from vehanchor_server.settings import Settings
 from vehanchor_server.transport.viewer import Address
@@ -59,7 +59,7 @@ def person(chromium: Any, address: Address) -> Iterator[Person]:
 @pytest.fixture
 def surveyor(chromium: Any, detector_path: Path, tmp_path: Path) -> Iterator[Person]:
     """Somebody with two georeferenced photographs of one name: one has cars, of another scale."""
-    pictures = {"east": paint_scene(640, 512), "west": np.full((512, 640, 3), 90, np.uint8)}
+    pictures = {"east": paint_scene(640, 512), "west": smooth_rgb(640, 512)}
     for name, picture in pictures.items():
         (tmp_path / name).mkdir()
         transform = Affine(0.3, 0, 500_000, 0, -0.3, 5_000_000)
@@ -233,6 +233,8 @@ def test_the_files_own_scale_measures_unless_cars_contradict_it(surveyor: Person
     scales = {"east/map.tif": "differs from the estimate", "west/map.tif": "by its georeference"}
     for name, note in scales.items():
         surveyor.presses(name)
+        says = "^The file's own scale is 0.3 m/px" if note.startswith("differs") else "^No car"
+        surveyor.reads("#sentence", re.compile(says))
         surveyor.reads(".readings > div:has-text('own scale')", re.compile(f"0.300m/px{note}$"))
         surveyor.presses("Distance")
         surveyor.drags((100, 300), (300, 300))

@@ -210,8 +210,8 @@ def test_a_complete_table_is_replaced_as_every_file(detector: Path, table: Path)
 @pytest.mark.parametrize(
     ("module", "arguments", "words"),
     [
-        ("pyarrow", {"output": "table.parquet"}, r"pip install 'vehanchor\[parquet\]'"),
-        ("ray", {"output": "table.csv", "engine": "ray"}, r"pip install 'vehanchor\[ray\]'"),
+        ("pyarrow", {"output": "table.parquet"}, r"pip install '\.\[parquet\]'"),
+        ("ray", {"output": "table.csv", "engine": "ray"}, r"pip install '\.\[ray\]'"),
     ],
 )
 def test_a_missing_extra_is_named(

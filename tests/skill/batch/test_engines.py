@@ -125,6 +125,7 @@ def test_an_image_that_ends_its_process_has_a_row(poisoned: Poisoned) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.promise("crashes")
 def test_a_run_goes_on_after_an_image_that_ends_its_process(poisoned: Poisoned) -> None:
     assert len(poisoned.errors) == 12
     assert list(poisoned.errors.values()).count("") == 10

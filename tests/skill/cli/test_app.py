@@ -184,6 +184,7 @@ def poisoned(
     return subprocess.run(command, cwd=path, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.promise("crashes")
 def test_an_image_that_crashes_its_decoder_has_an_error(
     poisoned: subprocess.CompletedProcess[str],
 ) -> None:
@@ -192,6 +193,7 @@ def test_an_image_that_crashes_its_decoder_has_an_error(
     assert lines[1]["error"]["code"] == "worker_died"
 
 
+@pytest.mark.promise("crashes")
 def test_the_images_after_a_crash_are_estimated(
     poisoned: subprocess.CompletedProcess[str],
 ) -> None:
@@ -214,7 +216,7 @@ def test_a_defect_that_one_of_several_images_triggers_is_its_error(
             raise IndexError("list index out of range")
 
     monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
-    monkeypatch.setattr(estimated_file, "_loaded_engine", lambda _: Defect())
+    monkeypatch.setattr(ParsedOptions, "loaded_engine", lambda _: Defect())
     estimate = estimated_file._prepare_process(ParsedOptions({}))
     result = estimate(estimated_file.PhotographFile("a.png", {}, details=False), print)
     assert result.error is not None

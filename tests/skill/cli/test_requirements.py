@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.metadata import version
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
+from vehanchor.cli.app import app
 from vehanchor.cli.requirements import unmet_requirement
 from vehanchor.cli.terminal import BAD_INPUT, UNFORESEEN, exit_on_error
 
@@ -50,3 +53,22 @@ def test_the_command_says_whose_fault_it_is(
         raise ImportError("no such name", name=name)
     assert ended.value.exit_code == status
     assert capsys.readouterr().err.startswith(code)
+
+
+@pytest.mark.parametrize(
+    ("command", "module"),
+    [
+        (["view", "."], "vehanchor_server.transport.viewer"),
+        (["serve", "--skill"], "vehanchor_server.schemas"),
+        (["serve"], "vehanchor_server.transport.stdio"),
+    ],
+    ids=["view", "skill", "serve"],
+)
+def test_a_command_reports_a_failed_import_in_one_line(
+    command: list[str], module: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    result = CliRunner().invoke(app, command)
+    assert isinstance(result.exception, SystemExit)
+    assert result.stderr.startswith("error[")
+    assert len(result.stderr.splitlines()) == 1

@@ -41,3 +41,8 @@ def test_glints_do_not_hide_that_reflectances_are_faint() -> None:
 def test_an_image_of_one_value_shows_nothing() -> None:
     with open_raster(np.full((80, 100, 3), 7, np.uint8)) as raster:
         assert [note.code for note in raster.warnings] == ["nothing_visible"]
+
+
+def test_black_and_white_without_grey_shows_nothing() -> None:
+    with open_raster(np.where(PICTURE > 0.5, 255, 0).astype(np.uint8)) as raster:
+        assert [note.code for note in raster.warnings] == ["nothing_visible"]

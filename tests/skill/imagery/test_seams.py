@@ -74,6 +74,26 @@ def test_an_inset_has_a_corner() -> None:
     assert _near(_seam(image), 230, 250)
 
 
+@pytest.mark.parametrize("width_px", [1, 3])
+def test_the_frame_of_an_inset_has_a_corner(width_px: int) -> None:
+    image = LEFT.copy()
+    image[40:220, 60:260] = 255
+    inside = (slice(40 + width_px, 220 - width_px), slice(60 + width_px, 260 - width_px))
+    image[inside] = RIGHT[inside]
+    seam = _seam(_compressed(image, 90))
+    assert seam is not None
+    assert seam.x_px is not None
+    assert seam.y_px is not None
+    assert min(abs(seam.x_px - 60), abs(seam.x_px - 260)) <= 6
+    assert min(abs(seam.y_px - 40), abs(seam.y_px - 220)) <= 6
+
+
+def test_long_seams_need_no_step_in_every_pixel() -> None:
+    image = LEFT.copy()
+    image[200:, 220:] = RIGHT[200:, 220:]
+    assert _near(_seam(_compressed(image, 75)), 220, 200)
+
+
 @pytest.mark.parametrize("dark", [0.3, 0.6])
 def test_the_edge_of_a_shadow_is_no_seam(dark: float) -> None:
     image = LEFT.copy()

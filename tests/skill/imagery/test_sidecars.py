@@ -184,6 +184,17 @@ def test_unusable_coordinates_are_named(
     assert reason in note.message
 
 
+def test_gdal_writes_nothing_of_a_damaged_reference_system(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = _write(tmp_path / "plain.png")
+    _write_sidecars(path, WORLD, 'GEOGCS["secret",DATUM["b"', None)
+    with open_raster(path):
+        pass
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.promise("sidecars")
 def test_entities_beside_an_image_are_refused(tmp_path: Path) -> None:
     path = _write(tmp_path / "plain.png")
     pam = path.with_name("plain.png.aux.xml")
@@ -208,3 +219,13 @@ def test_another_page_of_a_tiff_is_named(tmp_path: Path) -> None:
     with open_raster(path) as raster:
         assert _codes(raster) == ["pages_unused"]
         assert "300 x 240 px" in raster.warnings[0].message
+
+
+@pytest.mark.parametrize("suffix", ["png", "webp"])
+def test_further_pictures_of_an_animation_are_named(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"animated.{suffix}"
+    others = [Image.fromarray(255 - PIXELS)]
+    Image.fromarray(PIXELS).save(path, save_all=True, append_images=others, lossless=True)
+    with open_raster(path) as raster:
+        np.testing.assert_array_equal(raster.read(), PIXELS)
+        assert _codes(raster) == ["pages_unused"]

@@ -483,7 +483,7 @@ def _with_measured_scale(gsd_m_per_px: float) -> DistanceMeasurement:
     return vehanchor.measure_distance(pool_among_cars(0), [(10, 10), (110, 10)], options)
 
 
-@pytest.mark.parametrize("gsd", [0.0001, 50, 1000])
+@pytest.mark.parametrize("gsd", [0.0001, 0.003, 0.0031, 2.9, 50, 1000])
 def test_a_scale_that_no_ruler_can_have_is_not_compared(detector: Detector, gsd: float) -> None:
-    with pytest.raises(InvalidParameterError, match=r"rulers are compared from 0.003 to 3 m/px"):
+    with pytest.raises(InvalidParameterError, match=r"rulers are compared from 0.003 to 2.99 m/px"):
         vehanchor.estimate_gsd(pool_among_cars(0), detector=detector, gsd_m_per_px=gsd)

@@ -60,6 +60,7 @@ def test_coco_names_the_image_by_its_file_name(photo: Path, tmp_path: Path) -> N
     assert names == ["roof 12", "13"]
 
 
+@pytest.mark.promise("sidecars")
 def test_a_file_of_very_many_empty_lists_is_refused(
     photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -67,6 +68,12 @@ def test_a_file_of_very_many_empty_lists_is_refused(
     file = _json(tmp_path, {**COCO, "licenses": [[]] * 100})
     with pytest.raises(PromptError, match="more than 100 lists and objects"):
         read_shape_file(file, str(photo))
+
+
+def test_shapes_may_have_another_encoding(photo: Path, tmp_path: Path) -> None:
+    file = tmp_path / "shapes.json"
+    file.write_text(json.dumps(COCO), encoding="utf-16")
+    assert len(_areas(file, photo)) == 2
 
 
 def test_of_equal_names_in_folders_the_path_decides(photo: Path, tmp_path: Path) -> None:
@@ -185,6 +192,7 @@ def test_a_missing_file_is_refused(photo: Path) -> None:
         _areas(photo.with_name("none.json"), photo)
 
 
+@pytest.mark.promise("sidecars")
 def test_zipped_texts_in_an_image_of_ids_are_not_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,6 +18,7 @@ from vehanchor.imagery.facts import ImageFacts, image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
+from vehanchor.records.advice import advice_for
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.density import Density, Votes, lognormal
@@ -232,6 +233,14 @@ def _chance(view: View) -> float:
 @pytest.mark.parametrize("height_m", [60.0, 100.0, 200.0])
 def test_a_height_is_not_usable_by_itself(height_m: float) -> None:
     assert 0.8 < _chance(_seeing(_but(height_m=height_m))) < 0.85
+
+
+def test_a_height_by_itself_lacks_level_ground() -> None:
+    estimate = analyse_view(_seeing(MAVIC, prior=lognormal(TRUE_GSD, 0.6))).estimate
+    advice = advice_for(estimate)
+    assert estimate.reason == "imprecise"
+    assert advice is not None
+    assert "take-off" in advice.why
 
 
 def test_a_height_that_a_town_agrees_with_is_usable() -> None:

@@ -54,6 +54,7 @@ def test_a_missing_column_is_named(tmp_path: Path) -> None:
         _metres(SEMICOLONS.replace("metres", "length").encode(), tmp_path)
 
 
+@pytest.mark.promise("sidecars")
 def test_a_table_of_very_many_columns_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KnownLengthError, match="it has 1007 columns"):
         _metres(("," * 1000 + COMMAS).encode(), tmp_path)
@@ -77,3 +78,8 @@ def test_many_lines_of_one_image_keep_their_order(tmp_path: Path) -> None:
 def test_cells_without_a_column_are_refused(content: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(KnownLengthError, match=message):
         _metres(content.replace("5,\n", "5,1\n").encode(), tmp_path)
+
+
+def test_a_name_with_a_nul_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(KnownLengthError, match="line 2: embedded null"):
+        _metres(COMMAS.replace("photo.jpg", "pho\0to.jpg").encode(), tmp_path)

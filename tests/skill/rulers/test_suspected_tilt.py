@@ -15,7 +15,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.camera_tilt import MIN_CARS, suspected_tilt
+from vehanchor.rulers.camera_tilt import MIN_CARS, suspected_tilt, unknown_tilt_chance
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
@@ -114,3 +114,48 @@ def test_pooled_photographs_do_not_repeat_the_doubt() -> None:
     ]
     assert all("tilt_suspected" in _codes(each.analysis.estimate) for each in seen)
     assert "tilt_suspected" not in _codes(pool(seen, np.zeros(2), 0).estimate)
+
+
+# --- Few cars, from a pole
+
+
+def _chance(detections: Detections, log_size_sd: float = 0.11, **image: Any) -> float:
+    facts = ImageFacts(WIDTH, HEIGHT, **image)
+    return unknown_tilt_chance(facts, ScaleOptions(), detections, log_size_sd=log_size_sd)
+
+
+@pytest.mark.parametrize("n", [4, 8])
+def test_few_cars_that_grow_downwards_may_be_seen_from_a_pole(n: int) -> None:
+    chances = [_chance(_cars(45.0, n=n, seed=seed)) for seed in range(20)]
+    assert np.median(chances) > 0.5
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 6, 11])
+def test_few_cars_at_nadir_hardly_seem_to_be_seen_from_a_pole(n: int) -> None:
+    chances = np.array([_chance(_cars(0.0, n=n, seed=seed)) for seed in range(60)])
+    assert np.mean(chances > 0.05) < 0.05
+
+
+def test_cars_that_grow_upwards_are_not_seen_from_a_pole() -> None:
+    chances = [_chance(_cars(45.0, n=6, roll_deg=180.0, seed=seed)) for seed in range(20)]
+    assert np.median(chances) < 0.01
+
+
+def test_a_lorry_below_few_cars_is_no_tilt() -> None:
+    detections = _cars(0.0, n=5, lorries=1)
+    boxes = detections.boxes.copy()
+    boxes[0, 1] = HEIGHT - 150
+    assert _chance(Detections(boxes, detections.scores)) < 0.05
+
+
+def test_a_known_tilt_leaves_no_chance_of_another() -> None:
+    few = _cars(45.0, n=8)
+    assert _chance(few) > 0.5
+    assert _chance(few, georeference_gsd_m_per_px=0.08) == 0.0
+    assert _chance(few, camera=CameraMetadata(off_nadir_deg=0.0)) == 0.0
+
+
+def test_few_cars_seen_from_a_pole_give_no_usable_scale() -> None:
+    record = analyse_view(_view(_cars(45.0, n=8))).estimate
+    assert record.status != "ok"
+    assert "tilt_suspected" in _codes(record)

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from vehanchor.batch.engines.isolated import (
+from vehanchor.analysis.isolated_process import (
     IsolatedProcess,
     ignore_interrupts_and_end_with_parent,
 )

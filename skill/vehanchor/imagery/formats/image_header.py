@@ -64,6 +64,7 @@ class ImageHeader:
         structure_bytes: memory for the structures of a tile beside its pixels, and for the list of
             all tiles; 0 for other formats than JPEG 2000.
         bands: samples per pixel of a JPEG 2000; 0 for other formats.
+        n_frames: pictures of an animation; 1 for other files.
         metadata: offset and length of each block of EXIF or XMP; a TIFF has them as tags.
     """
 
@@ -77,4 +78,5 @@ class ImageHeader:
     tile_px: int = 0
     structure_bytes: int = 0
     bands: int = 0
+    n_frames: int = 1
     metadata: tuple[tuple[int, int], ...] = ()

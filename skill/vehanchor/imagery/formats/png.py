@@ -36,6 +36,7 @@ def read_png(read_at: ReadAt) -> ImageHeader:
         raise ImageDecodeError("the PNG does not begin with its IHDR chunk: damaged")
     orientation = 1
     complete = False
+    n_frames = 1
     metadata: list[tuple[int, int]] = []
     position = len(_SIGNATURE)
     n_chunks = 0
@@ -55,6 +56,8 @@ def read_png(read_at: ReadAt) -> ImageHeader:
             has_checksum = len(read_at(content, 4)) == 4
             complete = length == 0 and has_checksum
             break
+        if kind == b"acTL":
+            (n_frames,) = struct.unpack(">I", read_at(content, 4))
         if kind in (b"eXIf", b"iTXt"):
             metadata.append((content, length))
         if kind == b"eXIf":
@@ -70,6 +73,7 @@ def read_png(read_at: ReadAt) -> ImageHeader:
         orientation=orientation,
         complete=complete,
         decoding_bytes=COPIES * width * height * pixel_bytes,
+        n_frames=n_frames,
         metadata=tuple(metadata),
     )
 

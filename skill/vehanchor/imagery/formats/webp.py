@@ -34,6 +34,7 @@ def read_webp(read_at: ReadAt) -> ImageHeader:
     metadata: list[tuple[int, int]] = []
     position = 12
     n_chunks = 0
+    n_frames = 0
     while position < end:
         head = read_at(position, 8)
         if len(head) < 8:
@@ -47,6 +48,8 @@ def read_webp(read_at: ReadAt) -> ImageHeader:
             sizes.add(_chunk_size(kind, read_at(content, 10)))
         elif kind in (b"EXIF", b"XMP "):
             metadata.append((content, length))
+        if kind == b"ANMF":
+            n_frames += 1
         if kind == b"EXIF":
             exif = read_at(content, min(length, MAX_EXIF_BYTES))
             orientation = exif_orientation(exif.removeprefix(EXIF_PREFIX))
@@ -63,6 +66,7 @@ def read_webp(read_at: ReadAt) -> ImageHeader:
         orientation=orientation,
         complete=complete,
         decoding_bytes=_PIXEL_BYTES * width * height,
+        n_frames=max(1, n_frames),
         metadata=tuple(metadata),
     )
 

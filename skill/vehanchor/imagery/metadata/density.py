@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from vehanchor.imagery.metadata.blocks import metadata_blocks
 from vehanchor.imagery.metadata.exif import read_exif
-from vehanchor.options.pixel_grid import MAX_ASPECT
+from vehanchor.options.pixel_grid import MAX_ASPECT, usable_aspect
 
 if TYPE_CHECKING:
     from vehanchor.imagery.formats.ifd import ReadAt
     from vehanchor.imagery.formats.image_header import ImageHeader
+    from vehanchor.imagery.metadata.exif import ExifTags
 
 # Start of image, application segment 0, its length, JFIF; then version, unit, both densities.
 _JFIF_BYTES = 18
@@ -33,7 +34,9 @@ _FIRST_SWAPPED = 5
 def density_aspect(read_at: ReadAt, header: ImageHeader) -> float:
     """Read the height of a pixel over its width by the densities that a file states.
 
-    JFIF and PNG have their own, TIFF and EXIF have tags. The first pair of unlike ones counts.
+    JFIF and PNG have their own, TIFF and EXIF have tags. The size of the original image in EXIF is
+    a density, too: of a copy that was resized in one direction, or cut. The first pair of unlike
+    ones counts.
 
     Args:
         read_at: reads bytes of the file.
@@ -67,7 +70,25 @@ def _densities(read_at: ReadAt, header: ImageHeader) -> list[tuple[float, float]
         resolutions = (tags.get("XResolution"), tags.get("YResolution"))
         if isinstance(resolutions[0], float) and isinstance(resolutions[1], float):
             densities.append((resolutions[0], resolutions[1]))
+        densities += _densities_of_copy(tags, header)
     return [(across, down) for across, down in densities if across > 0 and down > 0]
+
+
+def _densities_of_copy(tags: ExifTags, header: ImageHeader) -> list[tuple[float, float]]:
+    """Compute the pixels per pixel of the original image, across and down; none if unknown."""
+    width = tags.get("PixelXDimension")
+    height = tags.get("PixelYDimension")
+    if not isinstance(width, float) or not isinstance(height, float):
+        return []
+    if width <= 0 or height <= 0:
+        return []
+    across = header.width_px / width
+    down = header.height_px / height
+    # A copy that was turned may keep the size from before.
+    turned = header.width_px / height * width / header.height_px
+    if usable_aspect(across / down) == 1.0 or usable_aspect(turned) == 1.0:
+        return []
+    return [(across, down)]
 
 
 def _png_densities(read_at: ReadAt) -> tuple[int, int]:

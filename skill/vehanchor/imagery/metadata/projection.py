@@ -42,6 +42,9 @@ def stated_projection(statements: Statements) -> str:
     is_stated_perspective = bool(statements.text("ProjectionType"))
     if statements.text("FullPanoWidthPixels") and not is_stated_perspective:
         return "FullPanoWidthPixels of a panorama"
+    has_viewer = statements.text("UsePanoramaViewer").casefold() == "true"
+    if has_viewer and not is_stated_perspective:
+        return "UsePanoramaViewer True"
     if statements.whole("CustomRendered") == _APPLE_PANORAMA:
         return "CustomRendered 6, a panorama"
     for name in ("LensModel", "Lens"):

@@ -156,6 +156,7 @@ def _system_of(text: str) -> Any:
         UnusableSidecarError: the system is unknown or names a file, or rasterio is not installed.
     """
     try:
+        from rasterio import Env
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
     except ImportError as error:
@@ -166,7 +167,9 @@ def _system_of(text: str) -> Any:
     if _NAMES_A_FILE.search(text):
         raise UnusableSidecarError("its reference system names another file")
     try:
-        system = CRS.from_epsg(int(epsg[1])) if epsg else _of_wkt(text)
+        # Within it, GDAL writes nothing of the file to stderr.
+        with Env():
+            system = CRS.from_epsg(int(epsg[1])) if epsg else _of_wkt(text)
     except (CRSError, ValueError) as error:
         raise UnusableSidecarError("its reference system is unknown") from error
     return system

@@ -54,6 +54,7 @@ IN_XMP = {
     "Lens": "http://ns.adobe.com/exif/1.0/aux",
     "ProjectionType": _GPANO_NAMESPACE,
     "FullPanoWidthPixels": _GPANO_NAMESPACE,
+    "UsePanoramaViewer": _GPANO_NAMESPACE,
     "ModelType": PIX4D,
 }
 """Namespaces of the properties that makers share: tags that programs copy from EXIF into XMP under

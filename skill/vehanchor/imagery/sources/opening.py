@@ -356,7 +356,13 @@ def _read_sidecars(
 
 
 def _unused_pages(header: ImageHeader) -> tuple[RasterNote, ...]:
-    """Warn of further pages of a TIFF, of which the first is read."""
+    """Warn of further pages of a TIFF or frames of an animation, of which the first is read."""
+    if header.n_frames > 1:
+        message = (
+            f"The file is an animation of {header.n_frames} pictures, and only the first one is "
+            "read. Save the picture that you mean as a file of its own."
+        )
+        return (RasterNote("pages_unused", message),)
     if header.tiff is None or not header.tiff.other_pages:
         return ()
     pages = header.tiff.other_pages

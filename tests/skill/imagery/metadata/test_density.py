@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from tests.skill.imagery.files import EXIF_PREFIX, after_start, encoded, exif, segment
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.scale.reliability import STRETCHED_SHARE, chance_of_stretch, log_odds_by_density
 
@@ -47,6 +48,12 @@ def _with_tags(file_format: str, across: int, down: int, orientation: int = 1) -
     return file.getvalue()
 
 
+def _of_original(width_px: int, height_px: int) -> bytes:
+    """Encode an image with the size of its original in EXIF."""
+    size = {"PixelXDimension": width_px, "PixelYDimension": height_px}
+    return after_start(encoded(".jpg", _IMAGE), segment(EXIF_PREFIX + exif(size)))
+
+
 @pytest.mark.parametrize(
     ("data", "aspect"),
     [
@@ -60,6 +67,11 @@ def _with_tags(file_format: str, across: int, down: int, orientation: int = 1) -
         (_with_tags("WEBP", 72, 108), 1 / 1.5),
         (_with_tags("TIFF", 144, 72), 2.0),
         (_with_tags("TIFF", 72, 72), 1.0),
+        (_of_original(600, 400), 1.0),
+        (_of_original(601, 400), 1.0),
+        (_of_original(400, 600), 1.0),
+        (_of_original(600, 600), 1.5),
+        (_of_original(0, 400), 1.0),
     ],
 )
 def test_a_density_gives_a_hint_but_no_square_pixels(data: bytes, aspect: float) -> None:

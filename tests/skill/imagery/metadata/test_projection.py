@@ -24,6 +24,7 @@ def _projection(data: bytes) -> str:
         xmp(GPANO, 'GPano:ProjectionType="equirectangular"'),
         xmp(GPANO, "<GPano:ProjectionType>cylindrical</GPano:ProjectionType>"),
         xmp(GPANO, 'GPano:FullPanoWidthPixels="8000"'),
+        xmp(GPANO, 'GPano:UsePanoramaViewer="True"'),
         xmp(PIX4D, 'Camera:ModelType="fisheye"'),
         xmp({"aux": "http://ns.adobe.com/exif/1.0/aux/"}, 'aux:Lens="8mm f/3.5 Fish-Eye"'),
     ],
@@ -36,6 +37,7 @@ def test_a_stated_projection_is_believed(packet: bytes) -> None:
     "packet",
     [
         xmp(GPANO, 'GPano:ProjectionType="rectilinear" GPano:FullPanoWidthPixels="800"'),
+        xmp(GPANO, 'GPano:UsePanoramaViewer="False"'),
         xmp(PIX4D, 'Camera:ModelType="perspective"'),
     ],
 )

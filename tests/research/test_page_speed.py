@@ -13,7 +13,9 @@ pytestmark = pytest.mark.browser
 
 
 def test_the_page_shows_a_photograph_before_its_answer(
-    chromium: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    chromium: Any,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     names = write_photographs(tmp_path, 2)
     with viewer(tmp_path) as url:

@@ -39,6 +39,10 @@ _NOT_STARTED = (
 )
 
 
+class _EndedError(Exception):
+    """The process ended."""
+
+
 class IsolatedProcess(Generic[Input, Output]):
     """Process that works on one input at a time, and is replaced after an input has ended it.
 
@@ -76,9 +80,12 @@ class IsolatedProcess(Generic[Input, Output]):
         theirs.close()
         try:
             self._receive(report=None)
-        except (EOFError, OSError):
+        except _EndedError:
             self.close()
             raise WorkerDiedError(f"{_NOT_STARTED}. {self._remedy}") from None
+        except BaseException:
+            self.close()
+            raise
 
     def run(self, work: Input, report: Report | None = None) -> Output:
         """Work on one input.
@@ -95,9 +102,11 @@ class IsolatedProcess(Generic[Input, Output]):
         self.start()
         assert self._connection is not None
         try:
-            self._connection.send(work)
+            # A process that has ended meanwhile is noticed when its answer is received.
+            with contextlib.suppress(ConnectionError):
+                self._connection.send(work)
             output: Output = self._receive(report)
-        except (EOFError, OSError):
+        except _EndedError:
             self.close()
             raise WorkerDiedError(_CRASHED) from None
         return output
@@ -106,12 +115,14 @@ class IsolatedProcess(Generic[Input, Output]):
         """Receive messages until the work is done.
 
         Raises:
-            EOFError: the process died.
-            OSError: it died during a message.
+            _EndedError: the process ended, perhaps during a message.
         """
         assert self._connection is not None
         while True:
-            kind, content = self._connection.recv()
+            try:
+                kind, content = self._connection.recv()
+            except (EOFError, OSError):
+                raise _EndedError from None
             if kind == _RAISED:
                 raise content
             if kind != _REPORTED:
