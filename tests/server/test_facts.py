@@ -69,7 +69,7 @@ CASES = {
     "a wrong line": Case("cars.png", _lines([LINE]), "low_confidence", 0.165, "rulers_disagree"),
     "a right line": Case("cars.png", _lines([(100, 500, 400, 500, 45)]), "ok", 0.15),
     "a contradiction": Case(
-        "cars.png", _lines([(100, 500, 400, 500, 56)]), "ok", 0.185, "rulers_disagree"
+        "cars.png", _lines([(100, 500, 400, 500, 56)]), "low_confidence", 0.185, "rulers_disagree"
     ),
     "a guessed length of cars": Case(
         "cars.png",

@@ -56,7 +56,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(installation, "version", version)
     monkeypatch.setattr(installation, "check_picture", lambda engine: _record(0.15, "ok"))
     _, out = _checked()
-    assert re.search(r"rasterio\s+missing: pip install 'vehanchor\[geo\]'", out)
+    assert re.search(r"rasterio\s+missing: pip install '\.\[geo\]'", out)
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ def test_without_rasterio_the_error_names_the_extra(
     jp2: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rasterio", None)
-    with pytest.raises(MissingExtraError, match=r"vehanchor\[geo\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[geo\]'"):
         open_raster(jp2)
 
 

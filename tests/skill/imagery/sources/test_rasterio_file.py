@@ -165,7 +165,7 @@ def test_without_rasterio_a_geotiff_names_the_extra(
 ) -> None:
     with (
         without_rasterio(),
-        pytest.raises(MissingExtraError, match=r"pip install 'vehanchor\[geo\]'") as caught,
+        pytest.raises(MissingExtraError, match=r"pip install '\.\[geo\]'") as caught,
     ):
         open_raster(read(tiled_path))
     assert caught.value.code == "missing_extra"
