@@ -289,7 +289,9 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     contradictions = _contradictions(witnesses, p_right)
     chance = decision.chance
     for pair in contradictions:
-        chance = min(chance, _chance_between(witnesses, p_right, pair, decision.gsd_m_per_px))
+        chances = [p_right[k] for k in pair]
+        both = [witnesses[k] for k in pair]
+        chance = min(chance, _chance_between(both, chances, decision.gsd_m_per_px))
     decision = replace(decision, chance=chance)
     reason = None
     if not decision.usable:
@@ -422,30 +424,17 @@ def _contradictions(
     return tuple((a, b) for a, b in pairs if _exclude_each_other(witnesses[a], witnesses[b]))
 
 
-def _chance_between(
-    witnesses: Sequence[Witness],
-    p_right: Sequence[float],
-    pair: tuple[int, int],
-    gsd_m_per_px: float,
-) -> float:
-    """Compute the largest chance of a scale between two witnesses that exclude each other.
+def _chance_between(pair: Sequence[Witness], p_right: Sequence[float], gsd: float) -> float:
+    """Compute the largest chance of a scale by two witnesses that exclude each other.
 
-    In the product both can be right, one of them by an unusually large error. More likely only one
-    is: then the chance is the share of those that are within 20 % of the scale.
-
-    Args:
-        witnesses: those that found something.
-        p_right: chance of each that it is right.
-        pair: indices of the two.
-        gsd_m_per_px: the scale.
+    In the product both can be right, one by a large error. More likely only one is: then the chance
+    is the share of those that are within 20 % of the scale.
     """
     p_near = 0.0
-    for k in pair:
-        own_gsd = witnesses[k].gsd_m_per_px
-        assert own_gsd is not None
-        if abs(gsd_m_per_px - own_gsd) <= TOLERANCE * own_gsd:
-            p_near += p_right[k]
-    return p_near / sum(p_right[k] for k in pair)
+    for witness, p_witness in zip(pair, p_right, strict=True):
+        if witness.gsd_m_per_px and abs(gsd / witness.gsd_m_per_px - 1) <= TOLERANCE:
+            p_near += p_witness
+    return p_near / sum(p_right)
 
 
 def _exclude_each_other(first: Witness, second: Witness) -> bool:
