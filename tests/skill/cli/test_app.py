@@ -216,7 +216,7 @@ def test_a_defect_that_one_of_several_images_triggers_is_its_error(
             raise IndexError("list index out of range")
 
     monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
-    monkeypatch.setattr(estimated_file, "_loaded_engine", lambda _: Defect())
+    monkeypatch.setattr(ParsedOptions, "loaded_engine", lambda _: Defect())
     estimate = estimated_file._prepare_process(ParsedOptions({}))
     result = estimate(estimated_file.PhotographFile("a.png", {}, details=False), print)
     assert result.error is not None
