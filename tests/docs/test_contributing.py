@@ -110,8 +110,8 @@ def test_the_names_of_the_recipes_are_in_the_files_after_them() -> None:
 
 
 def test_a_name_that_moved_is_misplaced() -> None:
-    text = "See `BUNDLED_MODELS` in\n`skill/vehanchor/engine.py`, `load` of `tests/conftest.py`."
-    assert misplaced_names(text) == ["load in tests/conftest.py"]
+    text = "See `BUNDLED_MODELS` in\n`skill/vehanchor/models/zoo.py`, `load` of `tests/needs.py`."
+    assert misplaced_names(text) == ["load in tests/needs.py"]
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,7 @@ function show(result) {
   const record = recordOf(result);
   if (result.isError) return fail(textOf(result));
   byId("panel").setAttribute("aria-busy", "false");
-  const { sentence, contradiction } = result._meta?.[PANEL_KEY] ?? {};
-  say([contradiction && `${contradiction}.`, sentence ?? textOf(result)].filter(Boolean).join(" "));
+  say(result._meta?.[PANEL_KEY]?.sentence ?? textOf(result));
   if (!record) return byId("sections").replaceChildren();
   const scale = scaleOf(record);
   byId("subject").textContent = isArea(record) ? "area of an object" : "metric scale";

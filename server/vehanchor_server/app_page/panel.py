@@ -13,7 +13,8 @@ from pydantic import FailFast, Field
 
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
-from vehanchor.records.text import by_hand_text, contradiction_text
+from vehanchor.records.contradiction import contradiction_of
+from vehanchor.records.text import by_hand_text
 from vehanchor_server.base_model import FrozenModel
 
 if TYPE_CHECKING:
@@ -80,9 +81,24 @@ def panel_meta(
         data["drawing"] = drawing.model_dump(mode="json")
     if shown is not None:
         data["sentence"] = _sentence_for_people(shown)
-        if isinstance(shown, AreaMeasurement | GsdEstimate):
-            data["contradiction"] = contradiction_text(shown) or None
+        _add_contradiction(data, shown)
     return {PANEL_KEY: data}
+
+
+def _add_contradiction(data: dict[str, Any], shown: BaseModel) -> None:
+    """State both scales of a contradiction; of a usable result, in the sentence, too."""
+    if not isinstance(shown, AreaMeasurement | GsdEstimate):
+        return
+    contradiction = contradiction_of(shown)
+    if contradiction is None:
+        return
+    data["contradiction"] = contradiction.text
+    if shown.status != "ok":
+        return
+    parts = [contradiction.text]
+    if contradiction.premise:
+        parts.append(f"Safe to use {contradiction.premise}")
+    data["sentence"] = ". ".join([*parts, data["sentence"]])
 
 
 def _sentence_for_people(record: BaseModel) -> str | None:

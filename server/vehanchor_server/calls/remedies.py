@@ -45,7 +45,10 @@ _IN_WORDS: Mapping[Remedy, str] = {
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"
 _ON_MASK = "look at it with view_image, and give a tight box, or its outline (polygon), by eye"
-_ON_SMALL = "give its outline (polygon) from an enlarged part of the image (view_image, part)"
+_ON_SMALL = (
+    "draw it again in an enlarged part (view_image, part): a box in the frame that it states, or "
+    "its outline (polygon)"
+)
 
 
 def advice_on(record: BaseModel) -> str:

@@ -334,6 +334,23 @@ def _max_enlargement(window: "Window", request: PictureRequest) -> float:
     return max(MAX_VIEW_ENLARGEMENT, MIN_PART_SIDE_PX / long_side)
 
 
+def _frame_of_part(viewed: ViewedImage, factor: float) -> str:
+    """Describe the copy of the whole image that has the pixels of the displayed part.
+
+    A box in the pixels of that copy is as exact as it was seen: its error follows the frame.
+
+    Args:
+        viewed: a part.
+        factor: pixels of the image per pixel of the picture.
+    """
+    width = round(viewed.image_width_px / factor)
+    height = round(width * viewed.image_height_px / viewed.image_width_px)
+    return (
+        f"; in a frame of {width} x {height} px, x = {viewed.part.x_min / factor:.0f} + column, "
+        f"y = {viewed.part.y_min / factor:.0f} + row"
+    )
+
+
 def _words(viewed: ViewedImage, long_side_px: int) -> str:
     """Describe a picture to a model, with the conversion of its pixels to those of the image."""
     part = viewed.part
@@ -355,6 +372,8 @@ def _words(viewed: ViewedImage, long_side_px: int) -> str:
             f"in the image, x = {part.x_min:.0f} + {factor:.4g} * column, "
             f"y = {part.y_min:.0f} + {factor_down:.4g} * row"
         )
+        if viewed.pixel_aspect is None:
+            words += _frame_of_part(viewed, factor)
     # One pixel may be missing by rounding.
     if max(viewed.picture_width_px, viewed.picture_height_px) < long_side_px - 1:
         reason = "as large as a result may be"

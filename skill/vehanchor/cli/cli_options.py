@@ -32,6 +32,7 @@ from vehanchor.options import ScaleOptions, declared_options, models
 from vehanchor.options.option import Option
 from vehanchor.options.signature import set_signature
 from vehanchor.rulers.active import rulers_help
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -81,7 +82,7 @@ class ParsedOptions:
         if self.file is None:
             return self.typed
         try:
-            text = self.file.read_text(encoding="utf-8")
+            text = decoded(self.file.read_bytes())
             from_file = tomllib.loads(text)
         except (OSError, ValueError) as error:
             raise InvalidParameterError(

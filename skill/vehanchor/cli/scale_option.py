@@ -10,6 +10,7 @@ import typer
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.options.rulers import GSD, OBJECT_HEIGHT
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,7 +69,7 @@ def read_scale(path: Path | None, image: str) -> KnownScale | None:
     from vehanchor.records.gsd_estimate import read_known_scale
 
     try:
-        text = path.read_text(encoding="utf-8")
+        text = decoded(path.read_bytes())
         record: Any = json.loads(text)
         if isinstance(record, dict) and "photographs" in record:
             record = _scale_in(record["photographs"], image)

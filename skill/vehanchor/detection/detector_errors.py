@@ -139,9 +139,9 @@ class LookAlikeErrors(_Errors):
         logit_half_n: number of vehicles at which their mean logit counts half.
     """
 
-    log_odds: _LogOdds = -12.0
-    log_odds_per_log_n: Annotated[float, Field(ge=0.0, le=10.0)] = 4.0
-    spread_power: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
+    log_odds: _LogOdds = -13.0
+    log_odds_per_log_n: Annotated[float, Field(ge=0.0, le=10.0)] = 3.5
+    spread_power: Annotated[float, Field(ge=0.0, le=2.0)] = 1.6
     lengths: SpreadErrors = SpreadErrors(
         cars=0.106, cars_log_sd=0.3, things=0.04, things_log_sd=0.5
     )
@@ -150,8 +150,8 @@ class LookAlikeErrors(_Errors):
     )
     tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.45, things=8.0, things_log_sd=0.9)
     mean_logit: _LogOdds = 3.4
-    log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 6.0
-    logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 9.0
+    log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 10.0
+    logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 4.0
 
 
 class StretchLimits(_Errors):

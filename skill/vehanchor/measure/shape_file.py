@@ -21,6 +21,7 @@ from vehanchor.measure.shapes import (
     read_shapes,
 )
 from vehanchor.options import ImageLimits
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     import os
@@ -57,7 +58,7 @@ def read_shape_file(
             return _read_ids(file, limits or ImageLimits())
         if suffix in _TEXTS:
             check_bytes(file.stat().st_size, _MAX_TEXT_BYTES)
-            text = file.read_text(encoding="utf-8-sig")
+            text = decoded(file.read_bytes())
             if text.count("[") + text.count("{") > _MAX_CONTAINERS:
                 raise PromptError(
                     f"it has more than {_MAX_CONTAINERS} lists and objects: keep those of the image"

@@ -84,12 +84,13 @@ _EXPONENT = 1.5
 
 # Chance of a tilt by few cars: a camera on a pole looks ahead, with the far cars above.
 _UPRIGHT_TILTS_DEG = np.arange(25.0, 61.0, 5.0)
-# Spread of the log sizes of few cars over that of one fleet, the share of other vehicles and their
-# spread, and the largest number of cars that counts. Choices.
+# Spread of the log sizes of few cars over that of one fleet, and the share of other vehicles and
+# their spread. Choices.
 _FEW_CARS_SPREAD = 1.2
 _OTHERS_SHARE = 0.1
 _OTHERS_LOG_SD = 0.45
-_MAX_COUNTED = 20.0
+# Fewest and most cars for it; more tell every tilt.
+_FEW_CARS = (2, 2 * MIN_CARS)
 # Log sizes of the image's centre, relative to the median car.
 _CENTRE_LOG_SIZES = np.arange(-1.5, 1.5, 0.02)
 # Least share of the scale at the image's centre: rows at the horizon have none.
@@ -336,9 +337,10 @@ def _upright_tilt(
         log_size_sd: as in ``suspected_tilt``.
 
     Returns:
-        None for fewer than two cars.
+        None for fewer than two cars, and for many.
     """
-    if len(boxes) < 2:
+    fewest, most = _FEW_CARS
+    if not fewest <= len(boxes) <= most:
         return None
     places = (boxes[:, 1] - height_px / 2) / focal_px
     areas = boxes[:, 2] * boxes[:, 3]
@@ -369,8 +371,7 @@ def _log_likelihood(log_sizes: Lengths, log_sd: float) -> float:
     cars = np.exp(-0.5 * (deviations / log_sd) ** 2) / log_sd
     others = np.exp(-0.5 * (deviations / _OTHERS_LOG_SD) ** 2) / _OTHERS_LOG_SD
     logs = np.log((1.0 - _OTHERS_SHARE) * cars + _OTHERS_SHARE * others)
-    counted_share = min(1.0, _MAX_COUNTED / len(log_sizes))
-    return float(np.logaddexp.reduce(counted_share * logs.sum(axis=0)))
+    return float(np.logaddexp.reduce(logs.sum(axis=0)))
 
 
 def unknown_tilt_chance(

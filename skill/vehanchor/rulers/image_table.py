@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from vehanchor.imagery.sources.files import canonical_path
+from vehanchor.storage.text import decoded
 
 if TYPE_CHECKING:
     import os
@@ -29,9 +30,6 @@ _MAX_BYTES = 64 << 20
 # A choice above what spreadsheets of measurements have.
 _MAX_COLUMNS = 1_000
 _DELIMITERS = (",", ";", "\t")
-_BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
-# Encoding of the spreadsheets of Western Europe, if a table is not UTF-8.
-_OTHER_ENCODING = "cp1252"
 _STATED_DELIMITER = re.compile(r"sep=.\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 
@@ -120,7 +118,7 @@ def read_table(content: bytes, needed: Sequence[str]) -> Table:
         csv.Error: it is not a CSV, has too many columns or one column twice, or a line has more
             cells than columns.
     """
-    with io.StringIO(_decoded(content), newline="") as handle:
+    with io.StringIO(decoded(content), newline="") as handle:
         delimiter = _delimiter(handle, needed)
         reader = csv.DictReader(handle, delimiter=delimiter)
         columns = _with_current_name(reader.fieldnames or ())
@@ -146,16 +144,6 @@ def read_table(content: bytes, needed: Sequence[str]) -> Table:
                 cells = _with_decimal_points(cells)
             lines.append((reader.line_num, cells))
     return Table(columns, lines)
-
-
-def _decoded(content: bytes) -> str:
-    """Decode a table of UTF-8, UTF-16 with a byte order mark, or Windows-1252."""
-    if content.startswith(_BYTE_ORDER_MARKS):
-        return content.decode("utf-16")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode(_OTHER_ENCODING)
 
 
 def _delimiter(handle: io.StringIO, needed: Sequence[str]) -> str:

@@ -68,8 +68,8 @@ def mask_notices(
         yield Notice(
             code=NoticeCode.MASK_DEPENDS_ON_BOX,
             message=f"A box {segmentation.box_error_px:.2g} px wider or tighter changes the area "
-            f"by a factor of up to {factor:.2g}. The object is small: draw its outline as a "
-            "polygon in an enlarged part of the image, or use a larger copy if there is one.",
+            f"by a factor of up to {factor:.2g}. The object is small: draw the box in an enlarged "
+            "copy, and give its size as the frame, or draw the outline as a polygon.",
         )
     yield from edge_notices(raster, segmentation)
     outside = _share_outside(segmentation, prompt)

@@ -232,9 +232,11 @@ async def test_people_get_a_sentence_without_warnings_or_argument_names(
     assert sentences == {
         "two": "2 vehicles alone: too little evidence; give the region, or include one more car.",
         "empty": "No car was found; draw a line over something of known size, if any is in sight, "
-        "or give the camera's height, or another photograph of the same flight with cars.",
+        "or give the camera's height and focal length, or another photograph of the same flight "
+        "with cars.",
         "cars": "Vehicles and known length contradict each other; check the facts that you gave, "
-        "or draw a measured line. Vehicles corrected by hand: 8 dropped.",
+        "or draw a measured line, or if they are right, measure a second length, or the height. "
+        "Vehicles corrected by hand: 8 dropped.",
     }
 
 

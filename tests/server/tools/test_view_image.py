@@ -132,6 +132,23 @@ async def test_a_part_is_shown_enlarged_with_the_way_back_in_words(
     assert np.abs(middle - [40, 140, 210]).max() < 30
 
 
+async def test_a_part_states_the_frame_in_which_its_pixels_count(
+    server: MCPServer[object], images: Path
+) -> None:
+    result = await asked(server, images / "pool.png", part=POOL_BOX, long_side_px=400)
+    viewed = facts_in(result)
+    stated = re.search(
+        r"in a frame of (\d+) x (\d+) px, x = (\d+) \+ column, y = (\d+) \+ row", text_of(result)
+    )
+    assert stated is not None
+    width, height, left, top = map(int, stated.groups())
+    image_px = viewed["image_width_px"] / width
+    assert height * image_px == pytest.approx(viewed["image_height_px"], abs=image_px)
+    assert left * image_px == pytest.approx(POOL_BOX["x_min"], abs=image_px)
+    assert top * image_px == pytest.approx(POOL_BOX["y_min"], abs=image_px)
+    assert viewed["picture_width_px"] * image_px == pytest.approx(60, abs=image_px)
+
+
 async def test_a_part_beyond_the_image_is_clipped(server: MCPServer[object], images: Path) -> None:
     beyond = {"x_min": 300, "y_min": 100, "x_max": 5000, "y_max": 300}
     viewed = facts_in(await asked(server, images / "pool.png", part=beyond))

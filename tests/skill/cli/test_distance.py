@@ -78,6 +78,18 @@ def test_points_may_be_fractions_of_the_sides(place: tuple[Path, Path], scale_fi
     assert distances[1] == pytest.approx(distances[0])
 
 
+def test_files_that_a_console_of_windows_wrote_are_read(
+    place: tuple[Path, Path], scale_file: Path, tmp_path: Path
+) -> None:
+    scale = tmp_path / "scale.json"
+    scale.write_text(scale_file.read_text(), encoding="utf-16")
+    options = tmp_path / "options.toml"
+    options.write_text("", encoding="utf-8-sig")
+    code, out, _ = run("distance", place[0], *POINTS, "--scale", scale, "--options", options)
+    assert code == 0
+    assert " m " in out
+
+
 @pytest.mark.parametrize("text", ["{}", "no json", '{"scale": null}', "[]"])
 def test_a_file_without_a_scale_is_refused(
     place: tuple[Path, Path], tmp_path: Path, text: str

@@ -70,6 +70,12 @@ def test_a_file_of_very_many_empty_lists_is_refused(
         read_shape_file(file, str(photo))
 
 
+def test_shapes_may_have_another_encoding(photo: Path, tmp_path: Path) -> None:
+    file = tmp_path / "shapes.json"
+    file.write_text(json.dumps(COCO), encoding="utf-16")
+    assert len(_areas(file, photo)) == 2
+
+
 def test_of_equal_names_in_folders_the_path_decides(photo: Path, tmp_path: Path) -> None:
     own_name = f"{tmp_path.name}/photo.png"
     images = [

@@ -173,7 +173,7 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
         taken_width_px = None
         taken_height_px = None
     off_nadir, roll = _attitude(statements, makers)
-    latitude, longitude = _position(tags)
+    latitude, longitude = _position(statements, makers, tags)
     return CameraMetadata(
         make=make,
         model=model,
@@ -263,21 +263,47 @@ def _attitude(statements: Statements, makers: Sequence[Maker]) -> TwoAngles:
     return None, None
 
 
-def _position(tags: Sequence[ExifTags]) -> TwoAngles:
-    """Get latitude and longitude from the first block with a position; None if one is invalid."""
+def _position(
+    statements: Statements, makers: Sequence[Maker], tags: Sequence[ExifTags]
+) -> TwoAngles:
+    """Get latitude and longitude from EXIF, or else from a maker's properties.
+
+    Returns:
+        Degrees; None if there is none, or if it is invalid.
+    """
     with_position = (block for block in tags if "GPSLatitude" in block)
-    block = next(with_position, {})
+    block = next(with_position, None)
+    if block is not None:
+        return _checked_position(*_position_in_exif(block))
+    for maker in makers:
+        for latitude_name, longitude_name in maker.positions:
+            latitude = statements.quantity(maker, latitude_name, DEGREES)
+            longitude = statements.quantity(maker, longitude_name, DEGREES)
+            if latitude is not None and longitude is not None:
+                return _checked_position(latitude, longitude)
+    return None, None
+
+
+def _position_in_exif(block: ExifTags) -> TwoAngles:
+    """Get latitude and longitude of a block, with the signs of their hemispheres."""
     latitude = block.get("GPSLatitude")
     longitude = block.get("GPSLongitude")
     if not isinstance(latitude, float) or not isinstance(longitude, float):
-        return None, None
-    has_no_fix = latitude == longitude == 0
-    if has_no_fix or latitude > 90 or longitude > 180:
         return None, None
     if block.get("GPSLatitudeRef") == "S":
         latitude = -latitude
     if block.get("GPSLongitudeRef") == "W":
         longitude = -longitude
+    return latitude, longitude
+
+
+def _checked_position(latitude: float | None, longitude: float | None) -> TwoAngles:
+    """Return a position on Earth; None for others, and without a fix."""
+    if latitude is None or longitude is None:
+        return None, None
+    has_no_fix = latitude == longitude == 0
+    if has_no_fix or abs(latitude) > 90 or abs(longitude) > 180:
+        return None, None
     return latitude, longitude
 
 

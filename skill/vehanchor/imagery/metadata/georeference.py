@@ -265,19 +265,26 @@ def _by_degrees(
     Returns:
         Its transform to degrees; None if the projection has no degrees there.
     """
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import RasterioError
     from rasterio.warp import transform as reproject
 
     a, b, _, d, e, _ = transform
     xs = [x, x + a, x + b]
     ys = [y, y + d, y + e]
-    longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
+    if max(map(abs, (*xs, *ys))) > _MAX_COORDINATE:
+        return None
+    try:
+        longitudes, latitudes = reproject(crs, "EPSG:4326", xs, ys)
+    except (CPLE_BaseError, RasterioError, ValueError):  # outside the projection
+        return None
     longitude, longitude_right, longitude_below = longitudes
     latitude, latitude_right, latitude_below = latitudes
     if not all(map(math.isfinite, (*longitudes, *latitudes))):
         return None
     in_degrees = (
-        longitude_right - longitude,
-        longitude_below - longitude,
+        _step_deg(longitude, longitude_right),
+        _step_deg(longitude, longitude_below),
         0.0,
         latitude_right - latitude,
         latitude_below - latitude,
@@ -285,6 +292,11 @@ def _by_degrees(
     )
     latitude_m, longitude_m = metres_per_degree(latitude)
     return _MetricTransform(in_degrees, longitude_m, latitude_m)
+
+
+def _step_deg(first_deg: float, second_deg: float) -> float:
+    """Compute the difference of two longitudes, which jump by a full turn at the 180th meridian."""
+    return (second_deg - first_deg + 180) % 360 - 180
 
 
 def is_in_pixels(collection: Mapping[str, Any]) -> bool:

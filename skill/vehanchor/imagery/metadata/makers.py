@@ -32,6 +32,7 @@ class Maker(NamedTuple):
         centre_px: column of the optical centre in the same pixels.
         focal: focal length in the unit of the property of the same name and ``Units``.
         focal_unit: unit of ``focal`` without that property.
+        positions: pairs of latitude and longitude, degrees, positive to the north and east.
         makes: first words of EXIF's Make, in lower case, to which the row is limited; empty for
             all.
     """
@@ -47,6 +48,7 @@ class Maker(NamedTuple):
     centre_px: str = ""
     focal: str = ""
     focal_unit: str = "mm"
+    positions: tuple[tuple[str, str], ...] = ()
     makes: tuple[str, ...] = ()
 
     @property
@@ -60,9 +62,13 @@ class Maker(NamedTuple):
             self.centre_px,
             self.focal,
             f"{self.focal}Units" if self.focal else "",
+            *(name for pair in self.positions for name in pair),
         )
         return tuple(name for name in names if name)
 
+
+_POSITIONS = (("GpsLatitude", "GpsLongitude"), ("GpsLatitude", "GpsLongtitude"))
+"""Names of DJI, the second of which it misspelt for some years."""
 
 _NO_DOCUMENT = "read so by OpenAthena; no document of the maker"
 
@@ -76,6 +82,7 @@ MAKERS: tuple[Maker, ...] = (
         roll="GimbalRollDegree",
         focal_px="CalibratedFocalLength",
         centre_px="CalibratedOpticalCenterX",
+        positions=_POSITIONS,
     ),
     Maker(
         name="Autel",
@@ -86,6 +93,7 @@ MAKERS: tuple[Maker, ...] = (
         roll="GimbalRollDegree",
         focal_px="CalibratedFocalLength",
         centre_px="CalibratedOpticalCenterX",
+        positions=_POSITIONS,
     ),
     Maker(
         name="Skydio",

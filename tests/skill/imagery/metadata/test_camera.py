@@ -323,6 +323,19 @@ def test_an_invalid_position_is_not_used(damage: dict[str, object]) -> None:
     assert camera.latitude_deg is None
 
 
+@pytest.mark.parametrize("longitude", ["GpsLongitude", "GpsLongtitude"])
+def test_a_position_in_xmp_alone_is_read(longitude: str) -> None:
+    packet = xmp(DJI, f'drone-dji:GpsLatitude="-41.5" drone-dji:{longitude}="+81.25"')
+    camera = _camera(jpeg(exif=exif({"Make": "DJI"}), xmp=packet))
+    assert (camera.latitude_deg, camera.longitude_deg) == (-41.5, 81.25)
+
+
+def test_the_position_in_exif_goes_first() -> None:
+    packet = xmp(DJI, 'drone-dji:GpsLatitude="-41.5" drone-dji:GpsLongitude="+81.25"')
+    camera = _camera(jpeg(exif=exif(POSITION), xmp=packet))
+    assert camera.latitude_deg == pytest.approx(LATITUDE_DEG)
+
+
 TABLE_TEXT = files("vehanchor.imagery.metadata").joinpath("sensors.toml").read_text("utf-8")
 CAMERAS = tomllib.loads(TABLE_TEXT)["camera"]
 MODELS = [

@@ -93,6 +93,11 @@ TRUE_AT_42 = "+proj=merc +lat_ts=42 +lon_0=0 +ellps=WGS84 +units=m"
     [
         ("EPSG:32631", Affine(0.25, 0, 5e5, 0, -0.25, 5e6), 0.25),
         ("EPSG:2154", Affine(0.2, 0, 1_020_000, 0, -0.2, 6_280_000), 0.2),
+        # The pixels at the centre of the image lie on both sides of the 180th meridian.
+        ("EPSG:3832", Affine(0.25, 0, 3_339_559.6, 0, -0.25, 12.5), 0.25),
+        # Outside the projection, its unit counts.
+        ("EPSG:32631", Affine(1, 0, 9e8, 0, -1, 9e8), 1.0),
+        ("EPSG:3035", Affine(0.2, 0, 9e8, 0, -0.2, 9e8), 0.2),
         ("EPSG:2263", Affine(0.5, 0, 980_000, 0, -0.5, 200_000), 0.5 * US_SURVEY_FOOT_M),
         ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, 5_396_012.5), WEB_PX),
         ("EPSG:3857", Affine(0.25, 0, 780_000, 0, -0.25, -5_395_987.5), WEB_PX),

@@ -8,12 +8,17 @@ from typing import Any
 import pytest
 
 from research.benchmarks.page import measure_page, table, viewer, write_photographs
+from tests.server.app_page.conftest import chromium
+
+__all__ = ["chromium"]
 
 pytestmark = pytest.mark.browser
 
 
 def test_the_page_shows_a_photograph_before_its_answer(
-    chromium: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    chromium: Any,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     names = write_photographs(tmp_path, 2)
     with viewer(tmp_path) as url:
