@@ -213,8 +213,8 @@ def _by_page(address: Address, image: Path, facts: dict[str, Any]) -> Outcome:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _tagged(_images: Path) -> None:
-    """Write photographs without cars whose files state a camera."""
+def _tagged(_images: Path) -> Iterator[None]:
+    """Write photographs without cars whose files state a camera, for this module only."""
     rgb = cv2.imread(str(_images / "empty.png"))
     assert rgb is not None
     _, encoded = cv2.imencode(".jpg", rgb)
@@ -224,6 +224,10 @@ def _tagged(_images: Path) -> None:
             packet = xmp({"drone-dji": "http://www.dji.com/drone-dji/1.0/"}, properties)
             blocks += segment(XMP_PREFIX + packet)
         (_images / name).write_bytes(after_start(encoded.tobytes(), blocks))
+    yield
+    # Tests of other modules list the folder.
+    for name in _TAGGED:
+        (_images / name).unlink()
 
 
 @pytest.fixture(scope="module")
