@@ -338,12 +338,18 @@ class Raster(ABC):
         if clauses:
             note = RasterNote("pixels_stretched", "; ".join(clauses))
             self.warnings = (*self.warnings, note)
-        if sample.size == 0 or sample.min() == sample.max():
+        if sample.size == 0:
+            darkest = brightest = 0
+        else:
+            darkest, brightest = sample.min(), sample.max()
+        # One comparison at a time: np.isin takes several times the memory of the sample.
+        n_extreme = np.count_nonzero(sample == darkest) + np.count_nonzero(sample == brightest)
+        if darkest == brightest:
             self._warn_of_nothing(
                 "All sampled pixels have one value, so that nothing can be seen: check that the "
                 "file is complete and was exported with its picture."
             )
-        elif np.isin(sample, (sample.min(), sample.max())).all():
+        elif n_extreme == sample.size:
             self._warn_of_nothing(
                 "The image has two values only, such as black and white, so that hardly anything "
                 "can be seen: give it with its grey levels or colours."

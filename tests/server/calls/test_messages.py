@@ -163,7 +163,7 @@ def test_a_worker_that_was_taken_over_does_not_freeze_the_server(field: str, ite
         parts = [*[honest] * header.drawing, hostile]
         with pipe[1], sent_over(pipe, *parts), pytest.raises((MessageError, OSError)):
             receive_reply(pipe[0], header, Value if header.drawing else AreaMeasurement)
-        assert time.process_time() - started < 0.5
+        assert time.process_time() - started < 2
 
 
 def test_only_the_first_fault_is_told(pipe: tuple[Connection, Connection]) -> None:
