@@ -18,9 +18,8 @@ from vehanchor.records.gsd_estimate import read_known_scale
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera import height_log_sd
 from vehanchor.rulers.camera_tilt import ground_plane, metadata_tilt
-from vehanchor.rulers.stated_scale import stated_witness
+from vehanchor.rulers.stated_scale import is_comparable, stated_witness
 from vehanchor.scale.defaults import MAX_GSD_M_PER_PX, MIN_GSD_M_PER_PX, USABLE_CHANCE
-from vehanchor.scale.density import on_grid
 from vehanchor.scale.lengths import Z95, Spread
 from vehanchor.scale.posterior import judge
 from vehanchor.scale.reliability import GEOREFERENCE_LOG_SD, RELIABILITY
@@ -297,7 +296,7 @@ def _is_contradicted(file_scale: StatedScale, analysis: ScaleAnalysis) -> bool:
     if not estimate.n_vehicles and estimate.status != "ok":
         return False
     gsd = file_scale.gsd_m_per_px
-    if not on_grid(gsd):
+    if not is_comparable(file_scale):
         return estimate.status == "ok"
     together = judge([*analysis.witnesses, stated_witness(file_scale)])
     assert together is not None
@@ -320,9 +319,9 @@ def _use_stated_scale(
     judged = stated._replace(gsd_m_per_px=1.0, tolerance=relative_tolerance)
     decision = judge([stated_witness(judged)])
     assert decision is not None
-    # Off the grid there is no posterior: interval and chance stand for it.
+    # Where no ruler can be, there is no posterior: interval and chance stand for it.
     posterior = None
-    if on_grid(gsd):
+    if is_comparable(stated):
         posterior = stated_witness(stated).density
     spread = Spread.of_interval(gsd, gsd - stated.tolerance, gsd + stated.tolerance)
     scale = MeasurementScale(

@@ -39,17 +39,21 @@ class StatedScale(Ruler):
         return stated_witness(stated)
 
 
+def is_comparable(stated: Stated) -> bool:
+    """Test whether rulers can have all scales within the tolerance of a stated one."""
+    low = stated.gsd_m_per_px - stated.tolerance
+    high = stated.gsd_m_per_px + stated.tolerance
+    return on_grid(low) and on_grid(high)
+
+
 def stated_witness(stated: Stated) -> Witness:
     """Make the witness of a stated scale.
 
     Raises:
-        InvalidParameterError: the interval of the scale reaches beyond the range in which rulers
-            are compared.
+        InvalidParameterError: the scale is not comparable with rulers.
     """
     # A density that the end of the grid cuts would have another median than the stated scale.
-    low = stated.gsd_m_per_px - stated.tolerance
-    high = stated.gsd_m_per_px + stated.tolerance
-    if not on_grid(low) or not on_grid(high):
+    if not is_comparable(stated):
         raise InvalidParameterError(
             f"gsd_m_per_px is {stated.gsd_m_per_px:g} +- {stated.tolerance:.2g}: rulers are "
             f"compared from {math.exp(GRID[0]):.3g} to {math.exp(GRID[-1]):.3g} m/px. Check its "

@@ -469,7 +469,7 @@ def test_the_command_reads_the_height_of_an_object(tmp_path: Path) -> None:
     assert json.loads(result.stdout)["distance_m"] == pytest.approx(20)
 
 
-@pytest.mark.parametrize("gsd", [0.0001, 0.1, 50, 1000])
+@pytest.mark.parametrize("gsd", [0.0001, 0.003, 0.0031, 0.1, 2.9, 50, 1000])
 def test_a_measured_scale_of_any_size_has_one_chance(gsd: float) -> None:
     record = _with_measured_scale(gsd)
     usual = _with_measured_scale(0.2)
