@@ -64,13 +64,11 @@ _MIN_STRIP_EDGE = 0.7
 # Share of the pictures that may have the strip's colour.
 _MAX_SAME_COLOUR = 0.10
 # Corners of insets: length of both arms over the shorter side, its least in pixels, and the share
-# of them with steps. Long arms need a smaller share. With frames, 4 of 968 usable photographs with
-# a right scale have a seam or corner, 1 of them by long arms or frames. Of 30 insets without a
-# frame 8 are found, 2 without long arms.
+# of them with steps. Long arms need a smaller share. ``research/results/notes.md`` has the shares
+# that are found.
 _CORNERS = ((0.15, 40, 0.75), (0.25, 100, 0.60))
 # Corners of frames: lines of one colour, up to nine pixels wide, between pictures. The range of
-# their grey values in a window of a line, and the length and share of both arms. 23 of 60 insets
-# with a frame of one or two pixels are found.
+# their grey values in a window of a line, and the length and share of both arms.
 _FRAME_RANGE = 8
 _FRAME_WINDOW_PX = 15
 _FRAME_REACH_PX = 5
