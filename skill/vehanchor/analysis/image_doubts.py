@@ -1,17 +1,21 @@
-"""Doubts about the whole image, before a ruler measures: whether it is one perspective view."""
+"""Doubts about the whole image, before a ruler measures: one perspective view, and photographed."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from vehanchor.imagery.drawing import drawing_chance_around
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.imagery.seams import find_seam
 from vehanchor.records.notices import NoticeCode
 
 if TYPE_CHECKING:
+    from vehanchor.detection.detections import Detections
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.seams import Seam
+    from vehanchor.rulers.ruler import View
 
 
 def with_image_doubts(
@@ -43,6 +47,12 @@ def with_image_doubts(
         if seam is not None:
             notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES, _several_pictures(seam)))
     return facts._replace(notices=(*facts.notices, *notes))
+
+
+def with_detections(view: View, raster: Raster, detections: Detections) -> View:
+    """Add the vehicles of an image, and judge by their surroundings whether they are drawn."""
+    chance = drawing_chance_around(raster, detections.boxes, view.drawing_chance)
+    return replace(view, detections=detections, drawing_chance=chance)
 
 
 def _several_pictures(seam: Seam) -> str:
