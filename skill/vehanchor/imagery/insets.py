@@ -49,7 +49,7 @@ _LEAST_STRENGTH = -0.5
 # Pixels from the middle of a line to both sides, and along it to where it has the same colour.
 _LINE_REACH_PX = 3
 _ALONG_PX = (2, 5)
-# Columns and rows of which rectangles consist, and the share of the shorter side over which the
+# Columns and rows that bound rectangles, and the share of the shorter side over which the
 # border of a candidate is averaged.
 _MAX_LINES = 9
 _LINE_SHARE = 0.18
