@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from vehanchor.imagery.horizon import find_horizon
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.imagery.seams import find_seam
 from vehanchor.records.notices import NoticeCode
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.seams import Seam
+    from vehanchor.rulers.ruler import View
 
 
 def with_image_doubts(
@@ -25,7 +27,7 @@ def with_image_doubts(
         facts: facts of the image.
         raster: the same image, open.
         metadata: whether the metadata may be used.
-        check_seams: whether to look for seams between pictures.
+        check_seams: whether to look for seams between pictures, and for the horizon.
     """
     notes = []
     camera = facts.camera if metadata else None
@@ -42,7 +44,24 @@ def with_image_doubts(
         seam = find_seam(raster)
         if seam is not None:
             notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES, _several_pictures(seam)))
+        horizon_px = find_horizon(raster)
+        if horizon_px is not None:
+            notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE, _horizon_visible(horizon_px)))
     return facts._replace(notices=(*facts.notices, *notes))
+
+
+def shows_horizon(view: View) -> bool:
+    """Test whether a view has the horizon in it, and no single scale."""
+    codes = [notice.code for notice in view.image.notices]
+    return view.tilt is None and NoticeCode.HORIZON_VISIBLE in codes
+
+
+def _horizon_visible(row_px: int) -> str:
+    """Warn of the horizon, and say where it is."""
+    return (
+        f"The horizon is in the image, at y = {row_px} px: this is an oblique view, and no scale "
+        "holds for all of it. Give a photograph that was taken straight down."
+    )
 
 
 def _several_pictures(seam: Seam) -> str:
