@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
+import re
+import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +26,9 @@ from vehanchor.imagery.raster import Raster
 from vehanchor.models.session import run_session
 
 ROOT = Path(__file__).parent.parent
+_OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]
+LONGER = frozenset(re.findall(r"not (\w+)", _OPTIONS["ini_options"]["addopts"]))
+"""Markers of the tests that a plain ``pytest`` leaves out."""
 MOST_WORKERS = 4  # each loads everything once
 CHROMIUM_START_MS = 120_000
 
@@ -30,8 +37,57 @@ CHROMIUM_START_MS = 120_000
 hypothesis.settings.register_profile("vehanchor", deadline=None)
 hypothesis.settings.load_profile("vehanchor")
 
+# The modules and tests that are collected stay to the end; to look through them again and again for
+# garbage took as long as to collect them.
+gc.disable()
+
 # Typer colours its help for GitHub's log where it finds this; the tests read plain text.
 os.environ.pop("GITHUB_ACTIONS", None)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import only the files of a marker: ``-m nginx`` needs one of two hundred."""
+    marker = config.option.markexpr
+    is_test = collection_path.match("test_*.py")
+    if marker in LONGER and is_test and not has_marker(collection_path, marker):
+        return True
+    return None
+
+
+@cache
+def has_marker(path: Path, marker: str) -> bool:
+    """Test whether a file of tests names a marker, or imports a module of ``tests`` that does."""
+    text = path.read_text(encoding="utf-8")
+    return any(name in text for name in (f"mark.{marker}", *_modules_with(marker)))
+
+
+@cache
+def _modules_with(marker: str) -> tuple[str, ...]:
+    paths = [path for path in ROOT.glob("tests/**/*.py") if not path.name.startswith("test_")]
+    return tuple(
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in paths
+        if f"mark.{marker}" in path.read_text(encoding="utf-8")
+    )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse a test that ``pytest_ignore_collect`` would not find by its marker."""
+    for item in items:
+        for marker in LONGER.intersection(mark.name for mark in item.iter_markers()):
+            if not has_marker(item.path, marker):
+                raise pytest.UsageError(
+                    f"{item.nodeid} is marked {marker} by what its file does not name: write "
+                    f"pytest.mark.{marker} in the file, or import the module of tests that does"
+                )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop() -> None:
+    """Keep what was collected out of the search for garbage, which goes on here."""
+    gc.enable()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -356,6 +356,7 @@ class Raster(ABC):
             )
 
     def _warn_of_nothing(self, message: str) -> None:
+        """Warn that the picture shows nothing."""
         self.warnings = (*self.warnings, RasterNote("nothing_visible", message))
 
 

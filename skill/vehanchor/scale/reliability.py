@@ -90,6 +90,14 @@ HILL_LOG_SD = 0.45
 """Standard deviation of the log of the height above take-off over that above the ground, on a hill:
 from half to double the height. A choice."""
 
+ROOF_CHANCE = 0.25
+"""Chance that a laser range finder, which measures in the middle of the image, meets a roof, a tree
+or a pit and not the ground. A choice: about the share of roofs and trees in towns."""
+
+ROOF_SD_M = 10.0
+"""Standard deviation, in metres, of a height by a laser that does not meet the ground. A choice:
+three storeys. With it, a height of 50 m and more is usable by itself."""
+
 _ROUGH = 0.10
 """Standard deviation of the log scale by a guess. A choice."""
 
@@ -113,6 +121,12 @@ RELIABILITY: dict[str, Reliability] = {
         source="height above take-off over level ground, beside LEVEL_SD_M; a choice",
     ),
     "camera, tilt unknown": Reliability(_ROUGH, 0.25, n=0, source="a choice"),
+    "laser": Reliability(
+        0.005,
+        _HEIGHT_WRONG,
+        n=0,
+        source="DJI states 0.2 m and 0.15 % for Matrice 30 and 4; beside LEVEL_SD_M and ROOF_SD_M",
+    ),
     "positions": Reliability(
         0.02, _NOT_MEASURED, n=0, source="a choice; 31 pairs of photographs agree within 2 %"
     ),
