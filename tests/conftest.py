@@ -112,7 +112,7 @@ class _Remembered:
         cancelled = runtime.cancellation is not None and runtime.cancellation.requested
         if cancelled or _BUNDLED not in described:
             return ran()
-        inputs = [hashlib.sha256(np.ascontiguousarray(feed)).digest() for feed in feeds.values()]
+        inputs = [hashlib.sha256(feed.tobytes()).digest() for feed in feeds.values()]
         key = described, runtime.threads, *inputs
         if key not in self._answers:
             self._keep(key, ran())
