@@ -103,4 +103,5 @@ def _ridges_across(
     before = levels[: -2 * flank]
     after = levels[2 * flank :]
     ridges = inner - np.maximum(before, after)
-    return np.asarray(ridges, np.float32), across_m[flank:-flank]
+    places_m = np.asarray(across_m[flank:-flank], np.float64)
+    return np.asarray(ridges, np.float32), places_m

@@ -296,11 +296,11 @@ def _tilted(tilt_deg: float, consequence: str) -> Notice:
 
 def cropped(image: ImageFacts, camera: CameraMetadata, consequence: str) -> Notice:
     """Warn that the image is a crop of the photograph, and of the consequence."""
-    return Notice(
-        code=NoticeCode.CAMERA_UNUSABLE,
-        message=(
-            f"The image is a crop: the photograph had {camera.taken_width_px} x "
-            f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. "
-            f"Therefore {consequence}. Give the original."
-        ),
-    )
+    cause = camera.crop
+    if not cause:
+        cause = (
+            f"the photograph had {camera.taken_width_px} x {camera.taken_height_px} px, the image "
+            f"has {image.width_px} x {image.height_px}"
+        )
+    message = f"The image is a crop: {cause}. Therefore {consequence}. Give the original."
+    return Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)

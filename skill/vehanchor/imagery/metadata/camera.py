@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, metadata_blocks
+from vehanchor.imagery.metadata.crop import stated_crop
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.makers import MAKERS, makers_of
 from vehanchor.imagery.metadata.projection import stated_projection
@@ -95,6 +96,8 @@ class CameraMetadata:
             unknown.
         projection: what the file states of a picture that is not one perspective view, such as
             "ProjectionType equirectangular"; empty for a perspective view.
+        crop: what shows that the image is a part of the photograph, as a clause; empty if nothing
+            does.
         refused: why metadata were not used, as clauses with semicolons; empty if all was read.
         is_film: whether the facts are those of a film, whose mode may use a part of the sensor.
     """
@@ -119,6 +122,7 @@ class CameraMetadata:
     roll_deg: float | None = None
     taken_at: str = ""
     projection: str = ""
+    crop: str = ""
     refused: str = ""
     is_film: bool = False
 
@@ -138,7 +142,7 @@ def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
             xmp.append(packet_of_tiff)
     packets, refused = _read_packets(xmp)
     statements = Statements(tags, packets, refused)
-    camera = _combine(statements, tags)
+    camera = _combine(statements, tags, header)
     return None if camera == CameraMetadata() else camera
 
 
@@ -162,7 +166,9 @@ def _read_packets(xmp: Sequence[bytes]) -> tuple[list[Properties], list[str]]:
     return packets, [reason for reason in reasons if reason not in ignored]
 
 
-def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata:
+def _combine(
+    statements: Statements, tags: Sequence[ExifTags], header: ImageHeader
+) -> CameraMetadata:
     """Combine the statements of all blocks."""
     make = statements.text("Make")
     model = statements.text("Model")
@@ -208,6 +214,7 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
         longitude_deg=longitude,
         taken_at=statements.text("DateTimeOriginal"),
         projection=stated_projection(statements),
+        crop=stated_crop(statements, header),
         refused="; ".join(dict.fromkeys(statements.refused)),
     )
 
