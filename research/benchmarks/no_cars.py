@@ -1,9 +1,12 @@
-"""Count answers on rendered pictures without cars: ``python -m research.benchmarks.no_cars``.
+"""Count answers on rendered pictures without whole cars: ``python -m research.benchmarks.no_cars``.
 
-Every ``ok`` is a mistake, even if its value is near the truth by chance. ``--set`` chooses:
+``--set`` chooses:
 
 * ``look-alikes``: rows and scatters of equal things that are not cars, such as graves, boats and
-  carts (``research.scenes.look_alikes``).
+  carts (``research.scenes.look_alikes``). Every ``ok`` is a mistake, even if its value is near the
+  truth by chance;
+* ``covered``: cars that the edge of a canopy, of a bridge or of a shadow cuts, half of the scenes
+  with further cars in the open (``research.scenes.covered``).
 
 Prints Markdown; ``--record`` keeps it.
 """
@@ -14,6 +17,7 @@ import argparse
 from typing import TYPE_CHECKING, NamedTuple
 
 from research.results.record import add_record_option, header, recording
+from research.scenes.covered import covered
 from research.scenes.look_alikes import look_alikes
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
@@ -51,7 +55,17 @@ def pictures_of_look_alikes() -> Iterator[Picture]:
         yield Picture(rendered.name, rendered.kind, scene.image, gsd_m_per_px=scene.gsd_m_per_px)
 
 
-SETS: dict[str, Callable[[], Iterator[Picture]]] = {"look-alikes": pictures_of_look_alikes}
+def pictures_of_covered_cars() -> Iterator[Picture]:
+    """Render the recorded scenes of cars that an edge cuts."""
+    for rendered in covered():
+        scene = rendered.scene
+        yield Picture(rendered.name, rendered.cover, scene.image, gsd_m_per_px=scene.gsd_m_per_px)
+
+
+SETS: dict[str, Callable[[], Iterator[Picture]]] = {
+    "look-alikes": pictures_of_look_alikes,
+    "covered": pictures_of_covered_cars,
+}
 
 
 class Count(NamedTuple):

@@ -20,7 +20,7 @@ import numpy as np
 from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
 from vehanchor.detection.detections import Appearance, Objects
-from vehanchor.detection.hidden_ends import edge_strengths, hidden_log_sds
+from vehanchor.detection.hidden_ends import cut_chances, edge_strengths, hidden_errors
 from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
 
@@ -171,8 +171,8 @@ def with_appearance(
 ) -> Examined:
     """Replace the boxes of candidates by those of their bodies, and score them again.
 
-    The length of a body that ends at a straight edge is less certain: a roof or a shadow may hide
-    a part of it.
+    The length of a short body that ends at a straight edge is less certain: a roof may hide a part
+    of it.
     A drawn thing is not a car: the chance of that lowers the score.
 
     Args:
@@ -194,11 +194,10 @@ def with_appearance(
     chips = candidate_chips(raster, examined)
     answers = network.answers(chips, views=n_views)
     appearance = read_appearance(examined, answers, image_px)
-    ends = CHIP_COLUMNS / 2 + answers.edges[:, :2] * CHIP_LENGTH_PX
-    hidden = hidden_log_sds(edge_strengths(chips, ends))
+    hidden_means, hidden_sds = _hidden_errors(chips, examined, answers, image_px)
     appearance = Appearance(
-        appearance.log_lengths,
-        np.hypot(appearance.log_sds, hidden),
+        appearance.log_lengths - hidden_means,
+        np.hypot(appearance.log_sds, hidden_sds),
         logits=appearance.logits,
         tones=body_tones(chips),
         work_chances=answers.work_chances,
@@ -248,6 +247,26 @@ def read_appearance(boxes: Boxes, answers: ChipAnswers, image_px: tuple[int, int
     log_sds = np.sqrt(metres_sds**2 + edge_variances)
     log_lengths = mean_log_gsd + np.log(sizes_px[:, 0])
     return Appearance(log_lengths, log_sds, answers.logit)
+
+
+def _hidden_errors(
+    chips: Chips, boxes: Boxes, answers: ChipAnswers, image_px: tuple[int, int]
+) -> tuple[Answers, Answers]:
+    """Compute means and standard deviations ``[n]`` of the log of what roofs hide of bodies.
+
+    Args:
+        chips: ``[n, 64, 96, 3]`` uint8 RGB.
+        boxes: ``[n, 5]`` candidates, pixels and radians.
+        answers: answers for these candidates.
+        image_px: width and height of the image.
+    """
+    ends = CHIP_COLUMNS / 2 + answers.edges[:, :2] * CHIP_LENGTH_PX
+    strengths = edge_strengths(chips, ends)
+    proportions = answers.sizes[:, 0] / answers.sizes[:, 1]
+    # What the image border cuts has its own error.
+    is_cut_by_border = _cut_by_border(bodies(boxes, answers), image_px)[:, 0]
+    chances = np.where(is_cut_by_border, 0.0, cut_chances(strengths, proportions))
+    return hidden_errors(strengths, chances)
 
 
 def _cut_by_border(boxes: Boxes, image_px: tuple[int, int]) -> NDArray[np.bool_]:

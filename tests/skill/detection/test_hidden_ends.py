@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vehanchor.detection.hidden_ends import edge_strengths, hidden_log_sds
+from vehanchor.detection.hidden_ends import cut_chances, edge_strengths, hidden_errors
 
 ENDS = np.array([[30.0, 66.0]])
 
@@ -53,12 +53,48 @@ def test_the_colours_of_the_car_are_no_edge() -> None:
     assert _strength(_chip()) < 1.0
 
 
+def test_cars_beside_a_car_hide_no_edge() -> None:
+    """Cars in a third of the rows have edges of their own."""
+    chip = _roofed(66)
+    chip[44:50, 20:66] = (40, 40, 45)
+    assert _strength(chip) > 4 * _strength(_chip())
+
+
+# --- Chance and error
+
+
+WHOLE = 2.6
+"""Length over width of a car."""
+
+
+def _chance(strength: float, proportion: float) -> float:
+    return float(cut_chances(np.array([strength]), np.array([proportion]))[0])
+
+
+def test_a_short_body_at_an_edge_is_probably_cut() -> None:
+    assert _chance(3.0, 1.9) > 0.9
+
+
+def test_a_body_of_usual_proportions_is_hardly_ever_cut() -> None:
+    assert _chance(0.5, WHOLE) < 0.01
+
+
+@pytest.mark.parametrize(("strength", "proportion"), [(0.5, 2.2), (3.0, WHOLE)])
+def test_proportions_or_an_edge_alone_are_doubtful(strength: float, proportion: float) -> None:
+    assert _chance(strength, proportion) < 0.4
+
+
+def test_a_cut_car_is_longer_than_it_seems_by_an_uncertain_part() -> None:
+    means, log_sds = hidden_errors(np.zeros(3), np.array([0.0, 0.5, 1.0]))
+    assert means == pytest.approx([0.0, 0.05, 0.1])
+    assert log_sds[0] < 0.001
+    assert (log_sds[1:] > 0.1).all()
+
+
 def test_the_error_rises_smoothly_with_the_edge() -> None:
-    log_sds = hidden_log_sds(np.linspace(0, 5, 200))
-    steps = np.diff(log_sds)
-    assert (steps > 0).all()
-    assert steps.max() < 0.01
-
-
-def test_without_an_edge_there_is_no_further_error() -> None:
-    assert hidden_log_sds(np.array([0.5]))[0] < 0.002
+    strengths = np.linspace(0, 5, 200)
+    chances = cut_chances(strengths, np.full(200, 2.2))
+    means, log_sds = hidden_errors(strengths, chances)
+    assert (np.diff(chances) > 0).all()
+    assert np.diff(means).max() < 0.01
+    assert np.abs(np.diff(log_sds)).max() < 0.01
