@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import ast
-import re
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.conftest import (
+    LONGER,
+    ROOT,
+    has_marker,
+    pytest_collection_modifyitems,
+)
 from tests.needs import needed_module, needed_program
 
 CLOCKS = {"monotonic", "perf_counter", "process_time", "time", "thread_time"}
-_OPTIONS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"][
-    "ini_options"
-]
-LONGER = set(re.findall(r"not (\w+)", _OPTIONS["addopts"]))
 
 
 def _marks(nodes: list[ast.expr]) -> set[str]:
@@ -70,6 +69,27 @@ def test_no_quick_test_asserts_how_long_something_took() -> None:
 
 def _test_files() -> list[Path]:
     return sorted((ROOT / "tests").rglob("test_*.py"))
+
+
+@pytest.mark.parametrize(
+    ("file", "marker", "named"),
+    [
+        ("packaging/test_nginx.py", "nginx", True),
+        ("packaging/test_nginx.py", "slow", False),
+        ("skill/records/test_interop.py", "slow", True),  # by the cases of tests.records
+    ],
+)
+def test_a_file_names_its_markers_or_the_module_that_sets_them(
+    file: str, marker: str, named: bool
+) -> None:
+    assert has_marker(ROOT / "tests" / file, marker) is named
+
+
+def test_a_marker_that_its_file_does_not_name_is_refused(request: pytest.FixtureRequest) -> None:
+    item = request.node
+    item.add_marker("qgis")
+    with pytest.raises(pytest.UsageError, match="is marked qgis"):
+        pytest_collection_modifyitems([item])
 
 
 PROGRAM = "a-program-that-nobody-has"

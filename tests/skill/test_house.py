@@ -9,6 +9,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import product
 from pathlib import Path
@@ -89,13 +90,20 @@ def _modules() -> dict[str, Path]:
 
 
 MODULES = _modules()
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
 
-RESEARCH = {
-    path: ast.parse(path.read_text(encoding="utf-8"))
-    for path in sorted((ROOT / "research").rglob("*.py"))
-}
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def _trees() -> dict[str, ast.Module]:
+    """The modules of library and server, parsed."""
+    return {name: _tree(path) for name, path in MODULES.items()}
+
+
+def _research() -> list[Path]:
+    return sorted((ROOT / "research").rglob("*.py"))
 
 
 def _below(name: str, package: str) -> bool:
@@ -120,7 +128,10 @@ def _imported(tree: ast.Module) -> set[str]:
     return names
 
 
-IMPORTS = {name: _imported(tree) for name, tree in TREES.items()}
+@cache
+def _imports() -> dict[str, set[str]]:
+    """What each module of library and server imports."""
+    return {name: _imported(tree) for name, tree in _trees().items()}
 
 
 def _room(name: str) -> str:
@@ -133,7 +144,7 @@ def _rooms(package: str) -> dict[str, set[str]]:
     members = [name for name in MODULES if _below(name, package)]
     rooms: dict[str, set[str]] = {_room(name): set() for name in members}
     for name in members:
-        imported = {_room(module) for module in IMPORTS[name] if module in members}
+        imported = {_room(module) for module in _imports()[name] if module in members}
         rooms[_room(name)] |= imported - {_room(name)}
     return rooms
 
@@ -147,7 +158,7 @@ def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunction
 def test_no_import_is_relative() -> None:
     nodes = (
         (name, node)
-        for name, tree in TREES.items()
+        for name, tree in _trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom)
     )
@@ -155,7 +166,7 @@ def test_no_import_is_relative() -> None:
 
 
 def test_no_import_comes_back_to_where_it_began() -> None:
-    graph = {name: imported & MODULES.keys() for name, imported in IMPORTS.items()}
+    graph = {name: imported & MODULES.keys() for name, imported in _imports().items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -218,7 +229,7 @@ def test_a_package_imports_only_what_it_may(package: str) -> None:
     for name in MODULES:
         if not _below(name, package) or _is_below_any(name, COMMANDS[1:]):
             continue
-        for imported in IMPORTS[name]:
+        for imported in _imports()[name]:
             if _is_below_any(imported, FORBIDDEN[package]):
                 offences.append(f"{name} imports {imported}")
     assert not offences
@@ -229,7 +240,7 @@ def test_only_commands_import_the_command_line() -> None:
     for name in MODULES:
         if _is_below_any(name, (*COMMANDS, "vehanchor.__main__")):
             continue
-        if any(_is_below_any(module, ("vehanchor.cli", "typer")) for module in IMPORTS[name]):
+        if any(_is_below_any(module, ("vehanchor.cli", "typer")) for module in _imports()[name]):
             offences.append(name)
     assert not offences
 
@@ -249,8 +260,7 @@ def test_the_product_imports_no_research_and_its_tests_only_scenes(
     for path in (ROOT / folder).rglob("*.py"):
         if ROOT / "tests/research" in path.parents:
             continue
-        imported = _imported(ast.parse(path.read_text(encoding="utf-8")))
-        if any(_is_below_any(module, laboratories) for module in imported):
+        if any(_is_below_any(module, laboratories) for module in _imported(_tree(path))):
             offences.append(path)
     assert not offences
 
@@ -258,16 +268,16 @@ def test_the_product_imports_no_research_and_its_tests_only_scenes(
 def test_no_module_is_too_long_to_be_read_at_once() -> None:
     lengths = {
         path: len(path.read_text(encoding="utf-8").splitlines())
-        for path in (*MODULES.values(), *RESEARCH)
+        for path in (*MODULES.values(), *_research())
     }
     assert not {path: lines for path, lines in lengths.items() if lines > MODULE_LINES}
 
 
 def test_every_function_fits_a_screen() -> None:
     lengths = {
-        f"{name}.{function.name}": (function.end_lineno or 0) - function.lineno + 1
-        for name, tree in [*TREES.items(), *RESEARCH.items()]
-        for function in _functions(tree)
+        f"{path}: {function.name}": (function.end_lineno or 0) - function.lineno + 1
+        for path in (*MODULES.values(), *_research())
+        for function in _functions(_tree(path))
     }
     assert not {name: lines for name, lines in lengths.items() if lines > FUNCTION_LINES}
 

@@ -50,6 +50,13 @@ Pictures of another shape leave out a fifth of the columns.
 """
 
 
+_MEASURED = "normal"
+"""Status of a laser that measured; a target out of reach is ``TooFar``, with a distance of 0."""
+
+_LEAST_LASER_M = 3.0
+"""Least distance that DJI's laser range finders measure (DJI Mobile SDK)."""
+
+
 def _xmp_names() -> tuple[str, ...]:
     """List the properties to find in XMP, each once; some programs flatten structures."""
     of_makers = dict.fromkeys(name for maker in MAKERS for name in maker.names)
@@ -70,6 +77,9 @@ class CameraMetadata:
         height_m: metres above take-off, or above ground if the maker knows it; never above sea
             level.
         height_tag: maker and property of the height, for example ``DJI RelativeAltitude``.
+        laser_m: metres in a straight line to what the optical axis meets, by a laser range finder
+            that states that it measured.
+        laser_tag: maker and property of that distance.
         focal_mm: focal length, millimetres.
         focal_35mm: focal length of a 35 mm camera with the same view, millimetres.
         focal_px: calibrated focal length, pixels of the original image.
@@ -96,6 +106,8 @@ class CameraMetadata:
     model: str = ""
     height_m: float | None = None
     height_tag: str = ""
+    laser_m: float | None = None
+    laser_tag: str = ""
     focal_mm: float | None = None
     focal_35mm: float | None = None
     focal_px: float | None = None
@@ -162,6 +174,7 @@ def _combine(
     model = statements.text("Model")
     makers = makers_of(make)
     height_m, height_tag = _first_quantity(statements, makers, field="height", units=METRES)
+    laser_m, laser_tag = _laser(statements, makers)
     focal_px, _ = _first_quantity(statements, makers, field="focal_px", units=PIXELS)
     centre_px, _ = _first_quantity(statements, makers, field="centre_px", units=PIXELS)
     focal_mm = statements.lens_number("FocalLength")
@@ -185,6 +198,8 @@ def _combine(
         model=model,
         height_m=height_m,
         height_tag=height_tag,
+        laser_m=laser_m,
+        laser_tag=laser_tag,
         focal_mm=focal_mm,
         focal_35mm=statements.lens_number("FocalLengthIn35mmFilm"),
         focal_px=focal_px,
@@ -219,6 +234,17 @@ def _first_quantity(
         value = statements.quantity(maker, name, units)
         if value is not None:
             return value, f"{maker.name} {name}"
+    return None, ""
+
+
+def _laser(statements: Statements, makers: Sequence[Maker]) -> tuple[float | None, str]:
+    """Read the distance by a laser that measured, and the maker's and the property's name."""
+    for maker in makers:
+        if not maker.laser or statements.word(maker, maker.laser_status) != _MEASURED:
+            continue
+        distance_m = statements.quantity(maker, maker.laser, METRES)
+        if distance_m is not None and distance_m >= _LEAST_LASER_M:
+            return distance_m, f"{maker.name} {maker.laser}"
     return None, ""
 
 

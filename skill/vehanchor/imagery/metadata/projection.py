@@ -26,7 +26,7 @@ _APPLE_PANORAMA = 6
 _FISHEYE = re.compile(r"fish.?eye", re.IGNORECASE)
 _SHOWN_CHARS = 32
 _GOPRO_LINEAR_FROM_35MM = 18.0
-"""Shortest 35 mm equivalent of GoPro's linear views; wide ones state 14 to 16. A choice."""
+"""Shortest 35 mm equivalent of linear fields of view, a choice: wide ones state 14 to 16."""
 
 
 def stated_projection(statements: Statements) -> str:

@@ -157,6 +157,11 @@ class Statements:
                 values.append(value)
         return self._agreed(label, values, _TEXT_TOLERANCE)
 
+    def word(self, maker: Maker, name: str) -> str:
+        """Read a maker's property as a word in lower case; empty if it is missing or ambiguous."""
+        words = {text.strip().casefold() for text in self._texts_of(maker, name)}
+        return words.pop() if len(words) == 1 else ""
+
     def focal(self, maker: Maker) -> tuple[float | None, str]:
         """Read a maker's focal length with its unit, ``mm`` or ``px``."""
         units_name = f"{maker.focal}Units"

@@ -70,8 +70,9 @@ def test_a_cog_with_jpeg_colours_is_read(tmp_path: Path) -> None:
 
 
 def test_a_plain_tiff_is_read_in_a_compression_that_opencv_lacks(tmp_path: Path) -> None:
-    plain = {"crs": None, "transform": None, "compress": "WEBP", "WEBP_LOSSLESS": "YES"}
-    path = geotiff(tmp_path / "a.tif", RGB, **plain)
+    path = geotiff(
+        tmp_path / "a.tif", RGB, crs=None, transform=None, compress="WEBP", WEBP_LOSSLESS="YES"
+    )
     np.testing.assert_array_equal(read_all(path), RGB)
 
 
