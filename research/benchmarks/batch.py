@@ -85,7 +85,7 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
         run_batch(
             [str(folder)], table, engine=engine, workers=workers, runtime=Runtime(progress=tell)
         )
-        rows = Counter(json.loads(line)["file"] for line in table.read_text().splitlines())
+        rows = Counter(json.loads(line)["photograph"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
     came = times[1:]  # the first call tells that there is none yet
     # Timing starts after the first row, so rows that come with it do not count.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _SIZE_PX = (1632, 1224)
 _GSD_M_PER_PX = 0.1
-# Seconds that issue 68 asks for, on two quiet cores.
+# Seconds that we aim for, on two quiet cores.
 _AIMS_S = {"photograph": 0.5, "answer": 1.5, "switch": 0.1}
 _SHIFT_PX = 37
 

@@ -76,7 +76,7 @@ def search(environment: Path, rounds: int) -> list[Row]:
             values = [
                 table.value(f"{int(vehicles.replace(',', ''))} / {tool}", column) for tool in _TOOLS
             ]
-            rows.append((f"search with {vehicles} vehicles: {column}", "1.03", values))
+            rows.append((f"search with {vehicles} vehicles: {column}", "1.05", values))
     values = [f"{table.value(f'2000 / {tool}', 'peak MiB')} MiB" for tool in _TOOLS]
     return [*rows, ("peak memory with 2,000 vehicles", "", values)]
 

@@ -7,9 +7,12 @@ nearly the same ground the ratio of two heights above one take-off is that of th
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from vehanchor.scale.reliability import RELIABILITY
 from vehanchor_flight.matching import Match, Overlap
@@ -51,6 +54,10 @@ class _Station(NamedTuple):
     side_m: float
 
 
+_Step: TypeAlias = tuple[_Station, _Station]
+"""A station and the neighbour that it is linked to."""
+
+
 def link_by_height(
     photographs: Sequence[Photograph],
     overlaps: Sequence[Overlap],
@@ -75,44 +82,66 @@ def link_by_height(
         return []
     groups = _groups(len(photographs), overlaps)
     stations = _stations(photographs, positions)
-    reached = {
+    supporting = {
         group
         for group, photograph in zip(groups, photographs, strict=True)
         if photograph.analysis.estimate.status == "ok"
     }
-    several = {group for group in groups if groups.count(group) > 1}
-    links: list[Overlap] = []
-    for further in (set(), several):
-        reached |= further
-        # Each new link can bring further neighbours within reach.
-        while new_links := _links_to(reached, groups, stations, positions):
-            reached.update(new_links)
-            links += [_overlap(*step, photographs) for step in new_links.values()]
-    return links
+    steps = _chain(supporting, groups, stations, positions)
+    supporting |= {group for group, size in Counter(groups).items() if size > 1}
+    steps += _chain(supporting, groups, stations, positions)
+    return [_overlap(station, neighbour, photographs) for station, neighbour in steps]
 
 
 def _groups(n_photographs: int, overlaps: Sequence[Overlap]) -> list[int]:
-    """Number the groups of photographs that overlaps connect, by their first photographs."""
-    groups = list(range(n_photographs))
-    for overlap in overlaps:
-        first, second = sorted((groups[overlap.first], groups[overlap.second]))
-        groups = [first if group == second else group for group in groups]
-    return groups
+    """Number the groups of photographs that overlaps connect."""
+    first = [overlap.first for overlap in overlaps]
+    second = [overlap.second for overlap in overlaps]
+    entries = (np.ones(len(overlaps)), (first, second))
+    adjacency = csr_matrix(entries, shape=(n_photographs, n_photographs))
+    _, groups = connected_components(adjacency, directed=False)
+    numbers: list[int] = groups.tolist()
+    return numbers
 
 
-def _links_to(
+def _chain(
     supporting: set[int],
     groups: Sequence[int],
     stations: Sequence[_Station],
     positions: Positions,
-) -> dict[int, tuple[_Station, _Station]]:
+) -> list[_Step]:
+    """Step from the supporting groups to neighbours, and from these to theirs.
+
+    Args:
+        supporting: numbers of groups; those that are reached join them.
+        groups: number of the group of each photograph.
+        stations: photographs of known place and camera.
+        positions: as in ``link_by_height``.
+
+    Returns:
+        One step for each group that is reached.
+    """
+    chain: list[_Step] = []
+    while steps := _steps_to(supporting, groups, stations, positions):
+        supporting.update(steps)
+        chain += steps.values()
+    return chain
+
+
+def _steps_to(
+    supporting: set[int],
+    groups: Sequence[int],
+    stations: Sequence[_Station],
+    positions: Positions,
+) -> dict[int, _Step]:
     """Find the shortest step from each other group to a neighbour in one of the supporting ones.
 
     Returns:
         The station and its neighbour, by the number of the other group.
     """
     supports = [station for station in stations if groups[station.photograph] in supporting]
-    steps: dict[int, tuple[float, _Station, _Station]] = {}
+    steps: dict[int, _Step] = {}
+    distances_m: dict[int, float] = {}
     for station in stations:
         group = groups[station.photograph]
         if group in supporting:
@@ -121,9 +150,10 @@ def _links_to(
         if neighbour is None:
             continue
         distance_m = _distance_m(station, neighbour, positions)
-        if group not in steps or distance_m < steps[group][0]:
-            steps[group] = (distance_m, station, neighbour)
-    return {group: (station, neighbour) for group, (_, station, neighbour) in steps.items()}
+        if distance_m < distances_m.get(group, math.inf):
+            distances_m[group] = distance_m
+            steps[group] = (station, neighbour)
+    return steps
 
 
 def _stations(photographs: Sequence[Photograph], positions: Positions) -> list[_Station]:
@@ -171,6 +201,7 @@ def _neighbour(
 
 
 def _distance_m(station: _Station, other: _Station, positions: Positions) -> float:
+    """Compute the distance of two stations."""
     step = positions[other.photograph] - positions[station.photograph]
     return float(np.hypot(*step))
 

@@ -41,17 +41,19 @@ _LEAST_ZOOM_IN_UNITS = 1000.0
 
 _TIME = re.compile(r"(\d{1,3}):(\d{2}):(\d{2})[,.](\d{3}) *-->")
 _NUMBER = r"([-+]?\d{1,9}(?:\.\d{1,9})?)"
+# A number that goes on, such as 40,8 or 1.2.3, is not read: its decimals would be lost.
+_END = r"(?![\d.]|,\d)"
 # A bounded number of blanks keeps the time of a search proportional to the text.
 _COLON = r" {0,3}: {0,3}"
 _HEIGHTS = {
-    "rel_alt": re.compile(rf"\brel_alt{_COLON}{_NUMBER}(?![\d.])"),
-    "BAROMETER": re.compile(rf"\bBAROMETER{_COLON}{_NUMBER}(?![\d.])"),
+    "rel_alt": re.compile(rf"\brel_alt{_COLON}{_NUMBER}{_END}"),
+    "BAROMETER": re.compile(rf"\bBAROMETER{_COLON}{_NUMBER}{_END}"),
     "H": re.compile(rf"(?:^|[ ,])H[ :]{{0,3}}{_NUMBER} ?m\b(?!/)"),
 }
-_FOCAL = re.compile(rf"\bfocal_len{_COLON}(\d{{1,5}}(?:\.\d{{1,3}})?)(?![\d.])")
-_ZOOM = re.compile(rf"\bdzoom_ratio{_COLON}{_NUMBER}(?![\d.])")
-_PITCH = re.compile(rf"\b(?:gb|gimbal)_pitch{_COLON}{_NUMBER}(?![\d.])")
-_ROLL = re.compile(rf"\b(?:gb|gimbal)_roll{_COLON}{_NUMBER}(?![\d.])")
+_FOCAL = re.compile(rf"\bfocal_len{_COLON}(\d{{1,5}}(?:\.\d{{1,3}})?){_END}")
+_ZOOM = re.compile(rf"\bdzoom_ratio{_COLON}{_NUMBER}{_END}")
+_PITCH = re.compile(rf"\b(?:gb|gimbal)_pitch{_COLON}{_NUMBER}{_END}")
+_ROLL = re.compile(rf"\b(?:gb|gimbal)_roll{_COLON}{_NUMBER}{_END}")
 
 
 @dataclass(frozen=True)

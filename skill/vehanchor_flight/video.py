@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm"})
 _N_TRIALS = 5  # Frames that are compared for one photograph.
 _SHARPNESS_SIDE_PX = 640
+_QUARTER_TURN_DEG = 90
 _MOV_ATOMS = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
 _MATROSKA_SIGNATURE = b"\x1a\x45\xdf\xa3"
 # Each packet of an MPEG transport stream begins with this byte; cameras put four bytes before it.
@@ -132,7 +133,10 @@ def sample_video(
             n_photographs += 1
             yield _photograph(path, sharpest, rate, facts)
         if number == 0:
-            raise ImageDecodeError(f"the video {path!r} has no readable frame")
+            raise ImageDecodeError(
+                f"the video {path!r} has no frame that can be decoded here, such as in AV1: "
+                f"{_CONVERSION}"
+            )
         if n_photographs == 0:
             raise ImageDecodeError(
                 f"the frames of the video {path!r} are of one colour each, or damaged: "
@@ -278,12 +282,18 @@ def _check_frame(width: int, height: int, limits: ImageLimits) -> None:
 
 
 def _pixel_aspect(film: cv2.VideoCapture) -> float:
-    """Read the height of a film's pixel over its width; 1 if it is unknown or absurd."""
+    """Read the height of a frame's pixel over its width; 1 if it is unknown or absurd.
+
+    The sample aspect ratio is that of the stored frame, which OpenCV turns as the file asks for.
+    """
     across = film.get(cv2.CAP_PROP_SAR_NUM)
     down = film.get(cv2.CAP_PROP_SAR_DEN)
     if across <= 0 or down <= 0:
         return 1.0
     aspect = down / across
+    is_turned = film.get(cv2.CAP_PROP_ORIENTATION_META) % 180 == _QUARTER_TURN_DEG
+    if is_turned and film.get(cv2.CAP_PROP_ORIENTATION_AUTO):
+        aspect = 1 / aspect
     if not 1 / MAX_ASPECT <= aspect <= MAX_ASPECT:
         return 1.0
     return usable_aspect(aspect)

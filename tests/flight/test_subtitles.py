@@ -52,6 +52,7 @@ def test_each_layout_gives_height_and_lens(
         "[abs_alt: 145.2]",
         "[rel_alt: nan abs_alt: 1]",
         "[rel_alt: 1.2.3 abs_alt: 1]",
+        "[rel_alt: 40,800 abs_alt: 111,639]",
         "[rel_alt: 99999999999999999999 abs_alt: 1]",
         "H.S 2.75m/s, V.S 0.00m/s",
         "Hello, this is a film of 12 m",

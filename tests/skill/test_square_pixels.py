@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import vehanchor
 from tests.models import POOL, pool_among_cars
-from tests.oblong import ASPECT, anamorphic_film, in_degrees
+from tests.oblong import ASPECT, anamorphic_film, in_degrees, turn_film
 from vehanchor.cli.app import app
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.measure.targets import Target, measure_targets
@@ -247,6 +247,15 @@ def test_a_film_has_its_displayed_size(tmp_path: Path) -> None:
     assert pixels.shape == (600, 799, 3)
     rows, columns = np.nonzero((np.abs(pixels.astype(int) - (40, 140, 210)) < 40).all(axis=2))
     assert (np.ptp(rows) + 1) / (np.ptp(columns) + 1) == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_turned_film_has_its_displayed_size(tmp_path: Path) -> None:
+    frame = np.zeros((600, 562, 3), np.uint8)
+    frame[:300] = 255
+    path = anamorphic_film(tmp_path / "film.mp4", [frame] * 12, (64, 45))
+    turn_film(path)
+    (photograph,) = sample_video(str(path), 2.0)
+    assert np.asarray(photograph.image).shape == (799, 600, 3)
 
 
 def test_a_film_of_square_pixels_keeps_its_size(tmp_path: Path) -> None:

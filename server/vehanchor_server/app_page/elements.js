@@ -30,6 +30,7 @@ const number = (value) => threeDigits.format(value); // measured: its zeros say 
 const round = (value) => roundNumber.format(value); // chosen: scale bars
 const whole = (value) => new Intl.NumberFormat("en").format(value);
 const counted = (n, noun) => `${whole(n)} ${noun}${n === 1 ? "" : "s"}`;
+const withCapital = (words) => words[0].toUpperCase() + words.slice(1);
 const PREMISE = document.body.dataset.intervalPremise; // of the interval of a scale
 
 const STATUS = { ok: "Safe to use", low_confidence: "Low confidence: do not use", no_scale: "No metric scale", failed: "No result" };

@@ -36,7 +36,7 @@ function features(record, drawing) {
 }
 
 const INKS = {
-  kept: "#56b4e9", stated: "#56b4e9", outlier: "#e69f00", removed: "#c8ccd2", mark: "#00be8a", object: "#cc79a7", measured: "#f0e442", fit: "#4fd1a5", untrusted: "#c8ccd2",
+  kept: "#56b4e9", stated: "#56b4e9", outlier: "#e69f00", removed: "#c8ccd2", mark: "#00be8a", object: "#cc79a7", measured: "#f0e442", fit: "#009e73", untrusted: "#c8ccd2",
 };
 
 function captionOf(record) {

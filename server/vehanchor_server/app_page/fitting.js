@@ -1,19 +1,19 @@
 // ---- Must fit: a typed size, placed in every measured object ----
 
-const MUST_FIT = /^(\d+\.?\d*|\.\d+)(?:[x×*](\d+\.?\d*|\.\d+))?$/;
+const MUST_FIT = /^(\d+\.?\d*|\.\d+)(?:[x×*](\d+\.?\d*|\.\d+))?(m|ft)?$/;
 const FIT_FORMS = "Type a diameter, such as 10, or length x width, such as 12 x 5.";
 const CIRCLE_CORNERS = 90;
 
 let mustFit; // the shape, as the tool takes it; it stays when another photograph is chosen
 
-// Read a size in the unit of lengths: undefined for none, null for what is no size.
+// Read a size, in its own unit or else in that of lengths: undefined for none, null for other text.
 function readMustFit(text) {
-  const plain = text.toLowerCase().replaceAll(",", ".").replace(/\s|(m|ft)$/g, "");
+  const plain = text.toLowerCase().replaceAll(",", ".").replace(/\s/g, "");
   if (!plain) return undefined;
-  const sizes = MUST_FIT.exec(plain)?.slice(1).filter(Boolean).map(typedMetres);
-  if (!sizes?.every((size) => size > 0)) return null;
-  const [length, width] = sizes;
-  return width === undefined ? { diameter_m: length } : { length_m: length, width_m: width };
+  const [, length, width, unit = lengthUnit()] = MUST_FIT.exec(plain) ?? [];
+  const sizes = [length, width].filter(Boolean).map((side) => Number(side) * LENGTHS[unit].metres);
+  if (!sizes.length || !sizes.every((size) => size > 0)) return null;
+  return width === undefined ? { diameter_m: sizes[0] } : { length_m: sizes[0], width_m: sizes[1] };
 }
 
 const sidesOf = ({ diameter_m: diameter, length_m: length, width_m: width }) => (diameter ? [diameter] : [length, width]);
@@ -58,6 +58,7 @@ function fitForm(place, tell) {
       return;
     }
     mustFit = wanted;
+    size.value = typedMustFit();
     place();
   });
   const note = (words) => html("span", { class: "note" }, words);

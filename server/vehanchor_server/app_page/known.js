@@ -2,17 +2,18 @@
 
 // Ask for the length of a drawn line, or for what it measures, then repeat all measurements with it.
 function lengthForm(record, tell) {
-  const metres = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": `${lengthName()[0].toUpperCase()}${lengthName().slice(1)} between both ends` });
+  const label = `${withCapital(lengthName())} between both ends`;
+  const typed = html("input", { type: "number", min: "0.01", max: "100000", step: "any", "aria-label": label });
   const things = byId("known-sizes").content.cloneNode(true);
   const what = html("select", { "aria-label": "What the line measures" }, html("option", { value: "" }, "a length"), things);
   const measured = html("input", { type: "checkbox" });
   const basis = html("label", {}, measured, " measured by tape, plan or survey ");
   const missing = html("span", { class: "note" }, "The tick is missing: the length counts as assumed, and cars can outweigh it. ");
   measured.addEventListener("change", () => { missing.hidden = measured.checked; });
-  const length = html("label", {}, metres, ` ${unitOf("length")} `);
+  const length = html("label", {}, typed, ` ${unitOf("length")} `);
   let line;
   const measure = button("Measure again", () => {
-    const value = typedMetres(metres.value);
+    const value = typedMetres(typed.value);
     if (!what.value && !(value > 0)) {
       tell(`Enter the length in ${lengthName()}, or choose what the line measures.`);
       return;
@@ -23,14 +24,19 @@ function lengthForm(record, tell) {
   });
   // No form element: hosts' sandboxes block forms.
   const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, missing, measure);
-  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); missing.hidden = measured.checked || Boolean(what.value); });
-  metres.addEventListener("keydown", (event) => {
+  what.addEventListener("change", () => {
+    const isNamed = Boolean(what.value);
+    length.hidden = isNamed;
+    basis.hidden = isNamed;
+    missing.hidden = isNamed || measured.checked;
+  });
+  typed.addEventListener("keydown", (event) => {
     if (event.key === "Enter") measure.click();
   });
   const ask = (ends) => {
     line = ends;
     row.hidden = false;
-    metres.focus();
+    typed.focus();
   };
   return { row, ask, hide: () => { row.hidden = true; } };
 }

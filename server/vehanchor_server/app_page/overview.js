@@ -45,12 +45,11 @@ async function measureAll() {
 let rewriteTable = () => {};
 unitsChanged.push(() => rewriteTable());
 
-// Why there is no usable scale: the error, what contradicts the file, or the first clause of the sentence for people.
+// The error, what contradicts the file, or why there is no usable scale.
 function reasonOf(result) {
   if (result.isError) return textOf(result);
-  const { sentence, contradiction } = result._meta?.[PANEL_KEY] ?? {};
-  if (contradiction) return contradiction;
-  return recordOf(result).status === "ok" ? "" : (sentence ?? "").split(/[;.]/)[0];
+  const { reason, contradiction } = result._meta?.[PANEL_KEY] ?? {};
+  return contradiction ?? reason ?? "";
 }
 
 function tableRow({ path, record, reason }) {

@@ -70,9 +70,10 @@ def panel_meta(
         drawing: shapes over the image; None for a stated scale.
         record: the whole record, if the result is compact.
         shown: the record that the page shows; a sentence for people states the basis of its scale,
-            or what the scale lacks. ``contradiction`` is the text of the batch table's column.
+            or what the scale lacks. ``reason`` is the problem of an estimate that is not usable,
+            and ``contradiction`` the text of the batch table's column.
     """
-    names = ("picture_jpeg", "drawing", "record", "sentence", "contradiction")
+    names = ("picture_jpeg", "drawing", "record", "sentence", "reason", "contradiction")
     data: dict[str, Any] = dict.fromkeys(names)
     data["record"] = record
     if picture is not None:
@@ -81,6 +82,7 @@ def panel_meta(
         data["drawing"] = drawing.model_dump(mode="json")
     if shown is not None:
         data["sentence"] = _sentence_for_people(shown)
+        data["reason"] = _reason_for_people(shown)
         _add_contradiction(data, shown)
     return {PANEL_KEY: data}
 
@@ -124,11 +126,22 @@ def _sentence_for_people(record: BaseModel) -> str | None:
     else:
         helps = advice.in_words({"drop": "drop the boxes that are not cars"})
         words = f"{advice.why}; {helps}"
-    sentence = f"{words[0].upper()}{words[1:]}."
+    sentence = f"{_with_capital(words)}."
     corrections = by_hand_text(estimate)
     if corrections:
         sentence += f" Vehicles corrected {corrections}."
     return sentence
+
+
+def _reason_for_people(record: BaseModel) -> str | None:
+    """Name the problem of an estimate; None for a usable one, and for other records."""
+    advice = advice_for(record) if isinstance(record, GsdEstimate) else None
+    return None if advice is None else _with_capital(advice.why)
+
+
+def _with_capital(words: str) -> str:
+    """Begin a sentence with a capital letter."""
+    return f"{words[0].upper()}{words[1:]}"
 
 
 def drawing_of(analysis: ScaleEvidence) -> Drawing:

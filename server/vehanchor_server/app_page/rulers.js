@@ -4,7 +4,7 @@
 function rulersSection(scale) {
   if (!(scale.rulers ?? []).some(({ kind, sets_scale }) => sets_scale && kind !== "vehicles")) return undefined;
   const rows = scale.rulers.map((ruler) => {
-    const name = ruler.label[0].toUpperCase() + ruler.label.slice(1);
+    const name = withCapital(ruler.label);
     const lead = ruler.kind === scale.leading_ruler ? ", leading" : "";
     const bounds = interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px, "scale");
     return html(

@@ -4,7 +4,7 @@ const LEAST_LINE_PX = 5; // image pixels: shorter lines are refused
 const DRAGGED_PX = 5; // screen pixels: less is a click
 const CLOSES_PX = 6; // screen pixels: a click this near to an end of an outline closes it
 const CLOSES_BY_KEY_PX = 0.5; // the crosshair can stand beside another corner
-const MAX_CORNERS = 200; // the tool's limit
+const MAX_CORNERS = 200; // the limit of measure_area
 const BY_KEYS = "Arrows move the crosshair, with Shift by one pixel; Enter sets a point, Backspace takes it back, Escape ends.";
 
 const TOOLS = {
@@ -47,7 +47,9 @@ function toolbar(record, view, canvas, redraw) {
   const choose = (name, text) => {
     sketch();
     choices += 1;
-    [tool, points, pressed] = [name, [], undefined];
+    tool = name;
+    points = [];
+    pressed = undefined;
     view.picking = Boolean(name);
     view.frame.classList.toggle("drawing", Boolean(name));
     if (!name) cross.hide();

@@ -5,7 +5,8 @@ darker there, and the pixels on both sides are unrelated. The edge of a road or 
 too, but there one side is brighter along the whole line, or both sides share shadows and texture.
 
 The search takes columns and rows, because programs compose pictures along them. Seams of pictures
-that differ in brightness everywhere are not found, nor are most insets, whose borders are short.
+that differ in brightness everywhere are not found, unless they are borders of an inset
+(``vehanchor.imagery.insets``).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from vehanchor.imagery.insets import find_inset
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
 
@@ -63,24 +65,9 @@ _STRIP_SD = 2.0
 _MIN_STRIP_EDGE = 0.7
 # Share of the pictures that may have the strip's colour.
 _MAX_SAME_COLOUR = 0.10
-# Corners of insets: length of both arms over the shorter side, its least in pixels, and the share
-# of them with steps. Long arms need a smaller share. With frames, 4 of 968 usable photographs with
-# a right scale have a seam or corner, 1 of them by long arms or frames. Of 30 insets without a
-# frame 8 are found, 2 without long arms.
-_CORNERS = ((0.15, 40, 0.75), (0.25, 100, 0.60))
-# Corners of frames: lines of one colour, up to nine pixels wide, between pictures. The range of
-# their grey values in a window of a line, and the length and share of both arms. 23 of 60 insets
-# with a frame of one or two pixels are found.
-_FRAME_RANGE = 8
-_FRAME_WINDOW_PX = 15
-_FRAME_REACH_PX = 5
-_FRAME_ARM_SHARE = 0.20
-_MIN_FRAME_ARM_PX = 60
-_MIN_FRAME = 0.85
 # JPEG divides the picture into blocks of 8 px, whose borders are steps in strongly compressed ones.
 _BLOCK_PX = 8
 _MIN_OVER_BLOCKS = 2.5
-_BLOCKY = 2.5
 # Columns over which texture is compared across a seam.
 _TEXTURE_PX = 9
 
@@ -111,14 +98,19 @@ def find_seam(raster: Raster) -> Seam | None:
     # A picture that was composed and then resized has blurred seams, sharp at half the size.
     half = cv2.resize(content, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     for copy, reduction in ((content, 1), (np.asarray(half, np.uint8), 2)):
-        seam = _seam(copy)
+        seam = _seam(copy, with_frames=reduction == 1)
         if seam is not None:
             return _in_image(seam, factor * reduction, factor * left, factor * top)
     return None
 
 
-def _seam(grey: Grey) -> Seam | None:
-    """Find a seam across an image, or else a corner of an inset."""
+def _seam(grey: Grey, *, with_frames: bool) -> Seam | None:
+    """Find a seam across an image, or else a corner of an inset.
+
+    Args:
+        grey: the image.
+        with_frames: as in ``vehanchor.imagery.insets.find_inset``.
+    """
     transposed = np.ascontiguousarray(grey.T)
     of_columns = _steps(grey)
     column = _best_column(grey, of_columns)
@@ -128,8 +120,8 @@ def _seam(grey: Grey) -> Seam | None:
     row = _best_column(transposed, of_rows)
     if row is not None:
         return Seam(None, row)
-    corner = _corner_of_inset(of_columns, of_rows)
-    return _corner_of_frame(grey) if corner is None else corner
+    inset = find_inset(grey, with_frames=with_frames)
+    return None if inset is None else Seam(*inset.corner)
 
 
 def _in_image(seam: Seam, factor: int, left: int, top: int) -> Seam:
@@ -278,116 +270,3 @@ def _texture(columns: Grey) -> Line:
     line = columns.mean(axis=1, dtype=np.float32)
     local_mean = cv2.blur(line.reshape(-1, 1), (1, _TEXTURE_PX))
     return np.asarray(line - local_mean.ravel())
-
-
-def _corner_of_inset(of_columns: _Steps, of_rows: _Steps) -> Seam | None:
-    """Find a corner from which two seams go out at right angles.
-
-    Args:
-        of_columns: steps between columns.
-        of_rows: steps between rows, transposed.
-    """
-    side = min(of_columns.brighter.shape)
-    border = _border_px(side)
-    for arm_share, min_arm_px, least in _CORNERS:
-        arm = max(min_arm_px, round(arm_share * side))
-        if side < 2 * (arm + border):
-            continue
-        down = _arms(of_columns, arm)
-        across = np.ascontiguousarray(_arms(of_rows, arm).T)
-        corner = _corner(down, across, arm=arm, border=border, least=least)
-        if corner is not None:
-            return corner
-    return None
-
-
-def _corner_of_frame(grey: Grey) -> Seam | None:
-    """Find a corner of a thin frame of one colour around an inset."""
-    side = min(grey.shape)
-    arm = max(_MIN_FRAME_ARM_PX, round(_FRAME_ARM_SHARE * side))
-    if side < 2 * (arm + _FRAME_REACH_PX):
-        return None
-    transposed = np.ascontiguousarray(grey.T)
-    down = _frame_arms(grey, arm)
-    across = np.ascontiguousarray(_frame_arms(transposed, arm).T)
-    corner = _corner(down, across, arm=arm, border=_FRAME_REACH_PX, least=_MIN_FRAME)
-    if corner is None:
-        return None
-    # The ground of a drawing is plain, too, but its colour is everywhere.
-    assert corner.x_px is not None
-    assert corner.y_px is not None
-    colour = float(grey[corner.y_px, corner.x_px])
-    of_same_colour = np.abs(grey.astype(np.float32) - colour) <= _MARGIN_SD
-    return corner if of_same_colour.mean() <= _MAX_SAME_COLOUR else None
-
-
-def _corner(down: Shares, across: Shares, *, arm: int, border: int, least: float) -> Seam | None:
-    """Find a place from which two arms go out at right angles.
-
-    Args:
-        down: ``[h, w]`` strength of the arm that begins at each pixel and goes down.
-        across: the same for arms that go to the right.
-        arm: length of an arm.
-        border: pixels at the border in which neither corners nor ends of arms lie.
-        least: strength of both arms of a corner.
-    """
-    height, width = down.shape
-    # Arms go down or up from the corner, and to its right or left.
-    for rows_back in (0, arm):
-        for columns_back in (0, arm):
-            top = max(border, rows_back)
-            left = max(border, columns_back)
-            bottom = height - border - (arm - rows_back)
-            right = width - border - (arm - columns_back)
-            vertical = down[top - rows_back : bottom - rows_back, left:right]
-            horizontal = across[top:bottom, left - columns_back : right - columns_back]
-            both = np.minimum(vertical, horizontal)
-            if both.max() < least:
-                continue
-            row, column = np.unravel_index(both.argmax(), both.shape)
-            return Seam(left + int(column), top + int(row))
-    return None
-
-
-def _frame_arms(grey: Grey, arm: int) -> Shares:
-    """Compute the share of a frame's pixels in the piece of a column that begins at each pixel.
-
-    A pixel can belong to a frame if its column is plain around it, and the columns on both sides
-    are not.
-    """
-    window = np.ones((_FRAME_WINDOW_PX, 1), np.uint8)
-    value_range = cv2.dilate(grey, window) - cv2.erode(grey, window)
-    is_plain = value_range <= _FRAME_RANGE
-    left = is_plain[:, : -2 * _FRAME_REACH_PX]
-    right = is_plain[:, 2 * _FRAME_REACH_PX :]
-    middle = slice(_FRAME_REACH_PX, -_FRAME_REACH_PX)
-    is_frame = np.zeros(grey.shape, np.uint8)
-    is_frame[:, middle] = is_plain[:, middle] & ~left & ~right
-    # A line of one pixel may be blurred on one side.
-    widened = cv2.dilate(is_frame, np.ones((1, 3), np.uint8))
-    percent = cv2.blur(100 * widened, (1, arm), anchor=(0, 0))
-    return np.asarray(percent * np.float32(0.01), np.float32)
-
-
-def _arms(steps: _Steps, arm: int) -> Shares:
-    """Compute the share of steps in the piece of a column that begins at each pixel.
-
-    Args:
-        steps: steps between columns.
-        arm: rows of a piece; the last rows of the result have no meaning.
-
-    Returns:
-        ``[h, w]``; 0 where the same side is darker all along, and at borders of visible blocks.
-    """
-    below = (0, 0)
-    brighter = cv2.blur(steps.brighter, (1, arm), anchor=below)
-    darker = cv2.blur(steps.darker, (1, arm), anchor=below)
-    share = brighter + darker
-    # A product, because an assignment by a mask of the whole image takes five times as long.
-    share *= cv2.min(brighter, darker) >= _MIN_ALTERNATING
-    mean_share = (steps.brighter + steps.darker).mean(axis=0)
-    usual = [float(np.median(mean_share[phase::_BLOCK_PX])) for phase in range(_BLOCK_PX)]
-    for phase in range(_BLOCK_PX):
-        if usual[phase] > _BLOCKY * float(np.median(usual)):
-            share[:, phase::_BLOCK_PX] = 0.0
-    return np.asarray(share)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import lens, perspective_problem, taken_ratio
@@ -27,6 +27,8 @@ from vehanchor.scale.reliability import (
     HILL_LOG_SD,
     LEVEL_SD_M,
     RELIABILITY,
+    ROOF_CHANCE,
+    ROOF_SD_M,
     Shared,
 )
 
@@ -60,7 +62,7 @@ class Camera(Ruler):
     kind = "camera"
     label = "camera metadata"
     plural = True
-    help = "height above take-off and focal length in the file"
+    help = "height above take-off, or by a laser, and focal length in the file"
     colour = "#E69F00"
     pooling_gain = 0.0  # one camera and one take-off: one error
     reads_metadata = True
@@ -72,14 +74,15 @@ class Camera(Ruler):
         camera = view.image.camera or CameraMetadata()
         # A focal length beside a given height belongs to that height.
         focal_35mm = options.focal_35mm if options.height_m is None else None
-        height_m = camera.height_m
+        tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
+        height = _height(camera, tilt_deg)
         problem = perspective_problem(view.image, camera)
-        if problem and (height_m is not None or camera.projection):
+        if problem and (height is not None or camera.projection):
             return self._unusable(problem)
-        if height_m is None:
+        if height is None:
             return self._without_height(view, camera, focal_35mm)
-        if not 0 < height_m <= _MAX_HEIGHT_M:
-            return self._unusable(f"{camera.height_tag} is {height_m:g} m")
+        if not 0 < height.metres <= _MAX_HEIGHT_M:
+            return self._unusable(f"{height.tag} is {height.metres:g} m")
         if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
             return self._unusable(
                 f"the photograph was enlarged {camera.digital_zoom:g} times in the camera"
@@ -88,14 +91,13 @@ class Camera(Ruler):
             notice = cropped(view.image, camera, "the camera metadata are not usable")
             return unusable(self.kind, notice)
 
-        tilt_deg = camera.off_nadir_deg if view.plane is None else view.plane.tilt_deg
         optics = lens(view.image, camera, focal_35mm)
         if optics is None:
-            return self._without_lens(view, camera, height_m, tilt_deg)
-        witness = self._measured(camera, height_m, optics, tilt_deg)
+            return self._without_lens(view, camera, height.metres, tilt_deg)
+        witness = self._measured(camera, height, optics, tilt_deg)
         if not witness.found:
             return witness
-        return replace(witness, marks=(mark_of_height(view.image, height_m),))
+        return replace(witness, marks=(mark_of_height(view.image, height.metres),))
 
     def _without_height(
         self, view: View, camera: CameraMetadata, focal_35mm: float | None
@@ -132,20 +134,20 @@ class Camera(Ruler):
         return self._unusable(cause, camera.refused)
 
     def _measured(
-        self, camera: CameraMetadata, height_m: float, optics: Lens, tilt_deg: float | None
+        self, camera: CameraMetadata, height: _Height, optics: Lens, tilt_deg: float | None
     ) -> Witness:
         """Measure by a height and a lens.
 
         Args:
             camera: the metadata.
-            height_m: height above take-off.
+            height: height of the camera.
             optics: the lens.
             tilt_deg: angle between the camera's axis and straight down; None if unknown.
         """
         if tilt_deg is not None and tilt_deg >= _MAX_TILT_DEG:
             return unusable(self.kind, _tilted(tilt_deg, _TOO_CLOSE_TO_THE_HORIZON))
         statement = (
-            f"The camera metadata give {{}}: {height_m:g} m ({camera.height_tag}) and "
+            f"The camera metadata give {{}}: {height.metres:.4g} m ({height.tag}) and "
             f"{optics.source}."
         )
         condition = "camera"
@@ -165,17 +167,19 @@ class Camera(Ruler):
             notices.append(_tilted(tilt_deg, _SCALE_OF_THE_CENTRE))
             statement += " This is the scale of the image's centre."
 
-        gsd = height_m / optics.pixels * coarser
+        gsd = height.metres / optics.pixels * coarser
         if not on_grid(gsd):
-            return self._unusable(f"{height_m:g} m and {optics.source} would give {gsd:.3g} m/px")
+            return self._unusable(
+                f"{height.metres:.4g} m and {optics.source} would give {gsd:.3g} m/px"
+            )
         # What the file states wrongly, a caller who reads the file repeats: nearly all of the error
         # is shared with guesses.
         of_file = Shared(
             FILE.name,
-            math.hypot(tilt_log_sd, _level_log_sd(height_m)),
+            math.hypot(tilt_log_sd, height.log_sd),
             chance_wrong=RELIABILITY[condition].chance_wrong,
-            chance_large=HILL_CHANCE,
-            large_log_sd=math.hypot(tilt_log_sd, HILL_LOG_SD),
+            chance_large=height.chance_large,
+            large_log_sd=math.hypot(tilt_log_sd, height.large_log_sd),
         )
         witness = point_witness(
             self.kind,
@@ -196,6 +200,52 @@ class Camera(Ruler):
         message = f"The camera metadata are not usable: {stated}."
         notice = Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)
         return unusable(self.kind, notice)
+
+
+class _Height(NamedTuple):
+    """Height of the camera in the metadata.
+
+    Attributes:
+        metres: the height.
+        tag: maker and property.
+        by_laser: whether a laser measured it; if not, it is one above the take-off.
+    """
+
+    metres: float
+    tag: str
+    by_laser: bool
+
+    @property
+    def log_sd(self) -> float:
+        """Standard deviation of its log, as a height above level ground."""
+        if self.by_laser:
+            return math.hypot(RELIABILITY["laser"].log_sd, LEVEL_SD_M / self.metres)
+        return _level_log_sd(self.metres)
+
+    @property
+    def chance_large(self) -> float:
+        """Chance, 0..1, that it is not above level ground: of a roof, or of a hill."""
+        return ROOF_CHANCE if self.by_laser else HILL_CHANCE
+
+    @property
+    def large_log_sd(self) -> float:
+        """Standard deviation of its log in that case."""
+        return ROOF_SD_M / self.metres if self.by_laser else HILL_LOG_SD
+
+
+def _height(camera: CameraMetadata, tilt_deg: float | None) -> _Height | None:
+    """Choose the height by a laser, which needs no level ground, or else that above take-off.
+
+    Args:
+        camera: the metadata.
+        tilt_deg: angle between the camera's axis and straight down; None if unknown.
+    """
+    if camera.laser_m is not None and (tilt_deg is None or tilt_deg < _MAX_TILT_DEG):
+        metres = camera.laser_m * math.cos(math.radians(tilt_deg or 0.0))
+        return _Height(metres, camera.laser_tag, by_laser=True)
+    if camera.height_m is None:
+        return None
+    return _Height(camera.height_m, camera.height_tag, by_laser=False)
 
 
 def lens_error(optics: Lens) -> Shared:
@@ -246,11 +296,11 @@ def _tilted(tilt_deg: float, consequence: str) -> Notice:
 
 def cropped(image: ImageFacts, camera: CameraMetadata, consequence: str) -> Notice:
     """Warn that the image is a crop of the photograph, and of the consequence."""
-    return Notice(
-        code=NoticeCode.CAMERA_UNUSABLE,
-        message=(
-            f"The image is a crop: the photograph had {camera.taken_width_px} x "
-            f"{camera.taken_height_px} px, the image has {image.width_px} x {image.height_px}. "
-            f"Therefore {consequence}. Give the original."
-        ),
-    )
+    cause = camera.crop
+    if not cause:
+        cause = (
+            f"the photograph had {camera.taken_width_px} x {camera.taken_height_px} px, the image "
+            f"has {image.width_px} x {image.height_px}"
+        )
+    message = f"The image is a crop: {cause}. Therefore {consequence}. Give the original."
+    return Notice(code=NoticeCode.CAMERA_UNUSABLE, message=message)

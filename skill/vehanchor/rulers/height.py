@@ -100,14 +100,19 @@ def _repeats_metadata(view: View, height_m: float) -> bool:
     The same number is one witness: a copy would confirm it without new evidence.
     """
     camera = view.image.camera
-    if camera is None or camera.height_m is None:
+    if camera is None:
         return False
     if not uses(view.options.rulers, "camera"):
         return False
     if lens(view.image, camera) is None:
         return False
-    difference_m = abs(height_m - camera.height_m)
-    return difference_m <= SAME_NUMBER * camera.height_m
+    stated = (camera.height_m, camera.laser_m)
+    return any(_is_same(height_m, stated_m) for stated_m in stated if stated_m is not None)
+
+
+def _is_same(height_m: float, stated_m: float) -> bool:
+    """Test whether a height is the number that the file states."""
+    return abs(height_m - stated_m) <= SAME_NUMBER * stated_m
 
 
 def _repeated(height_m: float) -> Notice:

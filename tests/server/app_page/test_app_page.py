@@ -26,6 +26,7 @@ from vehanchor_server.app_page.panel import PANEL_KEY
 from vehanchor_server.services import create_services
 from vehanchor_server.settings import Settings
 from vehanchor_server.tools.registry import create_tools
+from vehanchor_server.tools.target import MAX_POLYGON_NUMBERS
 
 CAR_AXIS = {"x1": 100.0, "y1": 480.0, "x2": 132.0, "y2": 480.0}  # where cars.png has none
 SHOWS_PAGES = [advertise(EXTENSION_ID, {"mimeTypes": [APP_MIME_TYPE]})]
@@ -229,14 +230,18 @@ async def test_people_get_a_sentence_without_warnings_or_argument_names(
                 "estimate_gsd", {**by_path(images / f"{name}.png"), **more}
             )
             sentences[name] = panel_of(result)["sentence"]
+            assert sentences[name].startswith(panel_of(result)["reason"])
     assert sentences == {
-        "two": "2 vehicles alone: too little evidence; give the region, or include one more car.",
-        "empty": "No car was found; draw a line over something of known size, if any is in sight, "
-        "or give the camera's height and focal length, or another photograph of the same flight "
-        "with cars.",
+        "two": "2 vehicles alone: too little evidence; draw a line over parking bays or another "
+        "thing of known size, or measure one length, on the ground or on a map, or give other "
+        "photographs of the same flight, with cars.",
+        "empty": "No car was found; include the cars, or draw lines over two different things of "
+        "known size, if they are in sight, or measure one length, on the ground or on a map, or "
+        "give other photographs of the same flight, with cars, or give the camera's height and "
+        "focal length.",
         "cars": "Vehicles and known length contradict each other; check the facts that you gave, "
-        "or draw a measured line, or if they are right, measure a second length, or the height. "
-        "Vehicles corrected by hand: 8 dropped.",
+        "or give other photographs of the same flight, with cars. Vehicles corrected by hand: 8 "
+        "dropped.",
     }
 
 
@@ -257,6 +262,12 @@ def test_the_page_knows_the_arguments_of_a_scale(page: str) -> None:
     [names] = re.findall(r'<body data-scale-arguments="([^"]+)"', page)
     assert names.split(" ") == scale_arguments()
     assert {"image", "region", "drop", "gsd_m_per_px"} <= set(scale_arguments())
+
+
+@pytest.mark.parametrize("page", [page_html(), view_html()], ids=["host", "view"])
+def test_the_page_draws_as_many_corners_as_a_polygon_may_have(page: str) -> None:
+    [corners] = re.findall(r"MAX_CORNERS = (\d+);", page)
+    assert int(corners) == MAX_POLYGON_NUMBERS // 2
 
 
 @pytest.mark.parametrize("tool", ["measure_area", "measure_distance"])

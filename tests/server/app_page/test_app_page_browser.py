@@ -412,6 +412,26 @@ def test_a_size_that_is_none_is_refused_in_words(host: Host) -> None:
     host.reads(".picture [role=status]", re.compile("^Type a diameter"))
 
 
+@pytest.mark.parametrize(
+    ("typed", "shape"),
+    [
+        ("30 ft", {"diameter_m": pytest.approx(9.144)}),
+        ("12 x 5 m", {"length_m": 12, "width_m": 5}),
+    ],
+)
+def test_a_size_may_have_its_own_unit(host: Host, typed: str, shape: dict[str, float]) -> None:
+    host.show(tools=True)
+    host.result("area")
+    other = "ft" if typed.endswith("m") else "m"
+    host.page.get_by_label("Lengths in").select_option(other)
+    host.answers("area")
+    host.page.get_by_label("Must fit").fill(typed)
+    host.types("Tab")
+    host.until(lambda: bool(host.asked()))
+    [asked] = host.asked()
+    assert asked["arguments"]["must_fit"] == shape
+
+
 def test_people_choose_feet_and_centimetres(host: Host) -> None:
     host.show(tools=True)
     host.result("good", {"height_m": 30.48})

@@ -111,3 +111,16 @@ def test_plain_ground_between_things_is_no_seam() -> None:
 def test_an_image_enlarged_without_interpolation_has_no_seam() -> None:
     large = cv2.resize(LEFT[:80, :80], None, fx=7, fy=7, interpolation=cv2.INTER_NEAREST)
     assert _seam(np.asarray(large, np.uint8)) is None
+
+
+def test_a_brighter_inset_beside_the_border_has_a_corner() -> None:
+    image = (LEFT * 0.5).astype(np.uint8)
+    image[:160, 260:] = RIGHT[:160, 260:] // 2 + 120
+    assert _near(_seam(_compressed(image, 85)), 260, 160)
+
+
+def test_a_brighter_roof_whose_edges_the_camera_blurred_is_no_inset() -> None:
+    image = (LEFT * 0.5).astype(np.uint8)
+    image[100:240, 130:300] = image[100:240, 130:300] + 100
+    blurred = cv2.GaussianBlur(image, (0, 0), 2.5)
+    assert _seam(np.asarray(blurred, np.uint8)) is None

@@ -287,6 +287,41 @@ def test_a_height_over_a_hill_is_probably_wrong_as_it_stands() -> None:
     assert p_right["camera"] < 0.5 < p_right["vehicles"]
 
 
+# --- A laser
+
+
+def _by_laser(laser_m: float, **changes: object) -> CameraMetadata:
+    return _but(laser_m=laser_m, laser_tag="DJI LRFTargetDistance", **changes)
+
+
+def test_a_laser_replaces_the_height_above_take_off() -> None:
+    """The take-off was on a hill, so that the ground is 150 m below the camera."""
+    witness = _measured(_by_laser(150.0))
+    assert witness.gsd_m_per_px == pytest.approx(1.5 * TRUE_GSD)
+    assert witness.statement is not None
+    assert "150 m (DJI LRFTargetDistance)" in witness.statement
+
+
+def test_a_laser_needs_no_height_above_take_off() -> None:
+    witness = _measured(_by_laser(100.0, height_m=None))
+    assert witness.gsd_m_per_px == pytest.approx(TRUE_GSD)
+
+
+def test_a_laser_measures_along_the_axis_of_the_camera() -> None:
+    aslant = _measured(_by_laser(100.0 / math.cos(math.radians(40)), off_nadir_deg=40.0))
+    above_take_off = _measured(_but(off_nadir_deg=40.0))
+    assert aslant.gsd_m_per_px == pytest.approx(above_take_off.gsd_m_per_px)
+
+
+@pytest.mark.parametrize("height_m", [50.0, 100.0, 300.0])
+def test_a_height_by_a_laser_is_usable_by_itself(height_m: float) -> None:
+    assert _chance(_seeing(_by_laser(height_m))) >= 0.9
+
+
+def test_a_laser_low_above_the_ground_may_have_met_a_roof() -> None:
+    assert _chance(_seeing(_by_laser(25.0))) < 0.85
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -21,6 +21,7 @@ class TiffLayout:
         sample_format: 1 unsigned, 2 signed, 3 float.
         photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
         planar: whether bands are stored one after the other.
+        compression: TIFF's code, such as 1 for none and 50001 for WebP.
         georeferenced: whether it has GeoTIFF tags.
         alpha: whether a band is declared to be alpha.
         block_px: pixels of a strip or tile, which is decoded whole.
@@ -40,6 +41,7 @@ class TiffLayout:
     mask_block_px: int
     has_no_data_value: bool = False
     other_pages: tuple[tuple[int, int], ...] = ()
+    compression: int = 1
 
     @property
     def pixel_bytes(self) -> int:

@@ -26,6 +26,7 @@ _TAG_SUBFILE = 254
 _TAG_WIDTH = 256
 _TAG_HEIGHT = 257
 _TAG_BITS = 258
+_TAG_COMPRESSION = 259
 _TAG_PHOTOMETRIC = 262
 _TAG_SAMPLES = 277
 _TAG_ROWS_PER_STRIP = 278
@@ -52,6 +53,7 @@ _TAGS_OF_ONE_VALUE = frozenset(
     {
         _TAG_WIDTH,
         _TAG_HEIGHT,
+        _TAG_COMPRESSION,
         _TAG_PHOTOMETRIC,
         TAG_ORIENTATION,
         _TAG_SAMPLES,
@@ -80,6 +82,12 @@ _PALETTE = 3
 _YCBCR = 6
 _PLANAR = 2
 _ALPHA_SAMPLES = {1, 2}
+_OPENCV_COMPRESSIONS = frozenset({1, 2, 3, 4, 5, 7, 8, 32773, 32946})
+"""Compressions of all builds of OpenCV: none, fax, LZW, JPEG, Deflate and PackBits.
+
+GDAL reads others, such as WebP, Zstandard and LERC.
+"""
+
 _MIN_BLOCK_PIXEL_BYTES = 4
 """Bytes per pixel of a strip or tile: OpenCV decodes one of up to 8 bits to four bands."""
 
@@ -128,6 +136,8 @@ def decoded_by_opencv(layout: TiffLayout) -> bool:
     """Test whether OpenCV decodes a TIFF of this layout correctly and without loss."""
     if layout.bands not in (1, 3, 4) or layout.planar:
         return False
+    if layout.compression not in _OPENCV_COMPRESSIONS:
+        return False
     # OpenCV reads pixels without data like all others.
     if layout.mask_block_px or layout.has_no_data_value:
         return False
@@ -163,6 +173,7 @@ def _layout(read_at: ReadAt, tags: _Tags, *, width: int, height: int) -> TiffLay
         sample_format=_first_value(tags, _TAG_SAMPLE_FORMAT, default=1),
         photometric=_first_value(tags, _TAG_PHOTOMETRIC, default=1),
         planar=_first_value(tags, _TAG_PLANAR, default=1) == _PLANAR,
+        compression=_first_value(tags, _TAG_COMPRESSION, default=1),
         georeferenced=not _GEO_TAGS.isdisjoint(tags),
         alpha=not _ALPHA_SAMPLES.isdisjoint(extra_samples),
         block_px=_block_px(tags, width, height),

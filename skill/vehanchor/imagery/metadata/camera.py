@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from vehanchor.imagery.metadata.blocks import MAX_XMP_BYTES, metadata_blocks
+from vehanchor.imagery.metadata.crop import stated_crop
 from vehanchor.imagery.metadata.exif import read_exif
 from vehanchor.imagery.metadata.makers import MAKERS, makers_of
 from vehanchor.imagery.metadata.projection import stated_projection
@@ -49,6 +50,13 @@ Pictures of another shape leave out a fifth of the columns.
 """
 
 
+_MEASURED = "normal"
+"""Status of a laser that measured; a target out of reach is ``TooFar``, with a distance of 0."""
+
+_LEAST_LASER_M = 3.0
+"""Least distance that DJI's laser range finders measure (DJI Mobile SDK)."""
+
+
 def _xmp_names() -> tuple[str, ...]:
     """List the properties to find in XMP, each once; some programs flatten structures."""
     of_makers = dict.fromkeys(name for maker in MAKERS for name in maker.names)
@@ -69,6 +77,9 @@ class CameraMetadata:
         height_m: metres above take-off, or above ground if the maker knows it; never above sea
             level.
         height_tag: maker and property of the height, for example ``DJI RelativeAltitude``.
+        laser_m: metres in a straight line to what the optical axis meets, by a laser range finder
+            that states that it measured.
+        laser_tag: maker and property of that distance.
         focal_mm: focal length, millimetres.
         focal_35mm: focal length of a 35 mm camera with the same view, millimetres.
         focal_px: calibrated focal length, pixels of the original image.
@@ -85,6 +96,8 @@ class CameraMetadata:
             unknown.
         projection: what the file states of a picture that is not one perspective view, such as
             "ProjectionType equirectangular"; empty for a perspective view.
+        crop: what shows that the image is a part of the photograph, as a clause; empty if nothing
+            does.
         refused: why metadata were not used, as clauses with semicolons; empty if all was read.
         is_film: whether the facts are those of a film, whose mode may use a part of the sensor.
     """
@@ -93,6 +106,8 @@ class CameraMetadata:
     model: str = ""
     height_m: float | None = None
     height_tag: str = ""
+    laser_m: float | None = None
+    laser_tag: str = ""
     focal_mm: float | None = None
     focal_35mm: float | None = None
     focal_px: float | None = None
@@ -107,6 +122,7 @@ class CameraMetadata:
     roll_deg: float | None = None
     taken_at: str = ""
     projection: str = ""
+    crop: str = ""
     refused: str = ""
     is_film: bool = False
 
@@ -126,7 +142,7 @@ def read_camera(read_at: ReadAt, header: ImageHeader) -> CameraMetadata | None:
             xmp.append(packet_of_tiff)
     packets, refused = _read_packets(xmp)
     statements = Statements(tags, packets, refused)
-    camera = _combine(statements, tags)
+    camera = _combine(statements, tags, header)
     return None if camera == CameraMetadata() else camera
 
 
@@ -150,12 +166,15 @@ def _read_packets(xmp: Sequence[bytes]) -> tuple[list[Properties], list[str]]:
     return packets, [reason for reason in reasons if reason not in ignored]
 
 
-def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata:
+def _combine(
+    statements: Statements, tags: Sequence[ExifTags], header: ImageHeader
+) -> CameraMetadata:
     """Combine the statements of all blocks."""
     make = statements.text("Make")
     model = statements.text("Model")
     makers = makers_of(make)
     height_m, height_tag = _first_quantity(statements, makers, field="height", units=METRES)
+    laser_m, laser_tag = _laser(statements, makers)
     focal_px, _ = _first_quantity(statements, makers, field="focal_px", units=PIXELS)
     centre_px, _ = _first_quantity(statements, makers, field="centre_px", units=PIXELS)
     focal_mm = statements.lens_number("FocalLength")
@@ -179,6 +198,8 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
         model=model,
         height_m=height_m,
         height_tag=height_tag,
+        laser_m=laser_m,
+        laser_tag=laser_tag,
         focal_mm=focal_mm,
         focal_35mm=statements.lens_number("FocalLengthIn35mmFilm"),
         focal_px=focal_px,
@@ -193,6 +214,7 @@ def _combine(statements: Statements, tags: Sequence[ExifTags]) -> CameraMetadata
         longitude_deg=longitude,
         taken_at=statements.text("DateTimeOriginal"),
         projection=stated_projection(statements),
+        crop=stated_crop(statements, header),
         refused="; ".join(dict.fromkeys(statements.refused)),
     )
 
@@ -212,6 +234,17 @@ def _first_quantity(
         value = statements.quantity(maker, name, units)
         if value is not None:
             return value, f"{maker.name} {name}"
+    return None, ""
+
+
+def _laser(statements: Statements, makers: Sequence[Maker]) -> tuple[float | None, str]:
+    """Read the distance by a laser that measured, and the maker's and the property's name."""
+    for maker in makers:
+        if not maker.laser or statements.word(maker, maker.laser_status) != _MEASURED:
+            continue
+        distance_m = statements.quantity(maker, maker.laser, METRES)
+        if distance_m is not None and distance_m >= _LEAST_LASER_M:
+            return distance_m, f"{maker.name} {maker.laser}"
     return None, ""
 
 

@@ -29,6 +29,8 @@ _APPLICATION_NOTES = "ApplicationNotes"
 """The tag in which a TIFF has its XMP."""
 
 _NAMES = {
+    0x0100: "ImageWidth",
+    0x0101: "ImageLength",
     0x010F: "Make",
     0x0110: "Model",
     0x011A: "XResolution",

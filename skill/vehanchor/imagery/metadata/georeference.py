@@ -1,9 +1,8 @@
 """Pixel of a georeferenced raster on the ground: its ground sampling distance (GSD) and its shape.
 
 Estimates never use the GSD. Records report it next to the estimate, and the evaluation uses it as
-ground truth. Measurements use it if nothing contradicts it
-(``vehanchor.measure.scale_source``). The shape is a fact without a scale: images are analysed in
-square pixels.
+ground truth. Measurements use it if nothing contradicts it (``vehanchor.measure.scale_source``).
+The shape is a fact without a scale: images are analysed in square pixels.
 """
 
 from __future__ import annotations
@@ -94,8 +93,10 @@ PROJ loops for hours on coordinates such as 1e20.
 """
 
 _MAX_DEGREES_PER_PX = 1e-4
-"""Longest side of a pixel that can be in degrees, some ten metres; in another unit it would be a
-tenth of a millimetre. A choice."""
+"""Longest side of a pixel that can be in degrees, some ten metres. A choice.
+
+In metres it would be a tenth of a millimetre.
+"""
 
 _MAX_GRID_SCALE = 1.01
 """Ratio of lengths on the ground and in a projection up to which both count as equal.
@@ -179,8 +180,8 @@ def pixel_of_transform(
 def shape_of_transform(affine: Any, *, width_px: int, height_px: int) -> GroundPixel | None:
     """Measure the shape of the pixel at the centre of an image whose reference system is unknown.
 
-    The shape needs no scale. The unit can only be a degree if a pixel is so small that it would be
-    far below a millimetre otherwise.
+    The shape needs no scale. The unit is taken for a degree if a pixel would be far below a
+    millimetre otherwise.
 
     Args:
         affine: from pixels to coordinates, an ``affine.Affine``.

@@ -49,6 +49,13 @@ Programs that resize a picture keep its pitch and change its sizes. A choice: su
 makes no scale usable.
 """
 
+_OFF_CENTRE_CHANCE_WRONG = 0.3
+"""Chance that a lens is wrong if the calibrated optical centre is not in the middle.
+
+The image is a crop, or a copy of another size; both state the new size. A choice: such a lens alone
+makes no scale usable.
+"""
+
 _FILM_CHANCE_WRONG = 0.3
 """Chance that the focal length of a film is not that of its frames.
 
@@ -117,6 +124,8 @@ def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
     Returns:
         Original pixels per pixel of the image; 1 if the original size is unknown, None for a crop.
     """
+    if camera.crop:
+        return None
     if not camera.taken_width_px or not camera.taken_height_px:
         return 1.0
     long_px = max(image.width_px, image.height_px)
@@ -163,6 +172,8 @@ def lens(
     chance_wrong = best.chance_wrong
     if contradiction <= _MAX_CONTRADICTION:
         chance_wrong = min(source.chance_wrong for source in lenses)
+    if camera.centre_x_px is not None and not _is_centred(image, camera):
+        chance_wrong = max(chance_wrong, _OFF_CENTRE_CHANCE_WRONG)
     log_sd = math.hypot(best.log_sd, contradiction / 2)
     return best._replace(log_sd=log_sd, chance_wrong=chance_wrong)
 

@@ -24,6 +24,9 @@ class Maker(NamedTuple):
             part of it.
         source: source of the names.
         height: metres above take-off or above ground.
+        laser: metres in a straight line to the target of a laser range finder, which the optical
+            axis meets.
+        laser_status: whether the laser measured; ``Normal`` if it did.
         pitch: degrees.
         roll: degrees.
         level_below_deg: pitches below it are counted from the horizon (-90 is down), others from
@@ -44,6 +47,8 @@ class Maker(NamedTuple):
     pitch: str
     roll: str
     level_below_deg: float = math.inf
+    laser: str = ""
+    laser_status: str = ""
     focal_px: str = ""
     centre_px: str = ""
     focal: str = ""
@@ -56,6 +61,8 @@ class Maker(NamedTuple):
         """Names of all its properties."""
         names = (
             self.height,
+            self.laser,
+            self.laser_status,
             self.pitch,
             self.roll,
             self.focal_px,
@@ -76,8 +83,11 @@ MAKERS: tuple[Maker, ...] = (
     Maker(
         name="DJI",
         namespace="http://www.dji.com/drone-dji/1.0",  # newer Autel drones write it, too
-        source="DJI, Zenmuse P1 manual, XMP data list; Mavic 3M image processing guide",
+        source="DJI, Zenmuse P1 manual, XMP data list; Mavic 3M image processing guide; Matrice 4 "
+        "manual, photo file",
         height="RelativeAltitude",
+        laser="LRFTargetDistance",
+        laser_status="LRFStatus",
         pitch="GimbalPitchDegree",
         roll="GimbalRollDegree",
         focal_px="CalibratedFocalLength",

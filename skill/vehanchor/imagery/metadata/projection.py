@@ -7,6 +7,8 @@ of one of their parts. Names and values:
 * ``ModelType``: Pix4D's camera properties, which Parrot writes, too.
 * ``CustomRendered``: Apple writes 6 for a panorama; the EXIF standard knows 0 and 1.
 * ``LensModel``: the name of a fisheye lens.
+* ``Make``: GoPro's wide fields of view are those of a fisheye lens; its linear ones have a longer
+  35 mm equivalent.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ _PERSPECTIVE = ("perspective", "rectilinear", "planar", "frame")
 _APPLE_PANORAMA = 6
 _FISHEYE = re.compile(r"fish.?eye", re.IGNORECASE)
 _SHOWN_CHARS = 32
+_GOPRO_LINEAR_FROM_35MM = 18.0
+"""Shortest 35 mm equivalent of linear fields of view, a choice: wide ones state 14 to 16."""
 
 
 def stated_projection(statements: Statements) -> str:
@@ -51,4 +55,8 @@ def stated_projection(statements: Statements) -> str:
         value = statements.text(name)[:_SHOWN_CHARS]
         if _FISHEYE.search(value):
             return f"{name} {value}"
+    focal_35mm = statements.lens_number("FocalLengthIn35mmFilm")
+    is_gopro = statements.text("Make").casefold().startswith("gopro")
+    if is_gopro and focal_35mm is not None and focal_35mm < _GOPRO_LINEAR_FROM_35MM:
+        return f"a wide field of view of GoPro, {focal_35mm:g} mm"
     return ""

@@ -39,9 +39,12 @@ _MAX_WHOLE = 1e9
 _TIFF_NAMESPACE = "http://ns.adobe.com/tiff/1.0"
 _EXIF_NAMESPACE = "http://ns.adobe.com/exif/1.0"
 _GPANO_NAMESPACE = "http://ns.google.com/photos/1.0/panorama"
+_CAMERA_RAW_NAMESPACE = "http://ns.adobe.com/camera-raw-settings/1.0"
 IN_XMP = {
     "Make": _TIFF_NAMESPACE,
     "Model": _TIFF_NAMESPACE,
+    "ImageWidth": _TIFF_NAMESPACE,
+    "ImageLength": _TIFF_NAMESPACE,
     "FocalLength": _EXIF_NAMESPACE,
     "FocalLengthIn35mmFilm": _EXIF_NAMESPACE,
     "FocalPlaneXResolution": _EXIF_NAMESPACE,
@@ -56,9 +59,11 @@ IN_XMP = {
     "FullPanoWidthPixels": _GPANO_NAMESPACE,
     "UsePanoramaViewer": _GPANO_NAMESPACE,
     "ModelType": PIX4D,
+    "HasCrop": _CAMERA_RAW_NAMESPACE,
+    "AlreadyApplied": _CAMERA_RAW_NAMESPACE,
 }
 """Namespaces of the properties that makers share: tags that programs copy from EXIF into XMP under
-the same names, and the projection of the picture."""
+the same names, the projection of the picture, and what editors did to it."""
 
 # Units that a quantity may have, each with its factor; without a unit, the factor is 1.
 _FOOT_M = 0.3048
@@ -114,6 +119,22 @@ class Statements:
                 return int(value)
         return None
 
+    def sizes(self, width_name: str, height_name: str) -> list[tuple[float, float]]:
+        """List the pairs of two tags, above 0, in the EXIF blocks and in XMP."""
+        pairs: list[tuple[float, float]] = []
+        for block in self._tags:
+            width = block.get(width_name)
+            height = block.get(height_name)
+            if isinstance(width, float) and isinstance(height, float):
+                pairs.append((width, height))
+        widths = [_number(text, PIXELS) for text in self._texts_in_xmp(width_name)]
+        heights = [_number(text, PIXELS) for text in self._texts_in_xmp(height_name)]
+        # A damaged packet can lack one of them.
+        for width, height in zip(widths, heights, strict=False):
+            if width is not None and height is not None:
+                pairs.append((width, height))
+        return [(width, height) for width, height in pairs if width > 0 and height > 0]
+
     def lens_number(self, name: str) -> float | None:
         """Read a tag's number.
 
@@ -135,6 +156,11 @@ class Statements:
             else:
                 values.append(value)
         return self._agreed(label, values, _TEXT_TOLERANCE)
+
+    def word(self, maker: Maker, name: str) -> str:
+        """Read a maker's property as a word in lower case; empty if it is missing or ambiguous."""
+        words = {text.strip().casefold() for text in self._texts_of(maker, name)}
+        return words.pop() if len(words) == 1 else ""
 
     def focal(self, maker: Maker) -> tuple[float | None, str]:
         """Read a maker's focal length with its unit, ``mm`` or ``px``."""

@@ -171,6 +171,24 @@ def test_a_height_above_the_sea_is_not_used() -> None:
     assert _camera(jpeg(xmp=xmp(DJI, properties))).height_m is None
 
 
+def _laser_m(status: str, distance: str) -> float | None:
+    """Distance by a laser, in metadata in the form of a Matrice 30."""
+    properties = f'drone-dji:LRFStatus="{status}" drone-dji:LRFTargetDistance="{distance}"'
+    return _camera(jpeg(exif=PHANTOM, xmp=xmp(DJI, properties))).laser_m
+
+
+def test_the_distance_of_a_laser_that_measured_is_read() -> None:
+    assert _laser_m("Normal", "54.103") == 54.103
+
+
+@pytest.mark.parametrize(
+    ("status", "distance"),
+    [("TooFar", "0.000"), ("TooFar", "54.1"), ("", "54.1"), ("Normal", "0"), ("Normal", "1.2")],
+)
+def test_a_laser_that_did_not_measure_is_not_used(status: str, distance: str) -> None:
+    assert _laser_m(status, distance) is None
+
+
 NADIR_PACKET = xmp(DJI, NADIR_DJI)
 TIFF = exif(
     {

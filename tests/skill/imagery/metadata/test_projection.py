@@ -45,6 +45,14 @@ def test_a_stated_perspective_view_is_one(packet: bytes) -> None:
     assert _projection(jpeg(xmp=packet)) == ""
 
 
+@pytest.mark.parametrize(("focal_35mm", "is_fisheye"), [(15, True), (24, False)])
+def test_a_wide_field_of_view_of_gopro_is_that_of_a_fisheye(
+    focal_35mm: int, is_fisheye: bool
+) -> None:
+    block = exif({"Make": "GoPro", "FocalLengthIn35mmFilm": focal_35mm})
+    assert bool(_projection(jpeg(exif=block))) == is_fisheye
+
+
 def test_a_plain_photograph_states_no_projection() -> None:
     assert _projection(jpeg(exif=exif({"Make": "DJI"}))) == ""
 

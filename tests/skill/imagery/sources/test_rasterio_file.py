@@ -69,6 +69,13 @@ def test_a_cog_with_jpeg_colours_is_read(tmp_path: Path) -> None:
     assert np.abs(read_all(path).astype(int) - large).max() <= 8
 
 
+def test_a_plain_tiff_is_read_in_a_compression_that_opencv_lacks(tmp_path: Path) -> None:
+    path = geotiff(
+        tmp_path / "a.tif", RGB, crs=None, transform=None, compress="WEBP", WEBP_LOSSLESS="YES"
+    )
+    np.testing.assert_array_equal(read_all(path), RGB)
+
+
 HOLE = np.s_[5:15, 10:30]
 WITH_HOLE = RGB.copy()
 WITH_HOLE[HOLE] = 0

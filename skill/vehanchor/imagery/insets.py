@@ -1,0 +1,339 @@
+"""Insets: pictures that were put over a part of another one.
+
+The border of an inset is a rectangle along rows and columns, exact to a pixel, and abrupt: the step
+across it exceeds the steps beside it, because the pixels on both sides are unrelated. A camera
+blurs the edge of a roof or road over several pixels, and such edges hardly form whole rectangles.
+Some insets have a frame instead: a thin line of one colour that differs from both sides.
+
+The search takes the columns and rows with the longest abrupt borders, and compares the rectangles
+between them. Sides at the border of the image are not seen and do not count.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    from numpy.typing import NDArray
+
+    Grey: TypeAlias = NDArray[np.uint8]
+    """``[h, w]`` grey values."""
+
+    Strengths: TypeAlias = NDArray[np.float32]
+    """``[h, w]`` -0.5 to 1, how clearly each pixel lies on a border along its column."""
+
+    PerRectangle: TypeAlias = NDArray[np.float64]
+    """``[n]`` one number for each rectangle."""
+
+    Places: TypeAlias = NDArray[np.intp]
+    """``[n]`` rows or columns."""
+
+# Least strengths of a rectangle whose borders are steps, and lines. The formula was chosen on 300
+# insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
+_LEAST_OF_STEPS = 0.56
+_LEAST_OF_LINES = 0.86
+# Weights of the weakest side, of a border that goes on beyond a corner, and of the log length.
+_WEAKEST = 0.3
+_GOING_ON = 0.4
+_LENGTH = 0.2
+_USUAL_LENGTH_PX = 150
+# Grey levels that are added to a step before it is compared with its neighbours.
+_STEP_LEVELS = 4.0
+_LINE_LEVELS = 8.0
+_LEAST_STRENGTH = -0.5
+# Pixels from the middle of a line to both sides, and along it to where it has the same colour.
+_LINE_REACH_PX = 3
+_ALONG_PX = (2, 5)
+# Columns and rows that bound rectangles, and the share of the shorter side over which the
+# border of a candidate is averaged.
+_MAX_LINES = 9
+_LINE_SHARE = 0.18
+_MIN_LINE_PX = 24
+_MIN_LINE_STRENGTH = -0.02
+_MARGIN_PX = 6
+_SPACING_PX = 2
+# Least side over the shorter side of the image, its least in pixels, and the largest area over that
+# of the image. Larger pictures meet in a seam across the image.
+_MIN_SIDE_SHARE = 0.15
+_MIN_SIDE_PX = 20
+_MAX_AREA_SHARE = 0.62
+# Pixels beyond a corner in which a border that ends there does not go on.
+_BEYOND_SHARE = 0.08
+_MIN_BEYOND_PX = 12
+_CORNER_PX = 2
+_MIN_SEEN_PX = 6
+# JPEG divides the picture into blocks of 8 px; borders of one phase that stand out are blocks.
+_BLOCK_PX = 8
+_BLOCKY = 0.06
+_NEIGHBOURS = np.array([[1, 1, 0, 1, 1]], np.uint8)
+# Plain ground, on which a drawing shows things: grey levels by which it varies, its share of the
+# image, and of what surrounds the rectangle at some distance.
+_GROUND_LEVELS = 3
+_MAX_GROUND = 0.10
+_GROUND_AROUND = 0.7
+_AROUND_PX = 3
+
+
+class Inset(NamedTuple):
+    """Rectangle of an inset, in pixels.
+
+    Attributes:
+        left: its first column; 0 if it reaches the border of the image.
+        top: its first row.
+        right: the column behind its last one.
+        bottom: the row behind its last one.
+        strength: how clear its border is.
+    """
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    strength: float
+
+    @property
+    def corner(self) -> tuple[int, int]:
+        """Column and row of a corner inside the image."""
+        return (self.left or self.right, self.top or self.bottom)
+
+
+def find_inset(grey: Grey, *, with_frames: bool = True) -> Inset | None:
+    """Find an inset in an image.
+
+    Args:
+        grey: the image.
+        with_frames: whether to look for frames of thin lines, too.
+
+    Returns:
+        The clearest one; None without one.
+    """
+    transposed = np.ascontiguousarray(grey.T)
+    of_columns = _without_blocks(_step_strengths(grey))
+    of_rows = _without_blocks(_step_strengths(transposed))
+    inset = _best_rectangle(of_columns, of_rows)
+    if inset is not None and inset.strength >= _LEAST_OF_STEPS:
+        return None if _lies_on_ground(grey, inset, _AROUND_PX) else inset
+    if not with_frames:
+        return None
+    inset = _best_rectangle(_line_strengths(grey), _line_strengths(transposed))
+    if inset is None or inset.strength < _LEAST_OF_LINES:
+        return None
+    # A line of the ground's colour separates things in a drawing.
+    return None if _lies_on_ground(grey, inset, 0) else inset
+
+
+def _step_strengths(grey: Grey) -> Strengths:
+    """Compute how far the step from the column to the left exceeds its neighbours."""
+    step = cv2.absdiff(grey[:, :-1], grey[:, 1:])
+    neighbour = cv2.dilate(step, _NEIGHBOURS)
+    strengths = np.zeros(grey.shape, np.float32)
+    strengths[:, 1:] = _contrast(_grey(step), _grey(neighbour), _STEP_LEVELS)
+    return strengths
+
+
+def _line_strengths(grey: Grey) -> Strengths:
+    """Compute how far a column differs from both sides, less how far it varies along itself."""
+    reach = _LINE_REACH_PX
+    middle = np.ascontiguousarray(grey[:, reach:-reach])
+    left = cv2.absdiff(middle, grey[:, : -2 * reach])
+    right = cv2.absdiff(middle, grey[:, 2 * reach :])
+    across = cv2.min(left, right)
+    along = np.zeros_like(across)
+    for distance in _ALONG_PX:
+        variation = cv2.absdiff(middle[2 * distance :], middle[: -2 * distance])
+        inner = along[distance:-distance]
+        np.maximum(inner, variation, out=inner)
+    strengths = np.zeros(grey.shape, np.float32)
+    strengths[:, reach:-reach] = _contrast(_grey(across), _grey(along), _LINE_LEVELS)
+    return strengths
+
+
+def _grey(image: cv2.typing.MatLike) -> Grey:
+    return np.asarray(image, np.uint8)
+
+
+def _contrast(signal: Grey, noise: Grey, levels: float) -> Strengths:
+    """Divide the difference of two grey values by their sum, from -0.5 on."""
+    difference = cv2.subtract(signal, noise, dtype=cv2.CV_32F)
+    total = cv2.add(signal, noise, dtype=cv2.CV_32F)
+    contrast = np.asarray(difference, np.float32) / (total + np.float32(levels))
+    return np.maximum(contrast, np.float32(_LEAST_STRENGTH))
+
+
+def _lies_on_ground(grey: Grey, inset: Inset, distance_px: int) -> bool:
+    """Test whether a rectangle is surrounded by one colour that much of the image has.
+
+    Args:
+        grey: the image.
+        inset: the rectangle.
+        distance_px: pixels from its border to what surrounds it.
+    """
+    height, width = grey.shape
+    rows = slice(inset.top, inset.bottom)
+    columns = slice(inset.left, inset.right)
+    around = []
+    if inset.left >= distance_px and inset.left > 0:
+        around.append(grey[rows, inset.left - distance_px])
+    if inset.right + distance_px < width:
+        around.append(grey[rows, inset.right + distance_px])
+    if inset.top >= distance_px and inset.top > 0:
+        around.append(grey[inset.top - distance_px, columns])
+    if inset.bottom + distance_px < height:
+        around.append(grey[inset.bottom + distance_px, columns])
+    if not around:
+        return False
+    surroundings = np.concatenate(around)
+    colour = float(np.median(surroundings))
+    share_around = (np.abs(surroundings - colour) <= _GROUND_LEVELS).mean()
+    share = (np.abs(grey - colour) <= _GROUND_LEVELS).mean()
+    return bool(share_around >= _GROUND_AROUND and share > _MAX_GROUND)
+
+
+def _without_blocks(strengths: Strengths) -> Strengths:
+    """Set the borders of visible blocks of a compressed image to zero."""
+    mean = strengths.mean(axis=0)
+    usual = np.array([np.median(mean[phase::_BLOCK_PX]) for phase in range(_BLOCK_PX)])
+    for phase in np.flatnonzero(usual - np.median(usual) > _BLOCKY):
+        strengths[:, phase::_BLOCK_PX] = 0.0
+    return strengths
+
+
+def _candidates(strengths: Strengths, length_px: int) -> list[int]:
+    """Select the columns with the clearest borders of some length."""
+    pieces = cv2.blur(strengths, (1, length_px), borderType=cv2.BORDER_CONSTANT)
+    best = pieces.max(axis=0)
+    n_columns = len(best)
+    best[:_MARGIN_PX] = _LEAST_STRENGTH
+    best[n_columns - _MARGIN_PX :] = _LEAST_STRENGTH
+    columns: list[int] = []
+    while len(columns) < _MAX_LINES:
+        column = int(best.argmax())
+        if best[column] < _MIN_LINE_STRENGTH:
+            break
+        columns.append(column)
+        best[max(0, column - _SPACING_PX) : column + _SPACING_PX + 1] = _LEAST_STRENGTH
+    return sorted(columns)
+
+
+def _best_rectangle(of_columns: Strengths, of_rows: Strengths) -> Inset | None:
+    """Find the rectangle with the clearest border.
+
+    Args:
+        of_columns: ``[h, w]`` strengths of borders along columns.
+        of_rows: ``[w, h]`` strengths of borders along rows.
+
+    Returns:
+        The rectangle; None without candidates.
+    """
+    height, width = of_columns.shape
+    side = min(height, width)
+    if side < 2 * max(_MIN_SIDE_PX, _MARGIN_PX):
+        return None
+    length_px = max(_MIN_LINE_PX, round(_LINE_SHARE * side))
+    x_px = np.array([0, *_candidates(of_columns, length_px), width])
+    y_px = np.array([0, *_candidates(of_rows, length_px), height])
+    left, right, top, bottom = (
+        grid.ravel() for grid in np.meshgrid(x_px[:-1], x_px[1:], y_px[:-1], y_px[1:])
+    )
+    least_px = max(_MIN_SIDE_PX, _MIN_SIDE_SHARE * side)
+    columns = right - left
+    rows = bottom - top
+    is_inset = (columns >= least_px) & (rows >= least_px)
+    is_inset &= (columns < width) & (rows < height)
+    is_inset &= columns * rows <= _MAX_AREA_SHARE * width * height
+    if not is_inset.any():
+        return None
+    left, right, top, bottom = left[is_inset], right[is_inset], top[is_inset], bottom[is_inset]
+    beyond_px = max(_MIN_BEYOND_PX, round(_BEYOND_SHARE * side))
+    column_sums = _Sums.of(of_columns, beyond_px)
+    row_sums = _Sums.of(of_rows, beyond_px)
+    sides = (
+        column_sums.side(left, top, bottom),
+        column_sums.side(right, top, bottom),
+        row_sums.side(top, left, right),
+        row_sums.side(bottom, left, right),
+    )
+    strengths = _strengths_of(sides)
+    best = int(strengths.argmax())
+    corners = (int(left[best]), int(top[best]), int(right[best]), int(bottom[best]))
+    return Inset(*corners, strength=float(strengths[best]))
+
+
+class _Sides(NamedTuple):
+    """One side of each rectangle.
+
+    Attributes:
+        mean: strength; not a number for a side at the border of the image.
+        length: pixels; 0 for a side at the border of the image.
+        beyond: the larger strength of the same column or row beyond both corners.
+    """
+
+    mean: PerRectangle
+    length: PerRectangle
+    beyond: PerRectangle
+
+
+class _Sums(NamedTuple):
+    """Sums of strengths along columns.
+
+    Attributes:
+        sums: ``[h + 1, w + 1]`` sums over the rows above.
+        beyond_px: pixels beyond a corner that are looked at.
+    """
+
+    sums: NDArray[np.float64]
+    beyond_px: int
+
+    @classmethod
+    def of(cls, strengths: Strengths, beyond_px: int) -> _Sums:
+        """Sum strengths along columns."""
+        height, width = strengths.shape
+        sums = np.zeros((height + 1, width + 1))
+        np.cumsum(strengths, axis=0, out=sums[1:, :width])
+        return cls(sums, beyond_px)
+
+    def side(self, columns: Places, first: Places, behind: Places) -> _Sides:
+        """Measure one side of each rectangle.
+
+        Args:
+            columns: its column.
+            first: its first row.
+            behind: the row behind its last one.
+        """
+        is_seen = (columns > 0) & (columns < self.sums.shape[1] - 1)
+        mean, length = self._mean(columns, first, behind)
+        before = self._mean(columns, first - self.beyond_px, first - _CORNER_PX)
+        after = self._mean(columns, behind + _CORNER_PX, behind + self.beyond_px)
+        beyond = np.zeros(len(columns))
+        for part_mean, part_length in (before, after):
+            goes_on = np.where(is_seen & (part_length >= _MIN_SEEN_PX), part_mean, 0.0)
+            beyond = np.maximum(beyond, goes_on)
+        return _Sides(np.where(is_seen, mean, np.nan), np.where(is_seen, length, 0.0), beyond)
+
+    def _mean(
+        self, columns: Places, first: Places, behind: Places
+    ) -> tuple[PerRectangle, PerRectangle]:
+        """Average strengths over rows inside the image, and count these rows."""
+        last = len(self.sums) - 1
+        start = np.clip(first, 0, last)
+        end = np.clip(behind, 0, last)
+        length = np.maximum(end - start, 0).astype(np.float64)
+        total = self.sums[end, columns] - self.sums[start, columns]
+        return total / np.maximum(length, 1.0), length
+
+
+def _strengths_of(sides: tuple[_Sides, ...]) -> PerRectangle:
+    """Combine the sides of each rectangle to its strength."""
+    means = np.stack([side.mean for side in sides])
+    lengths = np.stack([side.length for side in sides])
+    beyond = np.stack([side.beyond for side in sides]).max(axis=0)
+    length = lengths.sum(axis=0)
+    mean = (np.nan_to_num(means) * lengths).sum(axis=0) / length
+    weakest = np.nanmin(means, axis=0)
+    by_length = _LENGTH * np.log(length / _USUAL_LENGTH_PX)
+    return np.asarray(mean + _WEAKEST * weakest - _GOING_ON * beyond + by_length)
