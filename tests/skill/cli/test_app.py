@@ -589,15 +589,16 @@ def test_opencv_adds_no_line_to_the_error_of_a_damaged_image(tmp_path: Path) -> 
     assert line.startswith("error[image_undecodable]: the BMP (half.bmp) cannot be decoded")
 
 
-def test_help_loads_nothing_heavy(folder: Path) -> None:
-    code = """
+@pytest.mark.parametrize("asked", [["--help"], ["estimate", "--help"]], ids=" ".join)
+def test_help_loads_nothing_heavy(folder: Path, asked: list[str]) -> None:
+    code = f"""
 import sys
 from vehanchor.cli.app import main
-sys.argv = ["vehanchor", "estimate", "--help"]
+sys.argv = ["vehanchor", *{asked}]
 try:
     main()
 finally:
-    heavy = {"cv2", "numpy", "onnxruntime", "scipy", "matplotlib", "rasterio"}
+    heavy = {{"cv2", "numpy", "onnxruntime", "scipy", "matplotlib", "rasterio"}}
     print(sorted(heavy & set(sys.modules)), file=sys.stderr)
 """
     done = subprocess.run(
