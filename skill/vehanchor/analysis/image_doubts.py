@@ -1,15 +1,18 @@
-"""Doubts about the whole image, before a ruler measures: whether it is one perspective view."""
+"""Doubts about the whole image, before a ruler measures: one perspective view, and photographed."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from vehanchor.imagery.drawing import drawing_chance_around
 from vehanchor.imagery.horizon import find_horizon
 from vehanchor.imagery.raster import RasterNote
 from vehanchor.imagery.seams import find_seam
 from vehanchor.records.notices import NoticeCode
 
 if TYPE_CHECKING:
+    from vehanchor.detection.detections import Detections
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.seams import Seam
@@ -48,6 +51,12 @@ def with_image_doubts(
         if horizon_px is not None:
             notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE, _horizon_visible(horizon_px)))
     return facts._replace(notices=(*facts.notices, *notes))
+
+
+def with_detections(view: View, raster: Raster, detections: Detections) -> View:
+    """Add the vehicles of an image, and judge by their surroundings whether they are drawn."""
+    chance = drawing_chance_around(raster, detections.boxes, view.drawing_chance)
+    return replace(view, detections=detections, drawing_chance=chance)
 
 
 def shows_horizon(view: View) -> bool:

@@ -14,7 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
-from vehanchor.analysis.image_doubts import shows_horizon, with_image_doubts
+from vehanchor.analysis.image_doubts import shows_horizon, with_detections, with_image_doubts
 from vehanchor.analysis.remedies import expected_gains
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.copies import without_copies
@@ -181,7 +181,7 @@ def search_raster(
         nms_iou=options.search.nms_iou,
         length_over_width=detector.card.errors.boxes.length_over_width,
     )
-    return replace(view, detections=detections)
+    return with_detections(view, raster, detections)
 
 
 def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleAnalysis:
