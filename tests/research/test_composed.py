@@ -13,7 +13,7 @@ from vehanchor.imagery.axis_detail import measure_detail_difference
 from vehanchor.imagery.seams import find_seam
 from vehanchor.imagery.sources.arrays import ArrayRaster
 
-GROUNDS = [ground(256, seed=seed) for seed in range(4)]
+GROUNDS = [ground(400, seed=seed) for seed in range(4)]
 
 
 def _raster(image: NDArray[np.uint8]) -> ArrayRaster:
@@ -21,12 +21,12 @@ def _raster(image: NDArray[np.uint8]) -> ArrayRaster:
 
 
 def test_most_insets_are_found() -> None:
-    rng = random.Random(11)
+    rng = random.Random(13)
     found = 0
-    for k in range(20):
+    for k in range(10):
         composed = with_inset(GROUNDS[k % 4], GROUNDS[(k + 1) % 4], rng)
         found += find_seam(_raster(composed.image)) is not None
-    assert found >= 10
+    assert found >= 6
 
 
 def test_most_stretched_images_have_less_detail_in_the_longer_direction() -> None:
@@ -42,7 +42,7 @@ def test_most_stretched_images_have_less_detail_in_the_longer_direction() -> Non
 
 def test_a_car_is_pasted_nine_times_beside_the_border_never() -> None:
     rng = random.Random(9)
-    image = pasted(GROUNDS[0], np.array([128.0, 128.0, 40.0, 18.0, 0.3]), rng)
+    image = pasted(GROUNDS[0], np.array([200.0, 200.0, 40.0, 18.0, 0.3]), rng)
     assert image is not None
     assert min(image.shape[:2]) > 3 * 40
-    assert pasted(GROUNDS[0], np.array([10.0, 128.0, 40.0, 18.0, 0.3]), rng) is None
+    assert pasted(GROUNDS[0], np.array([10.0, 200.0, 40.0, 18.0, 0.3]), rng) is None
