@@ -16,11 +16,11 @@ from dataclasses import fields
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
+from vehanchor.analysis.image_list import estimate_each
 from vehanchor.analysis.pipeline import (
     analyse_image,
     analyse_raster,
     checked_detector,
-    estimate_each,
 )
 from vehanchor.detection.chips import prepare_colours
 from vehanchor.detection.detector import Detector, open_detector

@@ -45,6 +45,8 @@ AnyRecord: TypeAlias = GsdEstimate | AreaMeasurement | DistanceMeasurement
 _ESTIMATE_CHARS = 320
 _MEASUREMENT_CHARS = 520
 _PREFIX = "Warning "
+# Reasons about the image, whatever there is in it.
+_WHOLE_IMAGE = ("no_photograph", "oblique")
 
 
 class Answer(NamedTuple):
@@ -280,7 +282,11 @@ def _verdict(record: AnyRecord) -> str:
 
 def _no_scale(record: AnyRecord) -> str:
     """State that there is no scale, why, and what would help."""
-    return f"no ruler was found, confidence 0: no metric scale{_why(record)}; {advice_on(record)}."
+    estimate = record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
+    found = "no ruler was found, "
+    if estimate is not None and estimate.reason in _WHOLE_IMAGE:
+        found = ""
+    return f"{found}confidence 0: no metric scale{_why(record)}; {advice_on(record)}."
 
 
 def _why(record: AnyRecord) -> str:

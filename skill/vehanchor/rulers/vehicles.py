@@ -238,6 +238,13 @@ class VehicleWitness(Witness):
             lacks.append(Lack(lack.reason, without))
         return replace(without_guess, guess=guess, lacks=tuple(lacks))
 
+    def in_known_region(self) -> VehicleWitness:
+        """Narrow the evidence as the name of a measured region would; there must be vehicles."""
+        reference = self.reference.in_known_region(self.card)
+        informed = replace(self, reference=reference)
+        likelihood = self._likelihood(self.fleet.detections.scores)
+        return replace(self, right=informed._widened(likelihood))
+
     def _likelihood(self, scores: Scores) -> Density:
         """Compute the density ``[g]`` of the scale for a known fleet.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from research.scenes import Layout, render_scene
 from research.scenes.lettering import own_fonts
 from research.scenes.pages import PAGES
-from vehanchor.imagery.drawing import measure_drawing_chance
+from vehanchor.imagery.drawing import drawing_chance_around, measure_drawing_chance
 from vehanchor.imagery.sources.opening import open_raster
 
 
@@ -23,6 +23,14 @@ def _chance(picture: NDArray[np.uint8]) -> float:
 def test_a_drawing_is_probably_no_photograph(kind: str) -> None:
     picture = PAGES[kind](np.random.default_rng(1), own_fonts())
     assert _chance(picture) > 0.5
+
+
+@pytest.mark.parametrize("kind", ["page", "chart", "map"])
+def test_a_compressed_drawing_is_probably_no_photograph(kind: str) -> None:
+    picture = PAGES[kind](np.random.default_rng(1), own_fonts())
+    _, file = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 50])
+    compressed = np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR), np.uint8)
+    assert _chance(compressed) > 0.5
 
 
 @pytest.mark.parametrize("blur_px", [0, 9])
@@ -42,3 +50,15 @@ def test_a_border_without_data_does_not_make_a_drawing() -> None:
 
 def test_an_image_that_is_smaller_than_a_patch_is_no_drawing() -> None:
     assert _chance(np.full((40, 300, 3), 255, np.uint8)) == 0.0
+
+
+def test_cars_of_a_photograph_on_a_page_are_photographed() -> None:
+    page = PAGES["page"](np.random.default_rng(1), own_fonts()).copy()
+    page[:256, :256] = render_scene(0.1, width_px=256, height_px=256, seed=3).image
+    boxes = np.array([[x, 128.0, 45.0, 20.0, 0.0] for x in (90, 128, 166)])
+    with open_raster(page) as raster:
+        overall = measure_drawing_chance(raster)
+        assert overall > 0.5
+        assert drawing_chance_around(raster, boxes, overall) < 0.05
+        # A single box may be an icon, and the image is drawn.
+        assert drawing_chance_around(raster, boxes[:1], overall) == overall
