@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 # Least strengths of a rectangle whose borders are steps, and lines. The formula was chosen on 300
 # insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
-_LEAST_OF_STEPS = 0.56
-_LEAST_OF_LINES = 0.86
+_LEAST_OF_STEPS = 0.61
+_LEAST_OF_LINES = 0.96
 # Weights of the weakest side, of a border that goes on beyond a corner, and of the log length.
 _WEAKEST = 0.3
 _GOING_ON = 0.4
