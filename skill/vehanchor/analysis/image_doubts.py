@@ -40,16 +40,16 @@ def with_image_doubts(
             "scale holds for all of it. Give a photograph that was taken straight down, or a "
             "perspective view made from this image."
         )
-        notes.append(RasterNote(NoticeCode.NOT_PERSPECTIVE, message))
+        notes.append(RasterNote(NoticeCode.NOT_PERSPECTIVE.value, message))
     # A map is often assembled from pictures of one scale.
     is_map = facts.georeference_gsd_m_per_px is not None
     if check_seams and not is_map:
         seam = find_seam(raster)
         if seam is not None:
-            notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES, _several_pictures(seam)))
+            notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES.value, _several_pictures(seam)))
         horizon_px = find_horizon(raster)
         if horizon_px is not None:
-            notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE, _horizon_visible(horizon_px)))
+            notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE.value, _horizon_visible(horizon_px)))
     return facts._replace(notices=(*facts.notices, *notes))
 
 

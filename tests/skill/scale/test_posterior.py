@@ -200,6 +200,26 @@ def test_a_guess_never_makes_sure(factor: float, prior_log_sd: float) -> None:
         assert not found.usable
 
 
+@pytest.mark.parametrize("factor", [1 / 1.5, 1.0, 1.5])
+def test_a_prior_does_not_confirm_a_measured_fact(factor: float) -> None:
+    """It does not tell a scale from one 1.5 times as large."""
+    line = replace(_point(0.1), shared=(MEASURING,))
+    alone = judge([line])
+    confirmed = judge([line, _prior(factor * 0.1, 0.4)])
+    assert alone is not None
+    assert confirmed is not None
+    assert confirmed.chance <= alone.chance + 0.001
+
+
+def test_a_prior_that_excludes_a_measured_fact_lowers_its_chance() -> None:
+    line = replace(_point(0.1), shared=(MEASURING,))
+    alone = judge([line])
+    contradicted = judge([line, _prior(0.5)])
+    assert alone is not None
+    assert contradicted is not None
+    assert contradicted.chance < alone.chance - 0.1
+
+
 def test_a_prior_narrows_a_guess() -> None:
     guess = replace(_point(0.12, 0.20, kind="guess"), assumed=True)
     alone = answer([guess])
