@@ -63,7 +63,7 @@ class DrawingWeights(NamedTuple):
 
 
 # Fitted to 1,905 photographs of known scale and 138 rendered scenes, and 430 drawings: 200 of
-# research.scenes.pages, and 230 of 29 other kinds, most of them compressed, blurred, noisy or
+# research.scenes.pages, and 230 of 27 other kinds, most of them compressed, blurred, noisy or
 # photographed; in equal parts. Then 4 is taken from the offset, because few pictures are drawings.
 # Of the photographs the highest chance is 0.45. Of 170 further drawings of these kinds 101 of 113
 # that are clean, compressed or blurred have more than 0.5, but only 4 of 57 that are noisy, scanned
