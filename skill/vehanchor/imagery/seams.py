@@ -77,10 +77,12 @@ class Seam(NamedTuple):
     Attributes:
         x_px: column of a vertical seam, or of an inset's corner; None for a horizontal seam.
         y_px: row of a horizontal seam, or of an inset's corner; None for a vertical seam.
+        inset: rectangle of an inset; None for a seam across the image.
     """
 
     x_px: int | None
     y_px: int | None
+    inset: Window | None = None
 
 
 def find_seam(raster: Raster) -> Seam | None:
@@ -120,14 +122,27 @@ def _seam(grey: Grey, *, with_frames: bool) -> Seam | None:
     if row is not None:
         return Seam(None, row)
     inset = find_inset(grey, with_frames=with_frames)
-    return None if inset is None else Seam(*inset.corner)
+    if inset is None:
+        return None
+    width = inset.right - inset.left
+    height = inset.bottom - inset.top
+    rectangle = Window(inset.left, inset.top, width_px=width, height_px=height)
+    return Seam(*inset.corner, inset=rectangle)
 
 
 def _in_image(seam: Seam, factor: int, left: int, top: int) -> Seam:
     """Convert a seam of a reduced part to pixels of the image."""
     x_px = None if seam.x_px is None else seam.x_px * factor + left
     y_px = None if seam.y_px is None else seam.y_px * factor + top
-    return Seam(x_px, y_px)
+    inset = seam.inset
+    if inset is not None:
+        inset = Window(
+            inset.x_px * factor + left,
+            inset.y_px * factor + top,
+            width_px=inset.width_px * factor,
+            height_px=inset.height_px * factor,
+        )
+    return Seam(x_px, y_px, inset)
 
 
 def _without_margins(grey: Grey) -> tuple[Grey, int, int]:
