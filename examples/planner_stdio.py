@@ -37,6 +37,7 @@ REMEDIES = {
     "too_coarse": "fly lower",
     "too_few": "climb, or fly to a street, and take another image",
     "no_photograph": "take a photograph from above",
+    "oblique": "look straight down, and take another image",
     "not_cars": "use another ruler",
     "disagree": "use another ruler",
     "imprecise": "give the region or a known length",

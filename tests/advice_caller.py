@@ -16,8 +16,8 @@ from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.metadata.lens import lens
 from vehanchor.options import Basis, ScaleOptions
-from vehanchor.records import GsdEstimate
-from vehanchor.records.advice import Remedy, advice_for
+from vehanchor.records import GsdEstimate, Remedy
+from vehanchor.records.advice import advice_for
 
 Options: TypeAlias = Mapping[str, Any]
 """Options of a call, by keyword."""
@@ -231,13 +231,14 @@ def follow(remedy: Remedy, call: Call, analysis: ScaleAnalysis, *, guesses: bool
         return Call(photo, {**options, "region": "FR"})
     if photo.gsd_m_per_px is None:
         return None
-    if remedy in ("line", "thing"):
+    if remedy in ("line", "things"):
         return _with_line(call, guesses=guesses)
-    if remedy == "elsewhere":
-        return None if "height_m" in options else _with_height(call)
-    if remedy in ("measured", "second"):
-        has_height = options.get("height_basis") == "measured"
-        return _with_line(call, guesses=False) if has_height else _with_height(call)
+    if remedy == "length":
+        return _with_line(call, guesses=False)
+    if remedy == "height":
+        return _with_height(call)
+    if remedy == "images":
+        return None
     if remedy == "facts":
         return _with_right_facts(call)
     raise AssertionError(f"nobody knows how to follow {remedy}")

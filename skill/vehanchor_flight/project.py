@@ -23,8 +23,8 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
         photograph: a photograph with a record of its own.
 
     Returns:
-        Its own record, with scale, interval, confidence, reason and rulers of its component, in its
-        pixels.
+        Its own record, with scale, interval, confidence, reason, remedies and rulers of its
+        component, in its pixels.
 
     Raises:
         ValueError: the photograph could not be read and has no record.
@@ -45,6 +45,7 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
     rulers = [_scaled(ruler, ratio) for ruler in pooled.rulers]
     changes["rulers"] = tuple(rulers)
     changes["tilt"] = tilt
+    changes["details"] = own.details.model_copy(update={"remedies": pooled.details.remedies})
     return own.model_copy(update=changes)
 
 

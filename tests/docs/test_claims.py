@@ -56,7 +56,8 @@ def _documented_errors() -> dict[tuple[str, str], float]:
 
 def test_the_table_of_a_detectors_errors_has_all_defaults() -> None:
     expected: dict[tuple[str, str], float] = {}
-    for group, numbers in DetectorErrors().model_dump().items():
+    # Votes have no default.
+    for group, numbers in DetectorErrors().model_dump(exclude_none=True).items():
         for name, number in numbers.items():
             if isinstance(number, dict):
                 # A table in a table, such as look_alikes.lengths.

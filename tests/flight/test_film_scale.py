@@ -154,21 +154,21 @@ def test_first_seconds_of_photographs_are_refused(tmp_path: Path) -> None:
     assert "--first is about a video" in done.stderr
 
 
-FRAME = (1280, 720)
-RENDERED_GSD = 0.1
+FRAME = (640, 360)
+RENDERED_GSD = 0.2
 
 
 @pytest.fixture(scope="module")
 def scene() -> Any:
     """Render a car park of known scale, BGR."""
-    rendered = render_scene(RENDERED_GSD, width_px=2200, height_px=1900, seed=1, layout="parking")
+    rendered = render_scene(RENDERED_GSD, width_px=1100, height_px=950, seed=1, layout="parking")
     return np.ascontiguousarray(rendered.image[:, :, ::-1])
 
 
 def _film_of(scene: Any, folder: Path, tilt_deg: float) -> Path:
     """Film the scene for a second while the drone flies on, with a camera tilted by an angle."""
     frames = [
-        cv2.warpPerspective(scene, _view(scene, tilt_deg, 6.0 * k), FRAME, flags=cv2.INTER_AREA)
+        cv2.warpPerspective(scene, _view(scene, tilt_deg, 3.0 * k), FRAME, flags=cv2.INTER_AREA)
         for k in range(10)
     ]
     return _written(folder, frames)

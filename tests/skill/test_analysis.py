@@ -31,11 +31,13 @@ from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options import ScaleOptions
 from vehanchor.pictures.measurement import MEASURED_RGB
 from vehanchor.records import (
+    ExpectedGain,
     GsdEstimate,
     KnownPlane,
     KnownScale,
     Notice,
     Reason,
+    Remedy,
     SceneScaleEstimate,
 )
 from vehanchor.records.advice import IN_WORDS, advice_for
@@ -344,7 +346,7 @@ def estimate() -> GsdEstimate:
         (
             {"reason": "too_few", "n_vehicles": 0},
             "no car was found",
-            IN_WORDS["thing"],
+            IN_WORDS["line"],
         ),
         ({"reason": "too_coarse"}, "the vehicles are only 32 px long", IN_WORDS["lower"]),
         (
@@ -372,7 +374,7 @@ def estimate() -> GsdEstimate:
         (
             {"reason": "too_few", "n_vehicles": 1},
             "1 vehicle alone: too little evidence",
-            "give the region",
+            IN_WORDS["add"],
         ),
         (
             {
@@ -391,6 +393,40 @@ def test_the_advice_follows_the_evidence(
     assert advice is not None
     assert advice.why == why
     assert advice.helps.startswith(helps)
+
+
+def _gain(remedy: Remedy, confidence: float, *vehicles: int) -> ExpectedGain:
+    return ExpectedGain(remedy=remedy, confidence=confidence, gsd_ci95_ratio=1.2, vehicles=vehicles)
+
+
+@pytest.mark.parametrize(
+    ("gains", "remedies"),
+    [
+        ([_gain("length", 0.97), _gain("line", 0.93)], ("line", "length")),
+        ([_gain("length", 0.97), _gain("line", 0.8)], ("length", "line")),
+        ([_gain("height", 0.95), _gain("region", 0.55)], ("height",)),
+        (
+            [_gain("add", 0.93), _gain("line", 0.92), _gain("height", 0.91)],
+            ("add", "height", "line"),
+        ),
+    ],
+)
+def test_advice_names_what_the_posterior_would_gain_from(
+    estimate: GsdEstimate, gains: list[ExpectedGain], remedies: tuple[Remedy, ...]
+) -> None:
+    details = estimate.details.model_copy(update={"remedies": tuple(gains)})
+    changes = {"reason": "imprecise", "confidence": 0.5, "details": details}
+    advice = advice_for(estimate.model_copy(update=changes))
+    assert advice is not None
+    assert advice.remedies == remedies
+
+
+def test_advice_names_doubtful_vehicles_by_their_numbers(estimate: GsdEstimate) -> None:
+    details = estimate.details.model_copy(update={"remedies": (_gain("drop", 0.96, 1, 3),)})
+    changes = {"reason": "imprecise", "confidence": 0.5, "details": details}
+    advice = advice_for(estimate.model_copy(update=changes))
+    assert advice is not None
+    assert advice.helps == "drop vehicles 1, 3 if they are not cars"
 
 
 def test_a_scene_that_contradicts_the_cars_is_named(estimate: GsdEstimate) -> None:

@@ -6,8 +6,8 @@
 several resolutions; the odd numbers of ``chia/``, reduced; rendered scenes of mixed fleets.
 ``val``: the same of val and of the even numbers, with other seeds. Writes ``RUN/fit.csv`` and
 ``RUN/val.csv``, tables of images of known scale, and searches their images into ``RUN/fit.jsonl``
-and ``RUN/val.jsonl`` with a copy of the networks, ``RUN/models``. The fit changes metadata of the
-shipped detector; these searches stay valid. An interrupted run resumes; other networks need another
+and ``RUN/val.jsonl`` with a copy of the networks, ``RUN/models``, without their errors. The fit
+changes these; the searches stay valid. An interrupted run resumes; other networks need another
 ``RUN``.
 """
 

@@ -1,25 +1,23 @@
-"""Fit how a detector's boxes vote: ``python -m research.training.fusion.fit RUN DETECTOR.onnx``.
+"""Fit how a detector's boxes vote: ``python -m research.training.fusion.fit RUN [--fit]``.
 
-Reads the searches that ``research.training.fusion.cases`` stored in ``RUN``. A box with a
-car's length in metres counts as a car. Logistic regression gives its log odds from its score
-(``vehanchor.scale.density.Votes``), with equal weights of all photographs. The result becomes
-``vehanchor.votes`` of the detector's file. Prints how often the answer is usable, how many usable
-ones are wrong, and how often the interval holds the true scale: by number of vehicles, and by place
-with votes that the other places chose. Without a detector, it only reports on the detector's own
-votes.
+Reads the searches that ``research.training.fusion.cases`` stored in ``RUN``. A box is a car with
+odds that depend on its score (``vehanchor.scale.density.Votes``), and a car's length errs as the
+detector's errors state. The odds make the true scales most likely, with equal weights of all
+photographs. With ``--fit`` it prints them as the table ``votes`` of the detector's errors, and how
+often the answer is usable, how many usable ones are wrong by more than 20 %, and how often the
+interval holds, with votes that the other places chose. Without it, it only reports on the
+detector's own votes.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import onnx
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
@@ -27,18 +25,17 @@ from research.results.record import header
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detector import Detector, load_detector
+from vehanchor.models.zoo import resolve_model
 from vehanchor.options import ScaleOptions
 from vehanchor.scale.density import TOLERANCE, Votes
 from vehanchor.scale.posterior import answer
-from vehanchor.storage.atomic import whole_file
+from vehanchor.scale.reliability import appearance_error
 from vehanchor.storage.journal import Source
 from vehanchor_evaluation.known_scale import KnownScaleImage
 from vehanchor_evaluation.reliability import upper_bound
 from vehanchor_evaluation.search import SearchedImage, open_detection_log
 from vehanchor_evaluation.table import survey_table
 
-# A box of known scale with a length in this range counts as a car.
-_CAR_M = (3.0, 6.3)
 # Ranges of the number of vehicles, in reports.
 _NUMBERS = ((0, 0), (1, 1), (2, 2), (3, 4), (5, 12), (13, 10_000))
 
@@ -60,12 +57,14 @@ class Boxes(NamedTuple):
 
     Attributes:
         scores: ``[n]``.
-        car: ``[n]`` bool, of a car's length.
+        log_errors: ``[n]``, log of the length in metres if the box is a car, over its true length.
+        log_sds: ``[n]``, standard deviations of these for cars.
         weight: ``[n]``, 1 for the boxes of one image together.
     """
 
     scores: NDArray[np.float64]
-    car: NDArray[np.bool_]
+    log_errors: NDArray[np.float64]
+    log_sds: NDArray[np.float64]
     weight: NDArray[np.float64]
 
 
@@ -96,26 +95,47 @@ def kept_searches(run: Path, split: str, detector: Detector) -> list[Searched]:
     return searched
 
 
-def boxes_of(searched: Sequence[Searched]) -> Boxes:
-    """Collect the boxes of images, and mark those that are as long as a car."""
-    scores = [search.detections.scores for _, search in searched]
-    lengths_m = np.concatenate(
-        [search.detections.boxes[:, 2] * image.gsd_m_per_px for image, search in searched]
-    )
-    weights = [np.full(len(of_image), 1.0 / max(1, len(of_image))) for of_image in scores]
-    is_car = (lengths_m > _CAR_M[0]) & (lengths_m < _CAR_M[1])
-    return Boxes(np.concatenate(scores), is_car, np.concatenate(weights))
+def boxes_of(searched: Sequence[Searched], card: DetectorCard) -> Boxes:
+    """Collect the boxes of images that the chip network examined, with the errors of their lengths.
+
+    Args:
+        searched: the images.
+        card: card of the detector, with the errors that it states.
+    """
+    errors = card.errors.appearance
+    parts = []
+    for image, search in searched:
+        appearance = search.detections.appearance
+        if appearance is None or len(appearance) == 0:
+            continue
+        n = len(appearance)
+        scores = search.detections.scores[:n]
+        true_lengths_m = search.detections.boxes[:n, 2] * image.gsd_m_per_px
+        log_errors = appearance.log_lengths + errors.log_mean - np.log(true_lengths_m)
+        factors = appearance_error(
+            scores, fair_odds=errors.fair_odds, doubt_power=errors.doubt_power
+        )
+        log_sds = np.hypot(appearance.log_sds * factors, errors.fleet_log_sd(float(scores.sum())))
+        parts.append(Boxes(scores, log_errors, log_sds, np.full(n, 1.0 / n)))
+    return Boxes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def fit_votes(boxes: Boxes) -> Votes:
-    """Fit the log odds of a car at score 0, and their increase to a score of 1."""
+    """Fit the log odds of a car at score 0, and their increase to a score of 1.
 
-    def cross_entropy(parameters: NDArray[np.float64]) -> float:
+    A box that is no car has a density of 1 per unit of log length, as in
+    ``vehanchor.scale.density.vehicle_likelihood``.
+    """
+    deviations = boxes.log_errors / boxes.log_sds
+    of_cars = np.exp(-0.5 * deviations**2) / (boxes.log_sds * math.sqrt(2 * math.pi))
+
+    def loss(parameters: NDArray[np.float64]) -> float:
         log_odds = parameters[0] + parameters[1] * boxes.scores
-        losses = np.logaddexp(0, np.where(boxes.car, -log_odds, log_odds))
+        p_car = 1.0 / (1.0 + np.exp(-log_odds))
+        losses = -np.log(p_car * of_cars + 1.0 - p_car)
         return float(np.average(losses, weights=boxes.weight))
 
-    best = minimize(cross_entropy, [-3.0, 6.0], method="Nelder-Mead").x
+    best = minimize(loss, [-8.0, 12.0], method="Nelder-Mead").x
     return Votes(float(best[0]), float(best[1]))
 
 
@@ -183,42 +203,30 @@ def left_out(searched: Sequence[Searched], card: DetectorCard) -> list[DetectorC
     card_by_place = {}
     for place in {image.place for image in searched}:
         others = [image for image in searched if image.place != place]
-        votes = fit_votes(boxes_of(others))
+        votes = fit_votes(boxes_of(others, card))
         card_by_place[place] = card.model_copy(update={"votes": votes})
     return [card_by_place[image.place] for image in searched]
-
-
-def write(path: Path, votes: Votes) -> None:
-    """Put the votes into the detector's file; its graph stays as it is."""
-    model = onnx.load(path)
-    properties = {entry.key: entry.value for entry in model.metadata_props}
-    properties["vehanchor.votes"] = json.dumps(votes._asdict())
-    onnx.helper.set_model_props(model, properties)
-    with whole_file(path) as partial:
-        onnx.save(model, partial)
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
-    parser.add_argument(
-        "detectors", type=Path, nargs="*", help="files that get the votes; without any, only report"
-    )
+    parser.add_argument("--fit", action="store_true", help="fit the votes, and report with them")
     options = parser.parse_args()
     # The copy of the detector that made the searches; files of its auxiliary models have a dot.
     files = (options.run / "models").glob("*.onnx")
     (copy,) = [path for path in files if "." not in path.stem]
     detector = load_detector(copy)
-    card = detector.card
+    # The copy has no file of errors, so that the searches stay valid when these change.
+    shipped = load_detector(resolve_model()).card
+    card = detector.card.model_copy(update={"votes": shipped.votes, "errors": shipped.errors})
     searched = {split: kept_searches(options.run, split, detector) for split in ("fit", "val")}
-    if options.detectors:
+    if options.fit:
         report("fit, each place left out", searched["fit"], left_out(searched["fit"], card))
-        votes = fit_votes(boxes_of(searched["fit"]))
-        print(votes)
+        votes = fit_votes(boxes_of(searched["fit"], card))
+        print(f"[votes]\nat_zero = {votes.share_at_zero:.2f}\nslope = {votes.share_slope:.2f}\n")
         card = card.model_copy(update={"votes": votes})
-        for path in options.detectors:
-            write(path, votes)
     for split, images in searched.items():
         report(split, images, [card] * len(images))
 

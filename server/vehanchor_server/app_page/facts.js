@@ -11,7 +11,9 @@ const HEIGHTS_M = [heightField.min, heightField.max].map(Number);
 heightField.addEventListener("input", () => { heightM = heightField.value ? typedMetres(heightField.value) : undefined; });
 function showHeight() {
   byId("height-unit").textContent = unitOf("length");
-  [heightField.min, heightField.max] = HEIGHTS_M.map(asTyped);
+  const [least, most] = HEIGHTS_M.map(asTyped);
+  heightField.min = least;
+  heightField.max = most;
   heightField.value = heightM === undefined ? "" : asTyped(heightM);
 }
 unitsChanged.push(showHeight);

@@ -6,7 +6,7 @@ const CIRCLE_CORNERS = 90;
 
 let mustFit; // the shape, as the tool takes it; it stays when another photograph is chosen
 
-// Read a size, in its own unit or else in that of lengths: undefined for none, null for what is no size.
+// Read a size, in its own unit or else in that of lengths: undefined for none, null for other text.
 function readMustFit(text) {
   const plain = text.toLowerCase().replaceAll(",", ".").replace(/\s/g, "");
   if (!plain) return undefined;

@@ -24,7 +24,12 @@ function lengthForm(record, tell) {
   });
   // No form element: hosts' sandboxes block forms.
   const row = html("div", { class: "row asked", hidden: true }, what, " ", length, basis, missing, measure);
-  what.addEventListener("change", () => { length.hidden = basis.hidden = Boolean(what.value); missing.hidden = measured.checked || Boolean(what.value); });
+  what.addEventListener("change", () => {
+    const isNamed = Boolean(what.value);
+    length.hidden = isNamed;
+    basis.hidden = isNamed;
+    missing.hidden = isNamed || measured.checked;
+  });
   typed.addEventListener("keydown", (event) => {
     if (event.key === "Enter") measure.click();
   });

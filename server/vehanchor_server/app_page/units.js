@@ -22,7 +22,7 @@ function interval(low, high, quantity) {
   return `95 %: ${number(inUnits(low, quantity))} to ${sized(high, quantity)}`;
 }
 
-// Of a field for lengths: what is typed, in metres, and metres as they are typed.
+// Typed lengths in metres, and metres as people type them.
 const typedMetres = (text) => Number(text) * LENGTHS[lengthUnit()].metres;
 const asTyped = (metres) => Number(inUnits(metres, "length").toPrecision(FIELD_DIGITS));
 

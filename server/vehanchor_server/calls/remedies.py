@@ -1,4 +1,4 @@
-"""Remedies for models: at most two, the one that helps most first.
+"""Remedies for models: two, or all without a scale, the one that helps most first.
 
 Each is given by arguments that every measuring tool has.
 """
@@ -17,30 +17,31 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-    from vehanchor.records.advice import Remedy
+    from vehanchor.records import Remedy
+    from vehanchor.records.advice import Advice
 
 _MAX_REMEDIES = 2
-_DRAW_LINE = "draw a line over a parking bay or lane dash (known_lengths)"
 _IN_WORDS: Mapping[Remedy, str] = {
     "original": "send the original image",
     "aspect": "send a copy with the aspect ratio of the original",
+    "sides": "measure one length across and one down, and have the file's pixel sides corrected",
     "nadir": "send an image taken straight down",
     "lower": "send the original image",
-    "drop": "drop boxes that are not cars, see view_image (drop)",
-    "add": "add a car that has no box (add)",
-    "region": "give the region (region)",
-    "line": _DRAW_LINE,
-    "thing": "if a car or a court, container or rail is in sight, mark it (add, known_lengths)",
-    "measured": "give a measured length or height, no further assumed one (basis)",
-    "facts": "check the facts that you gave, or leave out the wrong one",
-    "second": "if they are right, measure a second length or the height (known_lengths, height_m)",
-    "elsewhere": "give the camera's height and lens (height_m, focal_35mm), or photographs with "
-    "cars (more_images)",
-    "vehicles": "also use the ruler vehicles (rulers)",
     "visible": "send the original image",
     "perspective": "send one photograph that was taken straight down",
     "photograph": "send a photograph from above",
     "apart": "send each picture alone, as it was taken",
+    "vehicles": "also use the ruler vehicles (rulers)",
+    "facts": "check the facts that you gave, or leave out the wrong one",
+    "drop": "drop boxes that are not cars, see view_image (drop)",
+    "add": "add a car that has no box (add)",
+    "region": "give the region (region)",
+    "line": "draw a line over parking bays or lane dashes (known_lengths)",
+    "things": "if cars, or two different things of known size, are in sight, mark them (add, "
+    "known_lengths)",
+    "length": "give a measured length (known_lengths)",
+    "height": "give the height and lens (height_m, focal_35mm)",
+    "images": "give photographs of the flight with cars (more_images)",
 }
 _MASK_DOUBTS = frozenset(
     {NoticeCode.MASK_SCORE_LOW, NoticeCode.MASK_DEPENDS_ON_BOX, NoticeCode.EXTENT_UNKNOWN}
@@ -61,8 +62,8 @@ def advice_on(record: BaseModel) -> str:
     estimate = record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
     advice = advice_for(estimate)
     if advice is not None:
-        remedies = advice.remedies[:_MAX_REMEDIES]
-        on_scale = ", or ".join(_IN_WORDS[remedy] for remedy in remedies)
+        has_scale = estimate is not None and estimate.gsd_m_per_px is not None
+        on_scale = _in_words(advice, has_scale=has_scale)
         # A scale that becomes usable does not make a doubtful mask so.
         if isinstance(record, AreaMeasurement) and _doubts_mask(record):
             return f"{on_scale}; and for the mask, {_advice_on_mask(record)}"
@@ -72,6 +73,18 @@ def advice_on(record: BaseModel) -> str:
         if confidence is None or confidence >= USABLE_CHANCE:
             return _advice_on_mask(record)
     return _ON_STATED
+
+
+def _in_words(advice: Advice, *, has_scale: bool) -> str:
+    """Give the best remedies by arguments."""
+    words = dict(_IN_WORDS)
+    if advice.vehicles:
+        words["drop"] = f"drop {advice.dropped}, see view_image (drop)"
+    remedies = advice.remedies
+    # Of a photograph without a scale, nobody knows what the caller has.
+    if has_scale:
+        remedies = remedies[:_MAX_REMEDIES]
+    return ", or ".join(words[remedy] for remedy in remedies)
 
 
 def _doubts_mask(area: AreaMeasurement) -> bool:

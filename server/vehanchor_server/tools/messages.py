@@ -45,6 +45,8 @@ AnyRecord: TypeAlias = GsdEstimate | AreaMeasurement | DistanceMeasurement
 _ESTIMATE_CHARS = 320
 _MEASUREMENT_CHARS = 520
 _PREFIX = "Warning "
+# Reasons about the image, whatever there is in it.
+_WHOLE_IMAGE = ("no_photograph", "oblique")
 
 
 class Answer(NamedTuple):
@@ -63,8 +65,8 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
     """Describe the records of an image in words, then their warnings, then the hints.
 
     Several records are numbered. A short answer has the first sentence of each warning; where it
-    would become too long, it has the warning's code alone. A full answer has all sentences, and
-    those of the rulers.
+    would become too long, it has the warning's code alone. A full answer has all sentences, those
+    of the rulers and of the remedies.
 
     Args:
         records: of one kind.
@@ -82,18 +84,36 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
         words = [f"{contradiction.text}.", *words]
         if detail == "short":
             stated_code = contradiction.code
+    max_chars = _MEASUREMENT_CHARS * len(records)
     if isinstance(first, GsdEstimate):
         max_chars = _ESTIMATE_CHARS
-        if detail == "full":
-            words += [ruler.explanation for ruler in first.rulers if ruler.explanation is not None]
-    else:
-        max_chars = _MEASUREMENT_CHARS * len(records)
+    if detail == "full":
+        words += _details_in_words(first)
     n_chars = len(" ".join([*words, *hints]))
     warnings = _warnings(records, detail, max_chars=max_chars - n_chars, stated_code=stated_code)
     prefixed = [f"{_PREFIX}{warning}" for warning in warnings]
     if contradiction is not None and stated_code is not None:
         warnings = [f"{stated_code}: {contradiction.text}.", *warnings]
     return Answer(" ".join([*words, *prefixed, *hints]), (*warnings, *hints))
+
+
+def _details_in_words(record: AnyRecord) -> list[str]:
+    """State what each ruler measured, and what each remedy is expected to bring."""
+    estimate = record if isinstance(record, GsdEstimate) else record.estimate
+    if estimate is None:
+        return []
+    sentences = []
+    for ruler in estimate.rulers:
+        interval = _interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px)
+        scale = f"{significant(ruler.gsd_m_per_px)} m/px{interval}"
+        label = f"{ruler.label[0].upper()}{ruler.label[1:]}"
+        sentences.append(f"{label}: {scale}, right with a chance of {ruler.p_right:.2f}.")
+        if ruler.explanation is not None:
+            sentences.append(ruler.explanation)
+    gains = [f"{gain.remedy} {gain.confidence:.2f}" for gain in estimate.details.remedies]
+    if gains:
+        sentences.append(f"Expected confidence by remedy: {', '.join(gains)}.")
+    return sentences
 
 
 def _warnings(
@@ -280,7 +300,11 @@ def _verdict(record: AnyRecord) -> str:
 
 def _no_scale(record: AnyRecord) -> str:
     """State that there is no scale, why, and what would help."""
-    return f"no ruler was found, confidence 0: no metric scale{_why(record)}; {advice_on(record)}."
+    estimate = record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
+    found = "no ruler was found, "
+    if estimate is not None and estimate.reason in _WHOLE_IMAGE:
+        found = ""
+    return f"{found}confidence 0: no metric scale{_why(record)}; {advice_on(record)}."
 
 
 def _why(record: AnyRecord) -> str:

@@ -10,6 +10,7 @@ from vehanchor.imagery.drawing import (
     drawing_chance_around,
     measure_drawing_chance,
 )
+from vehanchor.imagery.horizon import find_horizon
 from vehanchor.imagery.raster import RasterNote, Window
 from vehanchor.imagery.seams import find_seam
 from vehanchor.records.notices import NoticeCode
@@ -34,7 +35,7 @@ def with_image_doubts(
         facts: facts of the image.
         raster: the same image, open.
         metadata: whether the metadata may be used.
-        check_seams: whether to look for seams between pictures.
+        check_seams: whether to look for seams between pictures, and for the horizon.
     """
     notes = []
     camera = facts.camera if metadata else None
@@ -44,13 +45,16 @@ def with_image_doubts(
             "scale holds for all of it. Give a photograph that was taken straight down, or a "
             "perspective view made from this image."
         )
-        notes.append(RasterNote(NoticeCode.NOT_PERSPECTIVE, message))
+        notes.append(RasterNote(NoticeCode.NOT_PERSPECTIVE.value, message))
     # A map is often assembled from pictures of one scale.
     is_map = facts.georeference_gsd_m_per_px is not None
     if check_seams and not is_map:
         seam = find_seam(raster)
         if seam is not None and not _is_beside_drawing(raster, seam):
-            notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES, _several_pictures(seam)))
+            notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES.value, _several_pictures(seam)))
+        horizon_px = find_horizon(raster)
+        if horizon_px is not None:
+            notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE.value, _horizon_visible(horizon_px)))
     return facts._replace(notices=(*facts.notices, *notes))
 
 
@@ -103,6 +107,20 @@ def _around(inset: Window, width: int, height: int) -> list[Window]:
         Window(0, bottom, width_px=width, height_px=height - bottom),
     )
     return [strip for strip in strips if min(strip.width_px, strip.height_px) >= SMALL_PATCH_PX]
+
+
+def shows_horizon(view: View) -> bool:
+    """Test whether a view has the horizon in it, and no single scale."""
+    codes = [notice.code for notice in view.image.notices]
+    return view.tilt is None and NoticeCode.HORIZON_VISIBLE in codes
+
+
+def _horizon_visible(row_px: int) -> str:
+    """Warn of the horizon, and say where it is."""
+    return (
+        f"The horizon is in the image, at y = {row_px} px: this is an oblique view, and no scale "
+        "holds for all of it. Give a photograph that was taken straight down."
+    )
 
 
 def _several_pictures(seam: Seam) -> str:

@@ -9,19 +9,19 @@ for any number of threads.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from vehanchor.analysis.convergence import search_until_settled
-from vehanchor.analysis.image_doubts import with_detections, with_image_doubts
+from vehanchor.analysis.image_doubts import shows_horizon, with_detections, with_image_doubts
+from vehanchor.analysis.remedies import expected_gains
 from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.copies import without_copies
 from vehanchor.detection.detections import NOT_SEARCHED, corrected
 from vehanchor.detection.scene_scale import load_scene_scale
 from vehanchor.detection.search import ImageSearch
-from vehanchor.errors import ImageListError, InvalidParameterError, VehAnchorError
+from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
@@ -54,6 +54,7 @@ from vehanchor.rulers.witnesses import (
     doubted_as_drawing,
     measure_all,
     with_doubts,
+    without_findings,
 )
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 from vehanchor.scale.density import quantile
@@ -70,15 +71,13 @@ if TYPE_CHECKING:
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
     from vehanchor.options.pixel_grid import PixelGrid
-    from vehanchor.records import Reason
+    from vehanchor.records import ExpectedGain, Reason
     from vehanchor.rulers.vehicles import VehicleWitness
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.posterior import Remark, Witness
 
 # Digits of a model's checksum in a scale to give back.
 _MODEL_DIGITS = 12
-# Images whose errors are shown if many images of a list fail.
-_MAX_SHOWN_FAILURES = 10
 # Largest relative difference of the file's own scale without a warning.
 GEOREFERENCE_TOLERANCE = 0.10
 # Fields of ``EstimateDetails`` that are None without the ruler ``vehicles``.
@@ -110,51 +109,6 @@ def analyse_image(image: ImageSource, detector: Detector, options: ScaleOptions)
     with open_raster(image, options.reading) as raster:
         analysis = analyse_raster(detector, raster, options)
         return analysis.drawn_over(image, raster, options.reading)
-
-
-def estimate_each(
-    images: Sequence[ImageSource], detector: Detector, options: ScaleOptions
-) -> list[GsdEstimate]:
-    """Estimate the scale of each image; an image that fails does not stop the others.
-
-    Raises:
-        ImageListError: images failed; the error names them and holds all results.
-    """
-    results: list[GsdEstimate | VehAnchorError] = []
-    for image in images:
-        try:
-            results.append(analyse_image(image, detector, options).estimate)
-        except VehAnchorError as error:
-            results.append(error)
-    records = [result for result in results if not isinstance(result, VehAnchorError)]
-    if len(records) < len(results):
-        raise ImageListError(_failures_text(images, results), results)
-    return records
-
-
-def _failures_text(
-    images: Sequence[ImageSource], results: Sequence[GsdEstimate | VehAnchorError]
-) -> str:
-    """Name the failed images with their errors, up to ten of them."""
-    failures = []
-    for number, (image, result) in enumerate(zip(images, results, strict=True), 1):
-        if isinstance(result, VehAnchorError):
-            failures.append(f"image {number} ({_image_name(image)}): {result}")
-    shown = "; ".join(failures[:_MAX_SHOWN_FAILURES])
-    n_more = len(failures) - _MAX_SHOWN_FAILURES
-    if n_more > 0:
-        shown += f"; and {n_more} more"
-    return (
-        f"{len(failures)} of {len(results)} images cannot be used: {shown}. Leave them out; "
-        "the attribute results of this error holds the records of the others"
-    )
-
-
-def _image_name(image: ImageSource) -> str:
-    """Name an image by its path, or by the type of its source."""
-    if isinstance(image, str | os.PathLike):
-        return os.fspath(image)
-    return type(image).__name__
 
 
 def analyse_raster(detector: Detector, raster: Raster, options: ScaleOptions) -> ScaleAnalysis:
@@ -278,7 +232,11 @@ def conclude(
     """
     measured = doubted_as_drawing(measured, view.drawing_chance)
     doubts: tuple[Remark, ...] = (*view.image.notices, *notices)
-    witnesses = with_doubts(_without_repetition(measured), doubts, tilt_chance=tilt_chance)
+    is_oblique = shows_horizon(view)
+    if is_oblique:
+        measured = without_findings(measured)
+    distinct = _without_repetition(measured)
+    witnesses = with_doubts(distinct, doubts, tilt_chance=tilt_chance)
     is_paper = view.options.method.preset == "paper"
     decided = None if is_paper else answer(witnesses)
     if decided is not None:
@@ -295,6 +253,8 @@ def conclude(
         warnings.append(NO_PHOTOGRAPH)
         if decision.gsd_m_per_px is None:
             decision = decision._replace(reason="no_photograph")
+    if is_oblique:
+        decision = decision._replace(reason="oblique")
     warnings += notices_of(notice for witness in witnesses for notice in witness.notices)
     warnings += notices
     warnings += unused_facts(view.options.rulers)
@@ -307,8 +267,20 @@ def conclude(
         interval=decision.interval,
     )
     record = _record(view, witnesses, decision, tuple(warnings))
+    if record.reason is not None and not is_paper:
+
+        def decide(hypothetical: Sequence[Witness]) -> Answer | None:
+            return judge(with_doubts(hypothetical, doubts, tilt_chance=tilt_chance))
+
+        record = _with_remedies(record, expected_gains(view, distinct, decided, decide))
     shown = NOT_SEARCHED if vehicles is None else view.detections
     return ScaleAnalysis(record, measured, shown, answer=decided, grid=view.image.grid)
+
+
+def _with_remedies(record: GsdEstimate, remedies: tuple[ExpectedGain, ...]) -> GsdEstimate:
+    """Add to a record what would help."""
+    details = record.details.model_copy(update={"remedies": remedies})
+    return record.model_copy(update={"details": details})
 
 
 def _fitted_to(decided: Answer, witnesses: Sequence[Witness]) -> tuple[Witness, ...]:

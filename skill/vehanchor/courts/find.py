@@ -20,6 +20,7 @@ import numpy as np
 from vehanchor.courts.fit import AFFINE, SIMILARITY, fit, pose_matrix, project
 from vehanchor.courts.match import match
 from vehanchor.courts.network import coarse_factors, load_court_network
+from vehanchor.courts.surplus import surplus_share
 from vehanchor.courts.templates import BASKETBALL, LENGTHS_M, TENNIS, Pose
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_reduced_window
@@ -83,6 +84,10 @@ _MIN_SCORE = 0.55
 # car parks, too, so the arcs of a basketball court must be covered.
 _MIN_COVERAGE = 0.68
 _MIN_ARC_COVERAGE = 0.5
+# Largest contrast of a line where a court has none, over that of its own lines. In photographs, 162
+# tennis courts have at most 0.67; the lanes of a freeway that look like a court have 0.75. Drawn
+# roofs with seams that look like one have 0.95 and more.
+_MAX_SURPLUS = 0.7
 # Largest log stretch or shear of an affine fit.
 _MAX_DISTORTION = 0.06
 
@@ -401,6 +406,8 @@ def _is_supported(fine_fit: _FineFit) -> bool:
         return False
     arc_coverage = court_fit.line_coverage[len(template.lines) :]
     if len(arc_coverage) and arc_coverage.mean() < _MIN_ARC_COVERAGE:
+        return False
+    if surplus_share(patch.grey, template, court_fit) > _MAX_SURPLUS:
         return False
     # With two more degrees of freedom, a true court keeps its proportions and right angles.
     affine_fit = fit(patch.grey, template, court_fit.matrix, AFFINE)

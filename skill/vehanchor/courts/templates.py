@@ -62,6 +62,8 @@ class Template:
         blank: ``[n, 4]`` segments without paint between and around the lines; lines there are a car
             park's or a roof's.
         arcs: ``[n, 4]`` all other paint, as short straight pieces.
+        strips: ends of strips across the court, metres along it from its centre, in which all lines
+            run along the court.
     """
 
     kind: str
@@ -70,6 +72,15 @@ class Template:
     lines: Lines
     blank: Lines
     arcs: Lines
+    strips: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def lines_of_strips(self) -> NDArray[np.float64]:
+        """Places ``[n]`` of the lines through all strips, metres across from the centre."""
+        reach = max(max(map(abs, strip)) for strip in self.strips)
+        runs_along = self.lines[:, 1] == self.lines[:, 3]
+        is_long = np.abs(self.lines[:, ::2]).min(axis=1) >= reach
+        return np.asarray(self.lines[runs_along & is_long, 1])
 
     @property
     def outline(self) -> NDArray[np.float64]:
@@ -119,6 +130,7 @@ def _tennis() -> Template:
         lines=np.array(lines),
         blank=np.array(blank),
         arcs=np.zeros((0, 4)),
+        strips=((6.9, 11.3), (-11.3, -6.9)),
     )
 
 

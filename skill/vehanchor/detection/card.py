@@ -136,8 +136,8 @@ class DetectorCard(_Card):
         verifier_sha256: checksum of the verifier's file; None without one. With a verifier,
             ``min_score`` is the verifier's.
         chips_sha256: checksum of the chip network's file; None without one.
-        votes: calibration of the boxes' votes; None if it was never fitted, as for other people's
-            models.
+        votes: calibration of the boxes' votes, from the errors or else from the metadata; None if
+            it was never fitted, as for other people's models.
         errors: errors of the detector and of its auxiliary models.
     """
 
@@ -312,6 +312,8 @@ def read_detector_card(
         values["chips_sha256"] = chips.sha256
     if errors is not None:
         values["errors"] = errors
+        if errors.votes is not None:
+            values["votes"] = Votes(errors.votes.at_zero, errors.votes.slope)
     return card.model_copy(update=values)
 
 

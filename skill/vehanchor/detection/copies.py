@@ -2,7 +2,8 @@
 
 Someone pasted a car several times, or a program repeated a part of the picture. Copies add no
 evidence, so the first one counts. Two real cars never have equal pixels, not even two of one model:
-noise, shadows and their places between the pixels differ.
+noise, shadows and their places between the pixels differ. Copies with other brightness or size are
+found, too, if most vehicles are copies (``vehanchor.detection.altered_copies``).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from vehanchor.detection.altered_copies import altered_copies
 from vehanchor.imagery.raster import Window
 
 if TYPE_CHECKING:
@@ -202,6 +204,8 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
     n_compared = _MAX_COMPARED if raster.in_memory else _MAX_READ
     distinct = _Pictures(n_compared)
     is_copy = np.zeros(n_vehicles, np.bool_)
+    places = []
+    pictures = []
     for k, box in enumerate(detections.boxes[:n_compared]):
         picture = _picture(raster, box)
         if picture is None:
@@ -210,6 +214,11 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
             is_copy[k] = True
         else:
             distinct.add(picture)
+            places.append(k)
+            pictures.append(picture)
+    # Copies with other brightness, direction or size.
+    boxes = [picture.box for picture in pictures]
+    is_copy[places] = altered_copies(boxes, [picture.square for picture in pictures])
     if not is_copy.any():
         return detections
     return replace(detections.take(~is_copy), n_copies=int(is_copy.sum()))

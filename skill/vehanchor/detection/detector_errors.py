@@ -69,6 +69,18 @@ class VehicleErrors(_Errors):
     coarse_chance_wrong: _Chance = 0.33
 
 
+class VoteOdds(_Errors):
+    """Log odds that a box is a car, by its score; see ``vehanchor.scale.density.Votes``.
+
+    Attributes:
+        at_zero: log odds at a score of 0.
+        slope: their increase from score 0 to 1.
+    """
+
+    at_zero: _LogOdds
+    slope: Annotated[float, Field(ge=0.0, le=100.0)]
+
+
 class AppearanceErrors(_Errors):
     """Errors of the chip network.
 
@@ -218,6 +230,8 @@ class DetectorErrors(_Errors):
     Attributes:
         boxes: errors of the detector's boxes.
         vehicles: errors of all vehicles of an image as a ruler.
+        votes: odds that its boxes are cars, in place of those in the model's metadata; None for
+            these.
         appearance: errors of the chip network.
         look_alikes: how equal things that are not cars differ from cars.
         stretch: limits from which the networks show a stretched image.
@@ -227,6 +241,7 @@ class DetectorErrors(_Errors):
 
     boxes: BoxErrors = BoxErrors()
     vehicles: VehicleErrors = VehicleErrors()
+    votes: VoteOdds | None = None
     appearance: AppearanceErrors = AppearanceErrors()
     look_alikes: LookAlikeErrors = LookAlikeErrors()
     stretch: StretchLimits = StretchLimits()

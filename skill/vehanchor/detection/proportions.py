@@ -3,7 +3,7 @@
 The detector's boxes do not show this: the detector draws a car's usual proportions into a stretched
 image, too. The networks that score the boxes do. Their chips are cut from the image as it is, and
 with its width reduced and enlarged by a factor of 1.4. In an image of true proportions, neither
-suits cars better.
+suits cars better. The detail along rows and columns is a second witness.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from vehanchor.detection import chips, verifier
 from vehanchor.detection.verifier import surroundings
 from vehanchor.imagery.tiles import read_around
+from vehanchor.scale.reliability import NO_DETAIL, normal_density
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detector_errors import StretchLimits, StretchOdds
     from vehanchor.detection.verifier import Verifier
     from vehanchor.imagery.raster import Raster
+    from vehanchor.scale.reliability import ProportionLikelihoods
 
     Box: TypeAlias = NDArray[np.float64]
     """``[5]`` row ``(x, y, length, width, angle)``."""
@@ -148,8 +150,9 @@ def stretch_log_odds(
     chip_network: ChipNetwork,
     network: Verifier,
     errors: StretchOdds,
+    detail: ProportionLikelihoods = NO_DETAIL,
 ) -> float | None:
-    """Compute the log odds of the vehicles' look in a stretched image over that in a true one.
+    """Compute the log odds of what is seen in a stretched image over that in a true one.
 
     Each vehicle has a preference: both networks' logits in a narrower image less those in a wider
     one. A stretched car at an angle looks skewed, which is clear evidence; one along the rows or
@@ -162,9 +165,10 @@ def stretch_log_odds(
         chip_network: scores their chips.
         network: scores their smaller chips.
         errors: distribution of preferences in true and in stretched images.
+        detail: likelihoods of the image's detail along its rows and columns.
 
     Returns:
-        Below 0 if the vehicles contradict a stretch; None without vehicles.
+        Below 0 if what is seen contradicts a stretch; None without vehicles.
     """
     n_vehicles = min(len(boxes), len(car_logits), _MAX_OF_ODDS)
     if not n_vehicles:
@@ -190,17 +194,14 @@ def stretch_log_odds(
 
     # An image of true proportions can have vehicles that are no cars; it can be stretched either
     # way, by more or less.
-    if_true = (1 - errors.outliers) * _normal(mean, math.sqrt(variance))
-    if_true += errors.outliers * _normal(mean, errors.outlier_sd)
+    if_true = (1 - errors.outliers) * normal_density(mean, math.sqrt(variance))
+    if_true += errors.outliers * normal_density(mean, errors.outlier_sd)
     stretched_sd = math.sqrt(variance + errors.shift_sd**2)
-    too_wide = _normal(mean - errors.shift, stretched_sd)
-    too_high = _normal(mean + errors.shift, stretched_sd)
-    return math.log((too_wide + too_high) / 2 + _LEAST_DENSITY) - math.log(if_true)
-
-
-def _normal(deviation: float, sd: float) -> float:
-    """Compute the density of a normal distribution around zero."""
-    return math.exp(-0.5 * (deviation / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
+    too_wide = normal_density(mean - errors.shift, stretched_sd) + _LEAST_DENSITY
+    too_high = normal_density(mean + errors.shift, stretched_sd) + _LEAST_DENSITY
+    # The detail is another witness of the same direction.
+    if_stretched = (too_wide * detail.too_wide + too_high * detail.too_high) / 2
+    return math.log(if_stretched) - math.log(if_true * detail.true)
 
 
 def _chips(raster: Raster, boxes: Boxes, width: float, side_px: int, length_px: float) -> Chips:

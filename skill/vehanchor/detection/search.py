@@ -43,8 +43,10 @@ from vehanchor.detection.scheduler import (
 from vehanchor.detection.tile_prior import tile_prior_map, tile_prior_of
 from vehanchor.detection.tile_search import MinScores, Tile, TileSearch
 from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.axis_detail import measure_detail_difference
 from vehanchor.imagery.tiles import TILE_OVERLAP, TILE_SIZE_PX, read_reduced_window, tile_grid
 from vehanchor.options import Search
+from vehanchor.scale.reliability import detail_likelihoods
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -506,7 +508,7 @@ class ImageSearch:
         return None
 
     def _stretch_log_odds(self, final: _FinalVehicles) -> float | None:
-        """Ask the networks for the odds of a stretched image; None without both networks."""
+        """Ask networks and detail for the odds of a stretch; None without both networks."""
         if final.appearance is None or not self._chips or not self._verifier:
             return None
         return stretch_log_odds(
@@ -516,6 +518,7 @@ class ImageSearch:
             chip_network=self._chips,
             network=self._verifier,
             errors=self._detector.card.errors.stretch_odds,
+            detail=detail_likelihoods(measure_detail_difference(self._raster)),
         )
 
 

@@ -35,12 +35,10 @@ if TYPE_CHECKING:
     Places: TypeAlias = NDArray[np.intp]
     """``[n]`` rows or columns."""
 
-# Least strengths of a rectangle whose borders are steps, and lines. Of 1,021 usable photographs
-# with a right scale 3 have more. Of 250 insets in photographs 156 have more (78 with the corners
-# of an earlier version): 103 of 131 with a frame of one to three pixels, and 53 of 119 without one.
-# The formula was chosen on 300 other insets and the same photographs.
-_LEAST_OF_STEPS = 0.56
-_LEAST_OF_LINES = 0.86
+# Least strengths of a rectangle whose borders are steps, and lines. The formula was chosen on 300
+# insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
+_LEAST_OF_STEPS = 0.61
+_LEAST_OF_LINES = 0.96
 # Weights of the weakest side, of a border that goes on beyond a corner, and of the log length.
 _WEAKEST = 0.3
 _GOING_ON = 0.4
@@ -53,7 +51,7 @@ _LEAST_STRENGTH = -0.5
 # Pixels from the middle of a line to both sides, and along it to where it has the same colour.
 _LINE_REACH_PX = 3
 _ALONG_PX = (2, 5)
-# Columns and rows of which rectangles consist, and the share of the shorter side over which the
+# Columns and rows that bound rectangles, and the share of the shorter side over which the
 # border of a candidate is averaged.
 _MAX_LINES = 9
 _LINE_SHARE = 0.18

@@ -338,10 +338,8 @@ class Raster(ABC):
         if clauses:
             note = RasterNote("pixels_stretched", "; ".join(clauses))
             self.warnings = (*self.warnings, note)
-        if sample.size == 0:
-            darkest = brightest = 0
-        else:
-            darkest, brightest = sample.min(), sample.max()
+        darkest = sample.min() if sample.size else 0
+        brightest = sample.max() if sample.size else 0
         # One comparison at a time: np.isin takes several times the memory of the sample.
         n_extreme = np.count_nonzero(sample == darkest) + np.count_nonzero(sample == brightest)
         if darkest == brightest:

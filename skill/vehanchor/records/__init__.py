@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from vehanchor.records.gsd_estimate import (
     ConfidenceTerms,
     EstimateDetails,
+    ExpectedGain,
     FrameScale,
     GsdEstimate,
     KnownPlane,
@@ -21,7 +22,7 @@ from vehanchor.records.gsd_estimate import (
 )
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION
-from vehanchor.scale.defaults import Reason
+from vehanchor.scale.defaults import Reason, Remedy
 
 if TYPE_CHECKING:
     from vehanchor.records.measurement import (
@@ -43,6 +44,7 @@ __all__ = [
     "ConfidenceTerms",
     "DistanceMeasurement",
     "EstimateDetails",
+    "ExpectedGain",
     "FrameArea",
     "FrameScale",
     "GsdEstimate",
@@ -55,6 +57,7 @@ __all__ = [
     "OutlineRing",
     "Reason",
     "ReferenceSource",
+    "Remedy",
     "RulerScale",
     "ScaleSource",
     "SceneScaleEstimate",

@@ -6,60 +6,51 @@ the server has those for models.
 
 from __future__ import annotations
 
-from itertools import combinations
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from itertools import combinations, zip_longest
+from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.records.text import count
+from vehanchor.scale.defaults import USABLE_CHANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from vehanchor.records import GsdEstimate, Reason, RulerScale
-
-Remedy: TypeAlias = Literal[
-    "original",
-    "aspect",
-    "nadir",
-    "lower",
-    "drop",
-    "add",
-    "region",
-    "line",
-    "thing",
-    "measured",
-    "facts",
-    "second",
-    "elsewhere",
-    "vehicles",
-    "visible",
-    "perspective",
-    "apart",
-    "photograph",
-]
+    from vehanchor.records import ExpectedGain, GsdEstimate, Reason, Remedy, RulerScale
 
 IN_WORDS: Mapping[Remedy, str] = {
     "original": "send the original image",
     "aspect": "keep its aspect ratio",
+    "sides": "correct the pixel sides in the file, by one measured line along each of them",
     "nadir": "take a picture straight down",
     "lower": "fly lower, or send the full-resolution image",
-    "drop": "check what was taken for cars",
-    "add": "include one more car",
-    "region": "give the region",
-    "line": "draw a line over something of known size",
-    "thing": "draw a line over something of known size, if any is in sight",
-    "measured": "measure one length or the height: no further assumed fact will help",
-    "facts": "check the facts that you gave, or draw a measured line",
-    "second": "if they are right, measure a second length, or the height",
-    "elsewhere": "give the camera's height and focal length, or another photograph of the same "
-    "flight with cars",
-    "vehicles": "also use the ruler vehicles",
     "visible": "send a file that shows the picture in other programs",
     "perspective": "send a photograph taken straight down, or a perspective view made from this "
     "image",
     "apart": "send each picture alone",
     "photograph": "send a photograph from above",
+    "vehicles": "also use the ruler vehicles",
+    "facts": "check the facts that you gave",
+    "drop": "check what was taken for cars",
+    "add": "include one more car",
+    "region": "give the region",
+    "line": "draw a line over parking bays or another thing of known size",
+    "things": "include the cars, or draw lines over two different things of known size, if they "
+    "are in sight",
+    "length": "measure one length, on the ground or on a map",
+    "height": "give the camera's height and focal length",
+    "images": "give other photographs of the same flight, with cars",
 }
 """Remedies for people, as clauses in the imperative."""
+
+_IN_SIGHT: frozenset[Remedy] = frozenset({"drop", "add", "region", "line", "things"})
+"""Remedies that need nothing but a look at the photograph."""
+
+_MIN_GAIN = 0.1
+"""Least rise of the confidence by a remedy that does not make the scale usable. A choice."""
+
+_MAX_REMEDIES = 3
+# Without a scale, nobody knows which of them the caller has.
+_MAX_REMEDIES_WITHOUT_SCALE = 4
 
 
 class Advice(NamedTuple):
@@ -69,11 +60,13 @@ class Advice(NamedTuple):
         why: the problem, a clause without a full stop.
         remedies: what would help, the best first.
         also: further help in words; empty without any.
+        vehicles: numbers of the vehicles to drop; empty for none, or for many.
     """
 
     why: str
-    remedies: tuple[Remedy, ...]
+    remedies: tuple[Remedy, ...] = ()
     also: str = ""
+    vehicles: tuple[int, ...] = ()
 
     @property
     def helps(self) -> str:
@@ -86,10 +79,21 @@ class Advice(NamedTuple):
         Args:
             special: words for remedies that the caller's surface has its own means for.
         """
-        words = [special.get(remedy, IN_WORDS[remedy]) for remedy in self.remedies]
+        in_words = {**IN_WORDS, **special}
+        if self.vehicles:
+            in_words["drop"] = f"drop {self.dropped}"
+        words = [in_words[remedy] for remedy in self.remedies]
         if self.also:
             words.append(self.also)
         return ", or ".join(words)
+
+    @property
+    def dropped(self) -> str:
+        """The vehicles to drop, with the condition: an object of "drop"."""
+        numbers = ", ".join(map(str, self.vehicles))
+        if len(self.vehicles) == 1:
+            return f"vehicle {numbers} if it is not a car"
+        return f"vehicles {numbers} if they are not cars"
 
 
 def advice_for(estimate: GsdEstimate | None) -> Advice | None:
@@ -108,62 +112,88 @@ def advice_for(estimate: GsdEstimate | None) -> Advice | None:
             return advice
     if _warns(estimate, "several_scales"):
         return _VARIES if _warns(estimate, "tilt_suspected") else _SEVERAL_PICTURES
-    find_cause = _CAUSES.get(estimate.reason)
-    if find_cause is None:
-        return _ADVICE[estimate.reason]
-    return find_cause(estimate)
+    if estimate.reason == "no_photograph":
+        return _DRAWN
+    if estimate.reason == "oblique":
+        return _OBLIQUE
+    cause = _CAUSES[estimate.reason](estimate)
+    return _with_gains(cause, estimate)
 
 
-def region_would_help(estimate: GsdEstimate) -> bool:
-    """Test whether the caller may know a measured region, which makes the scale more precise."""
-    if not estimate.n_vehicles or _warns(estimate, "region_unmeasured"):
-        return False
-    return estimate.details.reference_source in ("model", "appearance")
+def _with_gains(cause: Advice, estimate: GsdEstimate) -> Advice:
+    """Add to the remedies of a cause those that the posterior would gain from, the best first.
+
+    What makes the scale usable comes before what only helps. Of both kinds, those in sight and
+    those that the caller must know take turns, because a caller often has only one of them.
+    """
+    gains = [
+        gain
+        for gain in estimate.details.remedies
+        if _leads(gain) or gain.confidence >= estimate.confidence + _MIN_GAIN
+    ]
+    in_sight = [gain for gain in gains if gain.remedy in _IN_SIGHT]
+    to_know = [gain for gain in gains if gain.remedy not in _IN_SIGHT]
+    first, second = in_sight, to_know
+    if not any(map(_leads, in_sight)):
+        first, second = to_know, in_sight
+    taking_turns = [
+        gain for pair in zip_longest(first, second) for gain in pair if gain is not None
+    ]
+    remedies = (*cause.remedies, *(gain.remedy for gain in taking_turns))
+    if not remedies:
+        # More cars settle what the posterior cannot foresee, such as a stretch by few.
+        remedies = ("add",) if estimate.n_vehicles else ("line",)
+    limit = _MAX_REMEDIES
+    if estimate.gsd_m_per_px is None:
+        limit = _MAX_REMEDIES_WITHOUT_SCALE
+    to_drop = [gain.vehicles for gain in gains if gain.remedy == "drop"]
+    vehicles = to_drop[0] if to_drop else ()
+    distinct = tuple(dict.fromkeys(remedies))
+    return cause._replace(remedies=distinct[:limit], vehicles=vehicles)
 
 
-# One function a reason that has several causes: it finds the cause in the record.
+def _leads(gain: ExpectedGain) -> bool:
+    """Test whether a remedy is expected to make the scale usable."""
+    return gain.confidence >= USABLE_CHANCE
+
+
+# One function a reason that has several causes: it finds the cause in the record. The remedies of a
+# cause come before those by the posterior's gain: nothing else helps as long as it is there.
 
 
 def _too_few(estimate: GsdEstimate) -> Advice:
     why = "too little evidence"
     if estimate.n_vehicles is None:
-        return Advice(why, ("vehicles", "line"))
-    # More cars do not help before the original image does.
+        return Advice(why, ("vehicles",))
     if _warns(estimate, "detail_missing"):
         return _ENLARGED
     if estimate.n_vehicles == 0:
-        return Advice("no car was found", _without_cars(estimate))
-    vehicles = count(estimate.n_vehicles, "vehicle")
-    if region_would_help(estimate):
-        return Advice(f"{vehicles} alone: too little evidence", ("region", "add"))
-    return Advice(why, ("add", "line"))
-
-
-def _without_cars(estimate: GsdEstimate) -> tuple[Remedy, ...]:
-    """Choose remedies for a picture without cars, which may show nothing of known size either."""
-    has_height = any(ruler.kind in ("camera", "height") for ruler in estimate.rulers)
-    if has_height:
-        return ("thing",)
-    return ("thing", "elsewhere")
+        return Advice("no car was found")
+    if estimate.details.reference_source in ("model", "appearance"):
+        why = f"{count(estimate.n_vehicles, 'vehicle')} alone: {why}"
+    return Advice(why)
 
 
 def _too_coarse(estimate: GsdEstimate) -> Advice:
     if _warns(estimate, "detail_missing"):
         return _ENLARGED
     if not estimate.n_vehicles:
-        return Advice(
-            "no car was found, and the scene looks too coarse for cars", ("original", "thing")
-        )
+        return Advice("no car was found, and the scene looks too coarse for cars", ("original",))
     if estimate.mode_length_px is None:
-        return Advice("the vehicles have too little detail", ("lower", "line"))
-    return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ("lower", "line"))
+        return Advice("the vehicles have too little detail", ("lower",))
+    return Advice(f"the vehicles are only {estimate.mode_length_px:.0f} px long", ("lower",))
 
 
-def _not_cars(estimate: GsdEstimate) -> Advice:
-    why = "the vehicles may not be cars"
-    others = [ruler for ruler in estimate.probable_rulers if ruler.kind != "vehicles"]
-    # Another ruler that is not sure enough is a guess.
-    return Advice(why, ("drop", "measured") if others else ("drop", "line"))
+def _not_cars(_: GsdEstimate) -> Advice:
+    return Advice("the vehicles may not be cars", ("drop",))
+
+
+def _assumed(estimate: GsdEstimate) -> Advice:
+    why = "it rests on assumed facts alone"
+    gains = estimate.details.remedies
+    if any(gain.remedy in ("line", "things") and _leads(gain) for gain in gains):
+        return Advice(why)
+    return Advice(f"{why}, and a further one will not help")
 
 
 def _disagreement(estimate: GsdEstimate) -> Advice:
@@ -171,17 +201,13 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
     if _warns(estimate, "tilt_suspected"):
         why = "the camera was tilted by an unknown angle"
         # An orthophoto has no metadata of a camera, and nobody can take it again.
-        return Advice(why, ("line",) if is_orthophoto else ("original", "nadir"))
+        return Advice(why, ("sides",) if is_orthophoto else ("original", "nadir"))
     if _warns(estimate, "stretched"):
         why = "the image is stretched in one direction"
-        return Advice(why, ("line",) if is_orthophoto else ("original", "aspect"))
+        return Advice(why, ("sides",) if is_orthophoto else ("original", "aspect"))
     setting = [ruler for ruler in estimate.rulers if ruler.sets_scale]
     facts = [ruler for ruler in setting if ruler.kind not in ("vehicles", "positions")]
-    remedies: tuple[Remedy, ...] = ("drop", "line")
-    if len(facts) > 1:
-        remedies = ("facts", "elsewhere")
-    elif facts:
-        remedies = ("facts", "second")
+    remedies: tuple[Remedy, ...] = ("facts",) if facts else ("drop",)
     # The record of a photograph in a flight has the flight's rulers, without their warnings.
     disagree = _warns(estimate, "rulers_disagree") or _some_exclude_each_other(setting)
     if len(setting) > 1 and disagree:
@@ -209,20 +235,18 @@ def _allows(ruler: RulerScale, other: RulerScale) -> bool:
 def _imprecise(estimate: GsdEstimate) -> Advice:
     why = "the interval is too wide"
     if estimate.n_vehicles is None:
-        return Advice(why, ("vehicles", "line"))
+        return Advice(why, ("vehicles",))
     if estimate.leading_ruler == "camera":
         why = "the ground may lie higher or lower than the take-off"
-        return Advice(why, ("line",), also="give overlapping photographs of the flight together")
-    if region_would_help(estimate):
-        return Advice(why, ("region", "line"))
-    return Advice(why, ("line",))
+        return Advice(why, also="give overlapping photographs of the flight together")
+    return Advice(why)
 
 
 def _warns(estimate: GsdEstimate, code: str) -> bool:
     return any(notice.code == code for notice in estimate.warnings)
 
 
-_ENLARGED = Advice("the image is enlarged or blurred", ("original", "line"))
+_ENLARGED = Advice("the image is enlarged or blurred", ("original",))
 _SEVERAL_PICTURES = Advice("the image seems to consist of several pictures", ("apart",))
 # A strong tilt looks like a second scale, too.
 _VARIES = Advice(
@@ -237,14 +261,14 @@ _ADVICE_ON_IMAGES: Mapping[str, Advice] = {
 """Advice by notices about the whole image, before any other: no line there says anything about the
 rest of it."""
 
-_ADVICE: Mapping[Reason, Advice] = {
-    "no_photograph": Advice("the image is drawn, not photographed", ("photograph", "line")),
-    "assumed": Advice("it rests on assumed facts alone", ("measured", "elsewhere")),
-}
+_OBLIQUE = Advice("it is an oblique view with the horizon in it", ("nadir",))
+_DRAWN = Advice("the image is drawn, not photographed", ("photograph", "line"))
+
 _CAUSES: Mapping[Reason, Callable[[GsdEstimate], Advice]] = {
     "too_few": _too_few,
     "too_coarse": _too_coarse,
     "not_cars": _not_cars,
     "disagree": _disagreement,
+    "assumed": _assumed,
     "imprecise": _imprecise,
 }

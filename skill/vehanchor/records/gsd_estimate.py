@@ -18,7 +18,7 @@ from vehanchor.records.record import (
     Short,
 )
 from vehanchor.records.ruler_registry import RulerKind
-from vehanchor.scale.defaults import Aggregation, Preset, Reason, Stopped
+from vehanchor.scale.defaults import Aggregation, Preset, Reason, Remedy, Stopped
 
 Status = Literal["ok", "low_confidence", "no_scale"]
 ReferenceSource = Literal["model", "appearance", "region", "given", "calibration"]
@@ -75,6 +75,24 @@ class VehiclesByHand(Record):
 
     dropped: int = Field(ge=0, description="Detections that are not cars, according to the caller.")
     added: int = Field(ge=0, description="Cars that the detector missed, according to the caller.")
+
+
+class ExpectedGain(Record):
+    """What one remedy would bring, if it agrees with the likeliest scale."""
+
+    remedy: Remedy = Field(
+        description="What the caller would do. add: mark one more car. drop: drop the vehicles "
+        "named here, if they are not cars. region: name it. line: draw a line over parking bays. "
+        "things: draw lines over two different things of exact size. length, height: measure one. "
+        "images: give photographs of the same flight with cars."
+    )
+    confidence: float = Field(ge=0, le=1, description="Expected confidence with it.")
+    gsd_ci95_ratio: float = Field(
+        ge=1, description="Expected high end of the 95 % interval over its low end."
+    )
+    vehicles: tuple[int, ...] = Field(
+        default=(), description="Numbers of the vehicles that it is about; empty for none, or many."
+    )
 
 
 class RulerScale(Record):
@@ -166,6 +184,10 @@ class EstimateDetails(Record):
     pixel_aspect: PixelAspect = None
     by_hand: Annotated[VehiclesByHand | None, Short()] = Field(
         default=None, description="Corrections by the caller; null without any."
+    )
+    remedies: tuple[ExpectedGain, ...] = Field(
+        default=(),
+        description="What would help, the best first; empty for a usable scale.",
     )
     working_scale: float | None = Field(
         description="Size of the image copy with most of the kept vehicles: 1 (full resolution), "
@@ -275,9 +297,10 @@ class GsdEstimate(Record):
     reason: Annotated[Reason | None, Short()] = Field(
         description="Why the scale is not usable; null for a usable scale. too_coarse: the "
         "vehicles have too few pixels. too_few: there is too little evidence. no_photograph: the "
-        "image is a page, chart, map or program. not_cars: the vehicles may not be cars. disagree: "
-        "rulers, or the directions of the image, contradict each other. assumed: it rests on "
-        "assumed facts alone. imprecise: the fleet or the known fact is too uncertain."
+        "image is a page, chart, map or program. oblique: the horizon is in it. not_cars: the "
+        "vehicles may not be cars. disagree: rulers, or the directions of the image, contradict "
+        "each other. assumed: it rests on assumed facts alone. imprecise: the fleet or the known "
+        "fact is too uncertain."
     )
     leading_ruler: Annotated[RulerKind | None, Short()] = Field(
         description="Of the rulers that are probably right, the one without which the interval "

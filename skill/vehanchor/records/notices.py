@@ -26,6 +26,7 @@ class NoticeCode(StrEnum):
     GEOREFERENCE_DIFFERS = "georeference_differs"
     NOT_PERSPECTIVE = "not_perspective"
     SEVERAL_PICTURES = "several_pictures"
+    HORIZON_VISIBLE = "horizon_visible"
     # About the search.
     DETECTIONS_CAPPED = "detections_capped"
     VEHICLES_COPIED = "vehicles_copied"

@@ -60,6 +60,15 @@ class ReferenceLength(NamedTuple):
         """Source of ``stated_m``."""
         return self.source if self.guess_m is None else "given"
 
+    def in_known_region(self, card: DetectorCard) -> ReferenceLength:
+        """Narrow the length as a region would whose cars have this length."""
+        if self.by_appearance is None or card.bodies is None:
+            return self._replace(log_sd=KNOWN_REGION * self.log_sd)
+        bodies = card.bodies
+        region_log_sd = KNOWN_REGION * bodies.reference_length_sd_m / bodies.reference_length_m
+        precision = self.log_sd**-2 + region_log_sd**-2
+        return self._replace(log_sd=precision**-0.5)
+
 
 def reference_length(
     card: DetectorCard,

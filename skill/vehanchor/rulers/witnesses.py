@@ -144,6 +144,14 @@ def doubted_as_drawing(witnesses: Sequence[Witness], chance: float) -> tuple[Wit
     return tuple(doubted)
 
 
+def without_findings(witnesses: Sequence[Witness]) -> tuple[Witness, ...]:
+    """Take from witnesses what they found, in an image that has no scale; the notices stay."""
+    return tuple(
+        replace(witness, gsd_m_per_px=None, right=None, guess=None, lacks=())
+        for witness in witnesses
+    )
+
+
 def _sees_scene(witness: Witness) -> bool:
     """Test whether a witness rests on the image, and not on what the caller states."""
     if not witness.found or not ruler_class(witness.kind).reads_scene:

@@ -18,9 +18,39 @@ USABLE_CHANCE = 0.9
 right. A choice."""
 
 Reason = Literal[
-    "too_few", "too_coarse", "no_photograph", "not_cars", "disagree", "assumed", "imprecise"
+    "too_few",
+    "too_coarse",
+    "no_photograph",
+    "oblique",
+    "not_cars",
+    "disagree",
+    "assumed",
+    "imprecise",
 ]
 """Why a scale is not usable."""
+
+Remedy = Literal[
+    "original",
+    "aspect",
+    "sides",
+    "nadir",
+    "lower",
+    "visible",
+    "perspective",
+    "apart",
+    "photograph",
+    "vehicles",
+    "facts",
+    "drop",
+    "add",
+    "region",
+    "line",
+    "things",
+    "length",
+    "height",
+    "images",
+]
+"""What a caller can do about a scale that is not usable (``vehanchor.records.advice``)."""
 
 PROBABLY_RIGHT = 0.5
 """Chance from which a ruler counts as right in words and pictures."""

@@ -21,10 +21,10 @@ The answer follows from this posterior alone:
 * The value is the median, given that at least one witness that can set a scale is right.
 * The interval is the central 95 % of the same distribution. It is extended to cover witnesses that
   are probably right, but exclude each other.
-* The chance is the posterior's mass within 20 % of the value. What a caller assumes gains no
-  chance by the agreement of a prior. What is stated, by the caller or the file, loses chance where
-  what is seen in the picture excludes it. Of two witnesses that exclude each other and are further
-  than 20 % apart, only one counts.
+* The chance is the posterior's mass within 20 % of the value. What a caller assumes or measured
+  gains no chance by the agreement of a prior. What is stated, by the caller or the file, loses
+  chance where what is seen in the picture excludes it. Of two witnesses that exclude each other and
+  are further than 20 % apart, only one counts.
 * The scale is usable if the chance is at least 0.9.
 * The reason is the weakness whose removal would raise the chance most.
 """
@@ -112,12 +112,10 @@ class Witness:
         kind: kind of the ruler.
         gsd_m_per_px: its own scale, metres per pixel of the full image, at its centre in a tilted
             view; None if nothing was found.
-        right: ``[g]`` density of the scale if the witness is right, without shared errors; None
-            if nothing was found.
+        right: ``[g]`` density of the scale if it is right, without shared errors; None if none.
         chance_wrong: 0..1, chance that it measured something else and says nothing.
         sets_scale: whether it can set a scale; a prior cannot.
-        assumed: whether it rests on a guess of the caller, neither found in the picture nor
-            measured.
+        assumed: whether it rests on a guess of the caller, neither found nor measured.
         shared: errors in common with other witnesses.
         guess: a guess of the caller about this measurement; None without one.
         lacks: weaknesses whose removal would raise its weight.
@@ -241,8 +239,7 @@ class Answer:
         density: ``[g]`` posterior, given that at least one witness that can set a scale is right.
         posterior: ``[g]`` whole posterior, also of the case that none of them is right.
         p_right: chance of each witness with a finding that it is right; these do not add up to 1.
-        leading: index of the setting witness without which the interval is widest, of those that
-            are probably right.
+        leading: index of the probably right setting witness without which the interval is widest.
         reason: why the scale is not usable; None if it is.
         contradictions: pairs of probably right witnesses of which each excludes the other's scale.
     """
@@ -289,18 +286,18 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     contradictions = _contradictions(witnesses, p_right)
     chance = decision.chance
     for pair in contradictions:
-        chances = [p_right[k] for k in pair]
-        both = [witnesses[k] for k in pair]
-        chance = min(chance, _chance_between(both, chances, decision.gsd_m_per_px))
-    decision = replace(decision, chance=chance)
-    reason = None
+        chance = min(chance, _chance_between(witnesses, p_right, pair, decision.gsd_m_per_px))
+    reason: Reason | None = None
     if not decision.usable:
-        reason = _weakness(witnesses, answers_without, decision.chance)
+        reason = _weakness(witnesses, answers_without, chance)
+    elif chance < USABLE_CHANCE:
+        reason = "disagree"
+    decision = replace(decision, chance=chance)
     # A compromise between witnesses that exclude each other is no more exact than they are apart.
     intervals = [witnesses[k].interval for pair in contradictions for k in pair]
     return replace(
         decision,
-        interval=_hull(decision.interval, intervals),
+        interval=decision.interval.with_others(intervals),
         contradictions=contradictions,
         p_right=tuple(p_right),
         leading=_leading(witnesses, answers_without, p_right),
@@ -330,8 +327,8 @@ def judge(witnesses: Sequence[Witness]) -> Answer | None:
     supported = normalised(np.maximum(posterior.density - unsupported, 0.0) + MIN_PROBABILITY)
     value = quantile(supported, 0.5)
     chance = mass_within(posterior.density, value)
-    if any(witness.assumed for witness in witnesses):
-        confirmed = _guesses_confirmed_by_priors(witnesses, posterior)
+    if any(_is_of_caller(witness) for witness in witnesses):
+        confirmed = _facts_confirmed_by_priors(witnesses, posterior)
         chance -= max(0.0, mass_within(confirmed, value))
     return Answer(
         value,
@@ -368,8 +365,7 @@ def _ceiling_of_contradiction(witnesses: Sequence[Witness], gsd_m_per_px: float)
 
 def _is_stated(witness: Witness) -> bool:
     """Test whether a witness rests on a statement of the caller or of the file."""
-    names = {error.name for error in witness.shared}
-    return not names.isdisjoint({MEASURING.name, FILE.name})
+    return any(error.name in (MEASURING.name, FILE.name) for error in witness.shared)
 
 
 def _share_of_usual_errors(witness: Witness) -> Density:
@@ -384,22 +380,26 @@ def _share_of_usual_errors(witness: Witness) -> Density:
     return np.minimum(p_usual * usual / np.maximum(whole, MIN_PROBABILITY), 1.0)
 
 
-def _guesses_confirmed_by_priors(witnesses: Sequence[Witness], posterior: _Posterior) -> Density:
-    """Compute the mass ``[g]`` that a guess of the caller gains because a prior agrees with it.
+def _facts_confirmed_by_priors(witnesses: Sequence[Witness], posterior: _Posterior) -> Density:
+    """Compute the mass ``[g]`` that facts of the caller gain because a prior agrees with them.
 
-    A prior may narrow a guess, but not confirm it: a guess near the usual scale is no more likely
-    to be right. The mass is the difference, with and without priors, of the part in which no
-    found or measured witness is right.
+    A prior may narrow such a fact, but not confirm it: it does not tell a scale from one 1.5 times
+    as large. The mass is the difference, with and without priors, of the part in which all that the
+    product found is wrong.
     """
     without_priors = [witness for witness in witnesses if witness.sets_scale]
-    with_priors = posterior.part_if_wrong(_found_or_measured(witnesses))
-    alone = _Posterior(without_priors).part_if_wrong(_found_or_measured(without_priors))
-    return with_priors - alone
+    alone = _Posterior(without_priors).part_if_wrong(_found_by_product(without_priors))
+    return posterior.part_if_wrong(_found_by_product(witnesses)) - alone
 
 
-def _found_or_measured(witnesses: Sequence[Witness]) -> list[int]:
-    """List the indices of the setting witnesses that do not rest on a guess of the caller."""
-    return [k for k, witness in enumerate(witnesses) if witness.sets_scale and not witness.assumed]
+def _found_by_product(witnesses: Sequence[Witness]) -> list[int]:
+    """List the indices of the setting witnesses that do not rest on a fact of the caller."""
+    return [k for k, w in enumerate(witnesses) if w.sets_scale and not _is_of_caller(w)]
+
+
+def _is_of_caller(witness: Witness) -> bool:
+    """Test whether a witness rests on a guess or a measurement of the caller."""
+    return witness.assumed or any(error.name == MEASURING.name for error in witness.shared)
 
 
 def _all_but(witnesses: Sequence[Witness], k: int) -> list[Witness]:
@@ -424,17 +424,20 @@ def _contradictions(
     return tuple((a, b) for a, b in pairs if _exclude_each_other(witnesses[a], witnesses[b]))
 
 
-def _chance_between(pair: Sequence[Witness], p_right: Sequence[float], gsd: float) -> float:
+def _chance_between(
+    witnesses: Sequence[Witness], p_right: Sequence[float], pair: tuple[int, int], gsd: float
+) -> float:
     """Compute the largest chance of a scale by two witnesses that exclude each other.
 
     In the product both can be right, one by a large error. More likely only one is: then the chance
     is the share of those that are within 20 % of the scale.
     """
     p_near = 0.0
-    for witness, p_witness in zip(pair, p_right, strict=True):
-        if witness.gsd_m_per_px and abs(gsd / witness.gsd_m_per_px - 1) <= TOLERANCE:
-            p_near += p_witness
-    return p_near / sum(p_right)
+    for k in pair:
+        own_gsd = witnesses[k].gsd_m_per_px
+        if own_gsd and abs(gsd / own_gsd - 1) <= TOLERANCE:
+            p_near += p_right[k]
+    return p_near / sum(p_right[k] for k in pair)
 
 
 def _exclude_each_other(first: Witness, second: Witness) -> bool:
@@ -442,16 +445,6 @@ def _exclude_each_other(first: Witness, second: Witness) -> bool:
     if first.gsd_m_per_px is None or second.gsd_m_per_px is None:
         return False
     return not (first.allows(second.gsd_m_per_px) or second.allows(first.gsd_m_per_px))
-
-
-def _hull(interval: Interval, others: Iterable[Interval | None]) -> Interval:
-    """Extend an interval to cover others."""
-    low, high = interval
-    for other in others:
-        if other is not None:
-            low = min(low, other.low)
-            high = max(high, other.high)
-    return Interval(low, high)
 
 
 def _leading(

@@ -232,13 +232,16 @@ async def test_people_get_a_sentence_without_warnings_or_argument_names(
             sentences[name] = panel_of(result)["sentence"]
             assert sentences[name].startswith(panel_of(result)["reason"])
     assert sentences == {
-        "two": "2 vehicles alone: too little evidence; give the region, or include one more car.",
-        "empty": "No car was found; draw a line over something of known size, if any is in sight, "
-        "or give the camera's height and focal length, or another photograph of the same flight "
-        "with cars.",
+        "two": "2 vehicles alone: too little evidence; draw a line over parking bays or another "
+        "thing of known size, or measure one length, on the ground or on a map, or give other "
+        "photographs of the same flight, with cars.",
+        "empty": "No car was found; include the cars, or draw lines over two different things of "
+        "known size, if they are in sight, or measure one length, on the ground or on a map, or "
+        "give other photographs of the same flight, with cars, or give the camera's height and "
+        "focal length.",
         "cars": "Vehicles and known length contradict each other; check the facts that you gave, "
-        "or draw a measured line, or if they are right, measure a second length, or the height. "
-        "Vehicles corrected by hand: 8 dropped.",
+        "or give other photographs of the same flight, with cars. Vehicles corrected by hand: 8 "
+        "dropped.",
     }
 
 

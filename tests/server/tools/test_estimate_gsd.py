@@ -13,7 +13,7 @@ from tests.analyses import make_analysis
 from tests.server.conversation import by_path, called, error_of, record_of, text_of
 from vehanchor.detection.detector import load_detector
 from vehanchor.models.runtime import Runtime
-from vehanchor.records import GsdEstimate
+from vehanchor.records import GsdEstimate, Reason
 from vehanchor.records.text import significant
 from vehanchor_server.tools.messages import answer_of
 
@@ -46,10 +46,11 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     result = await called(server, "estimate_gsd", images / "empty.png")
     record = record_of(result)
     assert (record["status"], record["gsd_m_per_px"], record["confidence"]) == ("no_scale", None, 0)
-    assert text_of(result) == (
-        "No ruler was found, confidence 0: no metric scale (no car was found); if a car or a "
-        "court, container or rail is in sight, mark it (add, known_lengths), or give the camera's "
-        "height and lens (height_m, focal_35mm), or photographs with cars (more_images)."
+    assert text_of(result).startswith(
+        "No ruler was found, confidence 0: no metric scale (no car was found); if cars, or two "
+        "different things of known size, are in sight, mark them (add, known_lengths), or give a "
+        "measured length (known_lengths), or give photographs of the flight with cars "
+        "(more_images), or give the height and lens (height_m, focal_35mm)."
     )
 
 
@@ -58,11 +59,8 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(
 ) -> None:
     result = await called(server, "estimate_gsd", images / "two.png")
     assert record_of(result)["status"] == "low_confidence"
-    assert text_of(result).endswith(
-        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); give the "
-        "region (region), or add "
-        "a car that has no box (add)."
-    )
+    reason = "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); "
+    assert f"{reason}{LINE}, or {LENGTH}." in text_of(result)
 
 
 async def test_arguments_reach_the_library(
@@ -157,39 +155,36 @@ def doubtful() -> GsdEstimate:
     return estimate
 
 
-LINE = "draw a line over a parking bay or lane dash (known_lengths)"
-CAR = "add a car that has no box (add)"
-REGION = "give the region (region)"
-MEASURED = "give a measured length or height, no further assumed one (basis)"
-ELSEWHERE = (
-    "give the camera's height and lens (height_m, focal_35mm), or photographs with cars "
-    "(more_images)"
-)
+LINE = "draw a line over parking bays or lane dashes (known_lengths)"
+LENGTH = "give a measured length (known_lengths)"
 DROP = "drop boxes that are not cars, see view_image (drop)"
+ORIGINAL = "send the original image"
 
 
 @pytest.mark.parametrize(
-    ("changes", "remedies"),
+    ("reason", "remedies"),
     [
-        ({"reason": "too_few"}, [REGION, CAR]),
-        ({"reason": "imprecise"}, [REGION, LINE]),
-        ({"reason": "assumed"}, [MEASURED, ELSEWHERE]),
-        ({"reason": "too_few", "reference_source": "region"}, [CAR, LINE]),
-        ({"reason": "not_cars"}, [DROP, LINE]),
-        ({"reason": "disagree"}, [DROP, LINE]),
-        ({"reason": "too_coarse"}, ["send the original image", LINE]),
+        ("too_few", [LINE, LENGTH]),
+        ("assumed", [LINE, LENGTH]),
+        ("not_cars", [DROP, LINE]),
+        ("too_coarse", [ORIGINAL, LINE]),
     ],
 )
 def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
-    doubtful: GsdEstimate, changes: dict[str, Any], remedies: list[str]
+    doubtful: GsdEstimate, reason: Reason, remedies: list[str]
 ) -> None:
-    details = doubtful.details.model_copy(
-        update={"reference_source": changes.get("reference_source", "model")}
-    )
-    estimate = doubtful.model_copy(update={"reason": changes["reason"], "details": details})
+    estimate = doubtful.model_copy(update={"reason": reason})
     words = answer_of([estimate], (), "short").text
     assert words.endswith(f"; {', or '.join(remedies)}.")
     assert "guess" not in words
+
+
+def test_a_full_answer_has_the_rulers_and_the_gains(doubtful: GsdEstimate) -> None:
+    text = answer_of([doubtful], (), "full").text
+    (cars,) = [ruler for ruler in doubtful.rulers if ruler.kind == "vehicles"]
+    assert f"Vehicles: {significant(cars.gsd_m_per_px)} m/px (95 % interval" in text
+    assert "Expected confidence by remedy: length" in text
+    assert text.startswith(answer_of([doubtful], (), "short").text)
 
 
 # --- Resampling for another model

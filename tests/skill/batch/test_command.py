@@ -32,9 +32,10 @@ def test_the_command_reports_progress_causes_and_numbers(
     assert lines == [
         *(f"{n} of 5 images" for n in range(6)),
         f"1 x image_undecodable, as in broken.jpg: {read_rows(table)[0]['error']}",
-        "1 x too_few, as in empty.png: no car was found; draw a line over something of known size, "
-        "if any is in sight, or give the camera's height and focal length, or another photograph "
-        "of the same flight with cars",
+        "1 x too_few, as in empty.png: no car was found; include the cars, or draw lines over two "
+        "different things of known size, if they are in sight, or measure one length, on the "
+        "ground or on a map, or give other photographs of the same flight, with cars, or give "
+        "the camera's height and focal length",
         f"1 x image_not_found, as in no such.png: {read_rows(table)[-1]['error']}",
     ]
     assert last.startswith(f"wrote {table}: 5 rows (2 ok, 1 no_scale, 2 error); 5 images in ")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,36 @@ def test_bays_of_a_car_park_are_not_a_court() -> None:
     image[60:200, 20:240:9] = 220
     image[60:200:36, 20:240] = 220
     assert _measured(image, 0.3, degrees=0.0, factor=2) is None
+
+
+def _seamed_roof(gsd: float, n_bands: int, size_m: tuple[float, float]) -> NDArray[np.uint8]:
+    """Draw a roof with bright seams along it, its gables and its middle."""
+    half_length = size_m[0] / 2
+    half_width = size_m[1] / 2
+    seams = np.linspace(-half_width, half_width, n_bands + 1)
+    lines = [(-half_length, y, half_length, y) for y in seams]
+    lines += [(x, -half_width, x, half_width) for x in (-half_length, 0.0, half_length)]
+    return draw_court(replace(TENNIS, lines=np.array(lines)), gsd, side_px=304)
+
+
+@pytest.mark.parametrize(("n_bands", "size_m"), [(8, (28.1, 12.8)), (8, (26.8, 12.6))])
+def test_a_roof_with_seams_is_not_a_court(n_bands: int, size_m: tuple[float, float]) -> None:
+    """It has lines wherever a court has one, and lines between these."""
+    gsd = size_m[0] / 160
+    image = _seamed_roof(gsd, n_bands, size_m)
+    for factor in (1.0, 1.2):
+        pose = Pose(152.0, 152.0, math.radians(25), factor * 160 / TENNIS.length_m)
+        with open_raster(image) as raster:
+            assert courts_among(raster, [Proposal(0, 0.9, pose=pose, factor=2)]) == []
+
+
+def test_a_court_with_lines_of_another_game_is_measured() -> None:
+    """Pickleball has its own side lines, which end before the strips behind the service lines."""
+    pickleball = np.array([(-6.7, y, 6.7, y) for y in (-3.05, 3.05)])
+    both = replace(TENNIS, lines=np.concatenate([TENNIS.lines, pickleball]))
+    court = _measured(draw_court(both, 0.1, side_px=512), 0.1, factor=4)
+    assert court is not None
+    assert court.gsd_m_per_px == pytest.approx(0.1, rel=0.005)
 
 
 def test_a_court_that_the_edge_cuts_is_not_measured() -> None:

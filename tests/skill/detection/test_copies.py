@@ -72,3 +72,20 @@ def test_one_car_in_two_photographs_is_no_copy() -> None:
     rng = np.random.default_rng(5)
     again = np.clip(_car(1) + rng.normal(0, 30, (60, 60, 3)), 0, 255).astype(np.uint8)
     assert _n_distinct([_car(1), again]) == 2
+
+
+def _altered(car: NDArray[np.uint8], gain: float, offset: float, turn: float) -> NDArray[np.uint8]:
+    matrix = cv2.getRotationMatrix2D((29.5, 29.5), turn, 1.0)
+    turned = cv2.warpAffine(car, matrix, (60, 60), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(np.clip(turned * gain + offset, 0, 255), np.uint8)
+
+
+def test_copies_of_other_brightness_contrast_and_direction_are_copies() -> None:
+    car = _car(1)
+    copies = [_altered(car, 1 - 0.06 * k, 3.0 * k, 1.5 * k) for k in range(5)]
+    assert _n_distinct(copies) == 1
+
+
+def test_two_cars_of_one_model_among_others_are_two_cars() -> None:
+    twin = _altered(_car(1), 0.8, 20.0, 2.0)
+    assert _n_distinct([_car(1), twin, *(_car(seed) for seed in range(2, 7))]) == 7

@@ -58,7 +58,7 @@ def test_the_bundled_detector_has_the_errors_of_its_file(bundled_file: Path) -> 
 
 def test_the_bundled_file_states_every_number(bundled_file: Path) -> None:
     stated = tomllib.loads(bundled_file.read_text(encoding="utf-8"))
-    assert _leaves(stated) == _leaves(DetectorErrors().model_dump())
+    assert _leaves(stated) == _leaves(read_detector_errors(bundled_file).model_dump())
 
 
 def test_the_default_spread_of_a_box_is_the_largest_by_place(bundled_file: Path) -> None:
@@ -70,7 +70,19 @@ def test_all_other_defaults_are_the_bundled_numbers(bundled_file: Path) -> None:
     bundled = read_detector_errors(bundled_file).model_dump()
     defaults = DetectorErrors().model_dump()
     del bundled["boxes"]["log_sd"], defaults["boxes"]["log_sd"]
+    del bundled["votes"], defaults["votes"]
     assert bundled == defaults
+
+
+def test_no_votes_are_the_default() -> None:
+    assert DetectorErrors().votes is None
+
+
+def test_votes_of_the_file_take_the_place_of_those_in_the_metadata(own: Path) -> None:
+    write_detector(own, metadata={"vehanchor.votes": '{"share_at_zero": -9, "share_slope": 14}'})
+    assert load_detector(own).card.votes == (-9.0, 14.0)
+    _write_errors(own, "[votes]\nat_zero = -5.0\nslope = 11.0\n")
+    assert load_detector(own).card.votes == (-5.0, 11.0)
 
 
 def test_a_detector_without_a_file_has_the_defaults(own: Path) -> None:
@@ -124,6 +136,7 @@ def test_a_link_to_the_bundled_detector_has_its_errors(tmp_path: Path, bundled_f
         ("[boxes]\nspread = 0.12\n", "boxes.spread: "),
         ("[vehicles]\nchance_wrong = 1.5\n", "vehicles.chance_wrong: "),
         ("[look_alikes]\nmin_vehicles = 20.5\n", "look_alikes.min_vehicles: "),
+        ("[votes]\nat_zero = -5.0\n", "votes.slope: "),
         ("boxes = 3\n", "boxes: "),
     ],
 )

@@ -15,7 +15,13 @@ from vehanchor import Engine
 from vehanchor.detection.detector_errors import StretchOdds
 from vehanchor.detection.proportions import stretch_log_odds
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.scale.reliability import STRETCHED_SHARE, chance_of_stretch
+from vehanchor.scale.reliability import (
+    NO_DETAIL,
+    STRETCHED_SHARE,
+    ProportionLikelihoods,
+    chance_of_stretch,
+    detail_likelihoods,
+)
 
 
 class _Networks:
@@ -31,7 +37,9 @@ class _Networks:
         return SimpleNamespace(logit=self.logits(squares))
 
 
-def _log_odds(preference: float, headings: list[float]) -> float:
+def _log_odds(
+    preference: float, headings: list[float], detail: ProportionLikelihoods = NO_DETAIL
+) -> float:
     boxes = np.array([[100.0, 100.0, 40.0, 17.0, heading] for heading in headings])
     networks: Any = _Networks(preference)
     with open_raster(np.full((200, 200, 3), 90, np.uint8)) as raster:
@@ -42,6 +50,7 @@ def _log_odds(preference: float, headings: list[float]) -> float:
             chip_network=networks,
             network=networks,
             errors=StretchOdds(),
+            detail=detail,
         )
     assert log_odds is not None
     return log_odds
@@ -88,3 +97,19 @@ def test_a_photograph_has_lower_odds_than_its_stretched_copy() -> None:
     assert as_it_is is not None
     assert stretched is not None
     assert as_it_is < 0 < stretched
+
+
+def _with_detail(preference: float, difference: float) -> float:
+    return _log_odds(preference, [0.8, 0.8], detail=detail_likelihoods(difference))
+
+
+def test_less_detail_in_the_direction_that_the_vehicles_name_speaks_for_a_stretch() -> None:
+    assert _with_detail(6.0, -1.2) > _log_odds(6.0, [0.8, 0.8]) + 1.0
+
+
+def test_detail_contradicts_vehicles_that_name_the_other_direction() -> None:
+    assert _with_detail(6.0, 1.2) < _log_odds(6.0, [0.8, 0.8]) - 1.0
+
+
+def test_equal_detail_in_both_directions_speaks_against_a_stretch() -> None:
+    assert _with_detail(6.0, 0.0) < _log_odds(6.0, [0.8, 0.8]) - 1.0
