@@ -1,12 +1,26 @@
-"""MkDocs hook: insert the model cards."""
+"""MkDocs hooks: insert the model cards, and the figure of the page of results."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-_BUNDLED = Path(__file__).parent.parent / "skill" / "vehanchor" / "models" / "bundled"
+from mkdocs.structure.files import File
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+
+_ROOT = Path(__file__).parent.parent
+_BUNDLED = _ROOT / "skill" / "vehanchor" / "models" / "bundled"
+_FIGURE = _ROOT / "research" / "results" / "calibration.svg"
+
+
+def on_files(files: Files, *, config: MkDocsConfig) -> Files:
+    """Add the figure that the page of results shows beside itself."""
+    files.append(File.generated(config, _FIGURE.name, abs_src_path=str(_FIGURE)))
+    return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

@@ -1,6 +1,8 @@
 """Compare the chances of answers with the share that is right, in bins of 100 photographs.
 
-``python -m research.benchmarks.calibration ANSWERS.csv``. Prints Markdown; ``--record`` keeps it.
+``python -m research.benchmarks.calibration ANSWERS.csv``. Prints Markdown; ``--record`` keeps it,
+and ``--record unseen`` the table of photographs that no network has learned from.
+``research.results.page`` draws both.
 The table has a row for each photograph of known scale, with the columns ``true_gsd_m_per_px``,
 ``gsd_m_per_px``, ``confidence`` and ``n_vehicles``; photographs without a scale are left out of it.
 """

@@ -1,7 +1,7 @@
 """Generate the page of results from the data files: ``python -m research.results.page [--check]``.
 
-``page.md`` is the template and ``README.md`` the page. ``quotes.json`` lists what other documents
-quote. Placeholders:
+``page.md`` is the template and ``README.md`` the page, with the figure ``calibration.svg``.
+``quotes.json`` lists what other documents quote. Placeholders:
 
 * ``{{scale.val | labelled, all sets | median}}``: a cell by entry, row and column, with its unit;
   ``| .1f`` rounds it;
@@ -19,6 +19,7 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from research.results.figure import calibration_figure
 from research.results.record import FOLDER, Table, load, names_of
 
 if TYPE_CHECKING:
@@ -109,6 +110,11 @@ def page() -> str:
     return render((FOLDER / "page.md").read_text(encoding="utf-8"))
 
 
+def documents() -> dict[str, str]:
+    """Make the page and its figure, by the names of their files."""
+    return {"README.md": page(), "calibration.svg": calibration_figure(_topic("scale"))}
+
+
 def quotes() -> dict[str, list[str]]:
     """Fill in the quotes of each document."""
     text = (FOLDER / "quotes.json").read_text(encoding="utf-8")
@@ -136,10 +142,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="write nothing; exit status 1 if the page is not current",
     )
     check = parser.parse_args(arguments).check
-    target = FOLDER / "README.md"
-    stale = not target.exists() or target.read_text(encoding="utf-8") != page()
-    if stale and not check:
-        target.write_text(page(), encoding="utf-8")
+    stale = False
+    for name, content in documents().items():
+        target = FOLDER / name
+        if target.exists() and target.read_text(encoding="utf-8") == content:
+            continue
+        stale = True
+        if not check:
+            target.write_text(content, encoding="utf-8")
     missing = missing_quotes()
     for quote in missing:
         print(f"not quoted as measured: {quote}", file=sys.stderr)

@@ -25,7 +25,8 @@ from vehanchor.analysis.pipeline import (
 from vehanchor.detection.chips import prepare_colours
 from vehanchor.detection.detector import Detector, open_detector
 from vehanchor.errors import InvalidParameterError
-from vehanchor.export.resample import MAX_ENLARGEMENT, Resampled, resample_raster
+from vehanchor.export import MAX_ENLARGEMENT
+from vehanchor.export.resample import Resampled, resample_raster
 from vehanchor.imagery.sources.opening import ImageSource, open_raster
 from vehanchor.models.runtime import Cancellation, Runtime
 from vehanchor.models.zoo import load_ruler_networks

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.sources.files import canonical_path
 from vehanchor.measure.id_image import read_masks
 from vehanchor.rulers.image_table import read_table
 from vehanchor_evaluation.known_scale import FileIssue
@@ -212,7 +213,7 @@ def _row(folder: Path, cells: Mapping[str, str | None]) -> _Row | None:
     if not math.isfinite(gsd) or gsd <= 0:
         return None
     return _Row(
-        image=(folder / image).resolve(),
+        image=Path(canonical_path(folder / image)),
         mask=folder / mask,
         name=str(Path(mask).with_suffix("")),
         category=category,

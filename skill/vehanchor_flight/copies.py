@@ -105,12 +105,18 @@ def _is_smaller_copy(small: Photograph, large: Photograph) -> bool:
 
 
 def _is_mirrored_copy(photograph: Photograph, original: Photograph) -> bool:
-    """Check whether a photograph is the mirror image of another one, of any size."""
-    if not _have_one_shape(photograph, original):
+    """Check whether a photograph is the mirror image of another one, of any size, turned or not."""
+    if photograph.reduced is None or original.reduced is None:
         return False
-    assert original.reduced is not None
-    for axis in (0, 1):
-        mirrored = np.flip(original.reduced, axis)
+    mirror_images: list[NDArray[np.uint8]] = []
+    aspect = _aspect(photograph)
+    if _is_one(aspect / _aspect(original)):
+        mirror_images += [np.flip(original.reduced, axis) for axis in (0, 1)]
+    if _is_one(aspect * _aspect(original)):
+        # The mirrors along both diagonals swap width and height.
+        along_diagonal = original.reduced.T
+        mirror_images += [along_diagonal, np.flip(along_diagonal)]
+    for mirrored in mirror_images:
         is_asymmetric = _difference(mirrored, original.reduced) >= _MIN_ASYMMETRY
         if is_asymmetric and _difference(photograph.reduced, mirrored) <= _MAX_COPY_DIFFERENCE:
             return True
@@ -128,12 +134,17 @@ def _have_one_shape(first: Photograph, second: Photograph) -> bool:
     """Check whether two photographs have reduced pictures and the same aspect ratio."""
     if first.reduced is None or second.reduced is None:
         return False
-    first_image = first.view.image
-    second_image = second.view.image
-    # Quotient of the aspect ratios.
-    numerator = first_image.width_px * second_image.height_px
-    denominator = first_image.height_px * second_image.width_px
-    aspect = numerator / denominator
+    return _is_one(_aspect(first) / _aspect(second))
+
+
+def _aspect(photograph: Photograph) -> float:
+    """Compute the width of a photograph over its height."""
+    image = photograph.view.image
+    return image.width_px / image.height_px
+
+
+def _is_one(aspect: float) -> bool:
+    """Test whether a quotient of two aspect ratios is one, within the tolerance."""
     return abs(aspect - 1) <= _ASPECT_TOLERANCE
 
 

@@ -369,7 +369,7 @@ def _positions_witness(
 ) -> tuple[Witness, ...]:
     """Compare the layout in pixels with positions in metres; no witness if they do not match."""
     width_px = float(reference.view.image.width_px)
-    witness = baseline(layout.feet, positions, width_px)
+    witness = baseline(layout.feet, positions, width_px, headings=layout.headings)
     if witness is None:
         return ()
     return (witness,)

@@ -35,7 +35,7 @@ from vehanchor import estimate_gsd
 
 pytestmark = [pytest.mark.nginx, pytest.mark.timeout(900)]
 
-N_CALLS = 96
+N_CALLS = 48
 N_CLIENTS = 6
 MAX_LOAD_S = 400
 # Honest calls at a time, and idle connections of each kind beside them.
@@ -83,18 +83,29 @@ class Deployment:
         return Counter(re.findall(addresses, self.log.read_text(), flags=re.MULTILINE))
 
 
-@pytest.fixture
-def deployment(tmp_path: Path) -> Iterator[Deployment]:
-    needed_program("nginx", "apt-get install nginx-light libnginx-mod-stream")
-    images = tmp_path / "images"
-    images.mkdir()
-    calls: list[Call] = []
-    for path in write_images(images):
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the servers may read."""
+    folder = tmp_path_factory.mktemp("images")
+    write_images(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def calls(images: Path) -> list[Call]:
+    found: list[Call] = []
+    for path in sorted(images.iterdir()):
         gsd = estimate_gsd(path).gsd_m_per_px
         # 2 MB: more than nginx keeps in memory.
         encoded = base64.b64encode(path.read_bytes()).decode()
-        calls.append(({"kind": "path", "path": str(path)}, gsd))
-        calls.append(({"kind": "base64", "data": encoded}, gsd))
+        found.append(({"kind": "path", "path": str(path)}, gsd))
+        found.append(({"kind": "base64", "data": encoded}, gsd))
+    return found
+
+
+@pytest.fixture
+def deployment(images: Path, calls: list[Call], tmp_path: Path) -> Iterator[Deployment]:
+    needed_program("nginx", "apt-get install nginx-light libnginx-mod-stream")
     with ExitStack() as stack:
         flags = ("--root", str(images), "--threads", "1")
         servers = [stack.enter_context(http_server(*flags)) for _ in range(2)]
@@ -223,7 +234,8 @@ async def test_when_a_replica_is_killed_the_other_takes_over(deployment: Deploym
     _, victim = deployment.servers[0]
 
     async def kill() -> None:
-        await anyio.sleep(2)
+        while deployment.count_requests().total() < N_CALLS / 4:
+            await anyio.sleep(0.05)
         os.kill(victim, signal.SIGKILL)
 
     async with anyio.create_task_group() as group:

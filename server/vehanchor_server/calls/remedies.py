@@ -39,9 +39,9 @@ _IN_WORDS: Mapping[Remedy, str] = {
     "line": "draw a line over parking bays or lane dashes (known_lengths)",
     "things": "if cars, or two different things of known size, are in sight, mark them (add, "
     "known_lengths)",
-    "length": "give a length measured there or on a map (known_lengths, basis)",
-    "height": "give the camera's height and lens (height_m, focal_35mm)",
-    "images": "give photographs of the same flight with cars (more_images)",
+    "length": "give a measured length (known_lengths)",
+    "height": "give the height and lens (height_m, focal_35mm)",
+    "images": "give photographs of the flight with cars (more_images)",
 }
 _MASK_DOUBTS = frozenset(
     {NoticeCode.MASK_SCORE_LOW, NoticeCode.MASK_DEPENDS_ON_BOX, NoticeCode.EXTENT_UNKNOWN}

@@ -136,7 +136,7 @@ def _hints_about_resampling(target_gsd_m_per_px: float | None, record: AnyRecord
         picture = "your copy"
     factor = gsd / target_gsd_m_per_px
     hint = f"For {target}, resample {picture} by {significant(factor)}."
-    from vehanchor.export.resample import MAX_ENLARGEMENT
+    from vehanchor.export import MAX_ENLARGEMENT
 
     if factor > MAX_ENLARGEMENT:
         hint += " Enlarging adds no detail."

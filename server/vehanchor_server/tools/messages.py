@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
 from vehanchor.records.contradiction import contradiction_of
+from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import (
     by_hand_text,
     file_source_text,
@@ -65,8 +66,8 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
     """Describe the records of an image in words, then their warnings, then the hints.
 
     Several records are numbered. A short answer has the first sentence of each warning; where it
-    would become too long, it has the warning's code alone. A full answer has all sentences, and
-    those of the rulers.
+    would become too long, it has the warning's code alone. A full answer has all sentences, those
+    of the rulers and of the remedies.
 
     Args:
         records: of one kind.
@@ -84,18 +85,36 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
         words = [f"{contradiction.text}.", *words]
         if detail == "short":
             stated_code = contradiction.code
+    max_chars = _MEASUREMENT_CHARS * len(records)
     if isinstance(first, GsdEstimate):
         max_chars = _ESTIMATE_CHARS
-        if detail == "full":
-            words += [ruler.explanation for ruler in first.rulers if ruler.explanation is not None]
-    else:
-        max_chars = _MEASUREMENT_CHARS * len(records)
+    if detail == "full":
+        words += _details_in_words(first)
     n_chars = len(" ".join([*words, *hints]))
     warnings = _warnings(records, detail, max_chars=max_chars - n_chars, stated_code=stated_code)
     prefixed = [f"{_PREFIX}{warning}" for warning in warnings]
     if contradiction is not None and stated_code is not None:
         warnings = [f"{stated_code}: {contradiction.text}.", *warnings]
     return Answer(" ".join([*words, *prefixed, *hints]), (*warnings, *hints))
+
+
+def _details_in_words(record: AnyRecord) -> list[str]:
+    """State what each ruler measured, and what each remedy is expected to bring."""
+    estimate = record if isinstance(record, GsdEstimate) else record.estimate
+    if estimate is None:
+        return []
+    sentences = []
+    for ruler in estimate.rulers:
+        interval = _interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px)
+        scale = f"{significant(ruler.gsd_m_per_px)} m/px{interval}"
+        label = f"{ruler.label[0].upper()}{ruler.label[1:]}"
+        sentences.append(f"{label}: {scale}, right with a chance of {ruler.p_right:.2f}.")
+        if ruler.explanation is not None:
+            sentences.append(ruler.explanation)
+    gains = [f"{gain.remedy} {gain.confidence:.2f}" for gain in estimate.details.remedies]
+    if gains:
+        sentences.append(f"Expected confidence by remedy: {', '.join(gains)}.")
+    return sentences
 
 
 def _warnings(
@@ -199,7 +218,7 @@ def _area_in_words(area: AreaMeasurement) -> str:
         words = f"No area: the object covers {area.mask_area_px} px, but {_no_scale(area)}"
     else:
         interval = _interval(area.area_ci95_low_m2, area.area_ci95_high_m2)
-        size = f"{significant(area.area_m2)} m2{interval}"
+        size = f"{_at_least(area)}{significant(area.area_m2)} m2{interval}"
         # Beside the answer to must_fit, other sizes are not needed.
         is_asked = area.status == "ok" and area.fit is None
         if is_asked and area.length_m and area.width_m and area.inscribed_diameter_m:
@@ -214,6 +233,12 @@ def _area_in_words(area: AreaMeasurement) -> str:
         others = " or ".join(map(_size, area.alternatives))
         words += f" Or you mean {others}."
     return words
+
+
+def _at_least(area: AreaMeasurement) -> str:
+    """Begin an area that the image's edge cuts off; empty for a whole one."""
+    is_cut = any(notice.code == NoticeCode.MASK_TOUCHES_EDGE for notice in area.warnings)
+    return "At least " if is_cut else ""
 
 
 def _fit_sentence(area: AreaMeasurement) -> str:

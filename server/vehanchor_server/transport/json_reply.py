@@ -1,7 +1,9 @@
-"""Replies as JSON to clients that do not accept event streams.
+"""Replies as JSON to clients that do not ask for event streams.
 
-The SDK answers by a stream of events, and refuses a client that accepts JSON alone. For such a
-client, this middleware asks for the stream and sends its last event, which is the reply, as JSON.
+The SDK answers by a stream of events, and refuses a client that does not name both JSON and event
+streams. This middleware asks for both in the client's place. If the client does not name event
+streams, it sends the last event, which is the reply, as JSON. RFC 9110, 12.5.1: without the header,
+a client accepts everything, and a weight of 0 excludes a type.
 """
 
 from __future__ import annotations
@@ -15,10 +17,12 @@ _ACCEPT = b"accept"
 _JSON = b"application/json"
 _EVENTS = b"text/event-stream"
 _DATA = b"data:"
+_ALSO_JSON = (_JSON, b"application/*", b"*/*")
+_ALSO_EVENTS = (_EVENTS, b"text/*")
 
 
 class JsonReply:
-    """Middleware: replies in JSON for clients that accept nothing else.
+    """Middleware: replies in JSON for clients that do not name event streams.
 
     Args:
         app: the application.
@@ -29,13 +33,23 @@ class JsonReply:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, and convert the reply if it is needed."""
-        if scope["type"] != "http" or scope["method"] != "POST" or not _accepts_json_alone(scope):
+        if scope["type"] != "http" or scope["method"] != "POST":
+            await self._app(scope, receive, send)
+            return
+        accepted = _accepted(scope)
+        takes_json = not accepted.isdisjoint(_ALSO_JSON)
+        takes_events = not accepted.isdisjoint(_ALSO_EVENTS)
+        if not takes_json and not takes_events:
             await self._app(scope, receive, send)
             return
         others = [(name, value) for name, value in scope["headers"] if name.lower() != _ACCEPT]
         accept = (_ACCEPT, _JSON + b", " + _EVENTS)
+        asked = {**scope, "headers": [*others, accept]}
+        if takes_events:
+            await self._app(asked, receive, send)
+            return
         reply = _Reply(send)
-        await self._app({**scope, "headers": [*others, accept]}, receive, reply.send)
+        await self._app(asked, receive, reply.send)
 
 
 class _Reply:
@@ -72,11 +86,20 @@ class _Reply:
         await self._send({"type": "http.response.body", "body": body})
 
 
-def _accepts_json_alone(scope: Scope) -> bool:
-    """Test whether a client accepts JSON and no stream of events."""
-    accepted = b",".join(value for name, value in scope["headers"] if name.lower() == _ACCEPT)
-    types = [part.split(b";")[0].strip().lower() for part in accepted.split(b",")]
-    return _JSON in types and _EVENTS not in types
+def _accepted(scope: Scope) -> set[bytes]:
+    """List the types that a client accepts, in small letters; everything without the header."""
+    values = [value for name, value in scope["headers"] if name.lower() == _ACCEPT]
+    header = b",".join(values).lower()
+    if not header.strip():
+        return {b"*/*"}
+    accepted = set()
+    for part in header.split(b","):
+        media_type, *parameters = [piece.strip() for piece in part.split(b";")]
+        weights = [piece[2:].strip(b" 0.") for piece in parameters if piece.startswith(b"q=")]
+        # Of a weight of zero, nothing is left.
+        if b"" not in weights:
+            accepted.add(media_type)
+    return accepted
 
 
 def _is_stream(start: Message) -> bool:

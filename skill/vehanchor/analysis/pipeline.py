@@ -235,7 +235,8 @@ def conclude(
     is_oblique = shows_horizon(view)
     if is_oblique:
         measured = without_findings(measured)
-    witnesses = with_doubts(_without_repetition(measured), doubts, tilt_chance=tilt_chance)
+    distinct = _without_repetition(measured)
+    witnesses = with_doubts(distinct, doubts, tilt_chance=tilt_chance)
     is_paper = view.options.method.preset == "paper"
     decided = None if is_paper else answer(witnesses)
     if decided is not None:
@@ -269,10 +270,9 @@ def conclude(
     if record.reason is not None and not is_paper:
 
         def decide(hypothetical: Sequence[Witness]) -> Answer | None:
-            distinct = _without_repetition(tuple(hypothetical))
-            return judge(with_doubts(distinct, doubts, tilt_chance=tilt_chance))
+            return judge(with_doubts(hypothetical, doubts, tilt_chance=tilt_chance))
 
-        record = _with_remedies(record, expected_gains(view, measured, decided, decide))
+        record = _with_remedies(record, expected_gains(view, distinct, decided, decide))
     shown = NOT_SEARCHED if vehicles is None else view.detections
     return ScaleAnalysis(record, measured, shown, answer=decided, grid=view.image.grid)
 

@@ -19,13 +19,14 @@ import os
 import sys
 from importlib.metadata import entry_points
 from io import TextIOWrapper
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from vehanchor.cli.multi_value import SpacedCommand
-from vehanchor.cli.terminal import BAD_INPUT, INTERRUPTED, UNFORESEEN
+from vehanchor.cli.terminal import BAD_INPUT, INTERRUPTED, UNFORESEEN, is_full, report_full
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -121,6 +122,11 @@ def main() -> None:
     # again, for a tenth of the time, and three more times at exit, for 0.1 s.
     gc.set_threshold(200_000)
     atexit.register(gc.freeze)
+    # Without a standard stream, as after `>&-`, what is printed leads nowhere.
+    if sys.stdout is None:
+        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
     # A pipe's encoding, such as cp1252, lacks characters of file names: they are escaped.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
@@ -133,13 +139,23 @@ def main() -> None:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has closed the pipe, as `| head` does. Python would report an error at exit,
-        # when it flushes stdout, so stdout now leads nowhere.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        # The reader has closed the pipe, as `| head` does.
+        _leave_stdout()
         sys.exit(UNFORESEEN)
+    except OSError as error:
+        if not is_full(error):
+            raise
+        report_full(error)
+        _leave_stdout()
+        sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+
+
+def _leave_stdout() -> None:
+    """Let stdout lead nowhere: Python flushes it at exit, and would report an error."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
 
 
 def _show_version(show: bool) -> None:

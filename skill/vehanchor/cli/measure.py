@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast
 
 import typer
 
-from vehanchor.analysis.measurement_analysis import AreaAnalysis, AreaCollection
 from vehanchor.cli.cli_options import ParsedOptions, Photograph, scale_command
 from vehanchor.cli.measurement import show_measurement
 from vehanchor.cli.multi_value import parse_point
@@ -20,14 +19,13 @@ from vehanchor.cli.scale_option import (
 )
 from vehanchor.cli.terminal import AsJson, Strict
 from vehanchor.errors import PromptError
-from vehanchor.measure.shape_file import read_shape_file
-from vehanchor.measure.shapes import read_polygon
 from vehanchor.options.models import SEGMENTER
 from vehanchor.records.text import fit_in_words, significant, with_interval
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from vehanchor.analysis.measurement_analysis import AreaAnalysis, AreaCollection
     from vehanchor.cli.terminal import Facts
     from vehanchor.measure.shapes import CallerShape, Orientation
     from vehanchor.models.runtime import Progress
@@ -153,6 +151,8 @@ def measure(
             return engine.analyse_area(image, box=box, points=points, **common)
         if box is not None or points is not None:
             raise PromptError("give a box or points, or your own --polygon or --shapes, not both")
+        from vehanchor.analysis.measurement_analysis import AreaCollection
+
         own_shapes = _read_own_shapes(polygon, shapes, image, engine.options)
         analyses = engine.analyse_areas(
             image,
@@ -176,6 +176,9 @@ def _read_own_shapes(
     polygons: Sequence[str] | None, file: Path | None, image: str, options: ScaleOptions
 ) -> list[CallerShape]:
     """Read the polygons of the command line, then the shapes of a file."""
+    from vehanchor.measure.shape_file import read_shape_file
+    from vehanchor.measure.shapes import read_polygon
+
     own_shapes: list[CallerShape] = []
     for text in polygons or ():
         numbers = text.replace(",", " ").split()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vehanchor.errors import InvalidParameterError
+from vehanchor.imagery.sources.files import canonical_path
 from vehanchor.storage.atomic import check_output_path
 
 if TYPE_CHECKING:
@@ -31,11 +32,11 @@ def check_outputs(images: Iterable[str], outputs: Iterable[tuple[str, Path]]) ->
         InvalidParameterError: a file is an image, or is named twice.
         MissingExtraError: matplotlib or rasterio is not installed.
     """
-    inputs = {Path(source).resolve() for source in images}
-    targets: set[Path] = set()
+    inputs = {canonical_path(source) for source in images}
+    targets: set[str] = set()
     for name, path in outputs:
         _check_output(name, path)
-        target = path.resolve()
+        target = canonical_path(path)
         if target in inputs:
             raise InvalidParameterError(
                 f"{str(path)!r} is one of the images: writing there would destroy it"

@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from vehanchor.batch.table import write_table
 from vehanchor.cli.cli_options import OF_ONE_IMAGE, ParsedOptions, scale_command
 from vehanchor.cli.terminal import FAILED, printable, report
 from vehanchor.errors import OutputError, VehAnchorError
-from vehanchor.export.resample import MAX_ENLARGEMENT, make_folder
+from vehanchor.export import MAX_ENLARGEMENT
 from vehanchor.imagery.sources.files import find_images
 from vehanchor.records.text import count
 
@@ -51,6 +50,9 @@ def resample(
 
     Photographs without a usable scale are skipped and named. A table in the folder lists all.
     """
+    from vehanchor.batch.table import write_table
+    from vehanchor.export.resample import make_folder
+
     engine = chosen.engine()
     images = find_images(inputs)
     make_folder(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import time
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from vehanchor.errors import OutOfMemoryError, VehAnchorError
+from vehanchor.errors import OutOfMemoryError, OutputError, VehAnchorError
 from vehanchor.records.contradiction import contradiction_text
 from vehanchor.records.escaping import as_json, on_one_line
 from vehanchor.records.text import by_hand_text
@@ -95,12 +96,27 @@ def exit_on_error() -> Iterator[None]:
     except (typer.Exit, typer.Abort, typer.BadParameter, BrokenPipeError):
         raise
     except Exception as error:
-        if os.environ.get("VEHANCHOR_TRACEBACK"):
+        if os.environ.get("VEHANCHOR_TRACEBACK") or is_full(error):
             raise
         if isinstance(error, ImportError):
             _exit_on_unmet_requirement(error)
         report(DefectError.of(error))
         raise typer.Exit(UNFORESEEN) from None
+
+
+def is_full(error: Exception) -> bool:
+    """Test whether a standard stream cannot be written, because its disk is full.
+
+    Errors of files have their names.
+    """
+    if not isinstance(error, OSError) or error.filename is not None:
+        return False
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+def report_full(error: OSError) -> None:
+    """Report that the standard output cannot be written."""
+    report(OutputError(f"cannot write to the standard output: {error.strerror}"))
 
 
 def _exit_on_unmet_requirement(error: ImportError) -> None:

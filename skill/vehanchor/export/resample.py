@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError, OutputError
+from vehanchor.export import MAX_ENLARGEMENT
 from vehanchor.imagery.metadata.resized import metadata_of_copy, with_metadata
 from vehanchor.imagery.raster import Window, oriented, swaps_sides
 from vehanchor.records.advice import advice_for
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
     from vehanchor.imagery.raster import Raster, RgbImage
     from vehanchor.records import GsdEstimate, ScaleSource
     from vehanchor.scale.lengths import Spread
-
-MAX_ENLARGEMENT = 2.0
-"""Largest factor unless the caller allows more: a model sees only interpolated pixels beyond."""
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _JPEG_QUALITY = 95

@@ -29,9 +29,11 @@ _FORMER_COLUMN = "file"
 _MAX_BYTES = 64 << 20
 # A choice above what spreadsheets of measurements have.
 _MAX_COLUMNS = 1_000
-_DELIMITERS = (",", ";", "\t")
+_DELIMITERS = (",", ";", "\t", "|")
 _STATED_DELIMITER = re.compile(r"sep=.\s*", re.IGNORECASE)
-_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+# Beside commas as delimiters, as in English tables, a comma can separate thousands.
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 
 
 def read_image_table(
@@ -83,7 +85,7 @@ def read_image_table(
                     raise error("the photograph is not named")
                 row = read_row(cells)
                 # A name with a NUL is none.
-                image = canonical_path(table.parent / file)
+                image = canonical_path(_existing(table.parent, file))
             except ValueError as problem:
                 raise error(f"{str(table)!r}, line {number}: {problem}") from None
             rows.setdefault(image, []).append(row)
@@ -92,6 +94,14 @@ def read_image_table(
     if not rows:
         raise error(f"{str(table)!r} has no {content}: give at least one")
     return {image: tuple(own_rows) for image, own_rows in rows.items()}
+
+
+def _existing(folder: Path, file: str) -> Path:
+    """Find a file of a table, which may have been written on Windows."""
+    path = folder / file
+    if path.exists() or "\\" not in file:
+        return path
+    return folder / file.replace("\\", "/")
 
 
 class Table(NamedTuple):
@@ -140,8 +150,7 @@ def read_table(content: bytes, needed: Sequence[str]) -> Table:
             cells: Cells = {name: text and text.strip() for name, text in row.items()}
             if not any(cells.values()):
                 continue  # spreadsheets write rows of empty cells
-            if delimiter != ",":
-                cells = _with_decimal_points(cells)
+            cells = _with_decimal_points(cells, delimiter)
             lines.append((reader.line_num, cells))
     return Table(columns, lines)
 
@@ -173,9 +182,13 @@ def _with_current_name(columns: Sequence[str]) -> list[str]:
     return [PHOTOGRAPH if name == _FORMER_COLUMN else name for name in names]
 
 
-def _with_decimal_points(cells: Cells) -> Cells:
-    """Replace the decimal commas of numbers, in a table whose delimiter is not the comma."""
-    return {
-        name: text.replace(",", ".") if text and _DECIMAL_COMMA.fullmatch(text) else text
-        for name, text in cells.items()
-    }
+def _with_decimal_points(cells: Cells, delimiter: str) -> Cells:
+    """Replace the decimal commas of numbers; commas that may separate thousands stay."""
+    replaced = {}
+    for name, text in cells.items():
+        replaced[name] = text
+        if not text or not _DECIMAL_COMMA.fullmatch(text):
+            continue
+        if delimiter != "," or not _THOUSANDS.fullmatch(text):
+            replaced[name] = text.replace(",", ".")
+    return replaced

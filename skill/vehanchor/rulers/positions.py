@@ -31,6 +31,11 @@ _EARTH_M = 6_371_009.0
 _MIN_POSITIONS = 2
 # Error of a small receiver, relative to the neighbouring photograph.
 _POSITION_SD_M = 2.0
+# Error along the way of flight: the receiver's position is older than the picture, or newer, by a
+# second at the fifteen metres per second of a fixed wing. Photographs on one heading share it;
+# others are moved apart, or together. A choice. In one flight the positions of four photographs on
+# headings up to 170 degrees apart give 1.66 times the scale, as a lag of 20 to 25 m would.
+_LAG_M = 15.0
 # Offset of a picture's centre by a tilt of three degrees, as a share of its width.
 _AIM_SHARE = 0.05
 # Least agreement of layout and positions; below, they do not match.
@@ -93,7 +98,12 @@ def camera_positions_m(images: Sequence[ImageFacts]) -> EastNorth | None:
     return np.column_stack([east, north]) * _EARTH_M
 
 
-def baseline(layout: ComplexPoints, places: EastNorth, width_px: float) -> Witness | None:
+def baseline(
+    layout: ComplexPoints,
+    places: EastNorth,
+    width_px: float,
+    headings: ComplexPoints | None = None,
+) -> Witness | None:
     """Measure the scale by the layout of photographs and their positions.
 
     Args:
@@ -101,6 +111,8 @@ def baseline(layout: ComplexPoints, places: EastNorth, width_px: float) -> Witne
             ``vehanchor_flight.layout``).
         places: ``[m, 2]`` metres east and north, NaN for unknown ones.
         width_px: width of a photograph, in these pixels.
+        headings: ``[m]`` directions of the photographs, of length 1; None if unknown, or if they
+            do not matter.
 
     Returns:
         The witness; None for fewer than two positions, or if layout and positions differ.
@@ -128,7 +140,10 @@ def baseline(layout: ComplexPoints, places: EastNorth, width_px: float) -> Witne
     degrees_of_freedom = 2 * max(fit.n - 2, 0.5)
     unexplained = 1 - fit.agreement**2
     misfit_sd = math.sqrt(unexplained / degrees_of_freedom) / fit.agreement
-    fit_sd = max(expected_sd, misfit_sd)
+    lag_sd = 0.0
+    if headings is not None:
+        lag_sd = _LAG_M * _stretch_by_lag(pixels, headings[known]) / fit.gsd_m_per_px
+    fit_sd = math.hypot(max(expected_sd, misfit_sd), lag_sd)
     reliability = RELIABILITY[Positions.kind]
     n_known = int(known.sum())
     return point_witness(
@@ -139,6 +154,18 @@ def baseline(layout: ComplexPoints, places: EastNorth, width_px: float) -> Witne
         statement=f"The positions of {n_known} overlapping photographs give {{}}.",
         n=n_known,
     )
+
+
+def _stretch_by_lag(pixels: ComplexPoints, headings: ComplexPoints) -> float:
+    """Compute by how much a step along the heading of each photograph enlarges their layout.
+
+    Returns:
+        The share of a step of one pixel, for the camera's worst turn on the craft.
+    """
+    offsets = pixels - pixels.mean()
+    steps = headings - headings.mean()
+    moved = abs(np.vdot(offsets, steps))
+    return float(moved / np.vdot(offsets, offsets).real)
 
 
 class _Fit(NamedTuple):

@@ -286,18 +286,18 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     contradictions = _contradictions(witnesses, p_right)
     chance = decision.chance
     for pair in contradictions:
-        chances = [p_right[k] for k in pair]
-        both = [witnesses[k] for k in pair]
-        chance = min(chance, _chance_between(both, chances, decision.gsd_m_per_px))
-    decision = replace(decision, chance=chance)
-    reason = None
+        chance = min(chance, _chance_between(witnesses, p_right, pair, decision.gsd_m_per_px))
+    reason: Reason | None = None
     if not decision.usable:
-        reason = _weakness(witnesses, answers_without, decision.chance)
+        reason = _weakness(witnesses, answers_without, chance)
+    elif chance < USABLE_CHANCE:
+        reason = "disagree"
+    decision = replace(decision, chance=chance)
     # A compromise between witnesses that exclude each other is no more exact than they are apart.
     intervals = [witnesses[k].interval for pair in contradictions for k in pair]
     return replace(
         decision,
-        interval=_hull(decision.interval, intervals),
+        interval=decision.interval.with_others(intervals),
         contradictions=contradictions,
         p_right=tuple(p_right),
         leading=_leading(witnesses, answers_without, p_right),
@@ -424,17 +424,20 @@ def _contradictions(
     return tuple((a, b) for a, b in pairs if _exclude_each_other(witnesses[a], witnesses[b]))
 
 
-def _chance_between(pair: Sequence[Witness], p_right: Sequence[float], gsd: float) -> float:
+def _chance_between(
+    witnesses: Sequence[Witness], p_right: Sequence[float], pair: tuple[int, int], gsd: float
+) -> float:
     """Compute the largest chance of a scale by two witnesses that exclude each other.
 
     In the product both can be right, one by a large error. More likely only one is: then the chance
     is the share of those that are within 20 % of the scale.
     """
     p_near = 0.0
-    for witness, p_witness in zip(pair, p_right, strict=True):
-        if witness.gsd_m_per_px and abs(gsd / witness.gsd_m_per_px - 1) <= TOLERANCE:
-            p_near += p_witness
-    return p_near / sum(p_right)
+    for k in pair:
+        own_gsd = witnesses[k].gsd_m_per_px
+        if own_gsd and abs(gsd / own_gsd - 1) <= TOLERANCE:
+            p_near += p_right[k]
+    return p_near / sum(p_right[k] for k in pair)
 
 
 def _exclude_each_other(first: Witness, second: Witness) -> bool:
@@ -442,16 +445,6 @@ def _exclude_each_other(first: Witness, second: Witness) -> bool:
     if first.gsd_m_per_px is None or second.gsd_m_per_px is None:
         return False
     return not (first.allows(second.gsd_m_per_px) or second.allows(first.gsd_m_per_px))
-
-
-def _hull(interval: Interval, others: Iterable[Interval | None]) -> Interval:
-    """Extend an interval to cover others."""
-    low, high = interval
-    for other in others:
-        if other is not None:
-            low = min(low, other.low)
-            high = max(high, other.high)
-    return Interval(low, high)
 
 
 def _leading(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sqlite3
 import threading
 import weakref
@@ -25,7 +26,6 @@ from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor.storage.exclusive import ExclusiveFile, has_locks
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Callable, Iterator, Mapping
 
 Key: TypeAlias = tuple[str | int, ...]
@@ -63,7 +63,8 @@ class Source(NamedTuple):
     @classmethod
     def of(cls, file: str | os.PathLike[str]) -> Source:
         """Read the state of a file."""
-        path = Path(file).resolve()
+        # Path.resolve raises an error for a link to itself.
+        path = Path(os.path.realpath(file))
         try:
             state = path.stat()
         except OSError:

@@ -46,12 +46,11 @@ async def test_no_vehicle_is_a_result_not_an_error(server: MCPServer[object], im
     result = await called(server, "estimate_gsd", images / "empty.png")
     record = record_of(result)
     assert (record["status"], record["gsd_m_per_px"], record["confidence"]) == ("no_scale", None, 0)
-    assert text_of(result) == (
+    assert text_of(result).startswith(
         "No ruler was found, confidence 0: no metric scale (no car was found); if cars, or two "
         "different things of known size, are in sight, mark them (add, known_lengths), or give a "
-        "length measured there or on a map (known_lengths, basis), or give photographs of the same "
-        "flight with cars (more_images), or give the camera's height and lens (height_m, "
-        "focal_35mm)."
+        "measured length (known_lengths), or give photographs of the flight with cars "
+        "(more_images), or give the height and lens (height_m, focal_35mm)."
     )
 
 
@@ -60,10 +59,8 @@ async def test_few_vehicles_are_a_result_that_says_not_to_rely_on_it(
 ) -> None:
     result = await called(server, "estimate_gsd", images / "two.png")
     assert record_of(result)["status"] == "low_confidence"
-    assert text_of(result).endswith(
-        "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); "
-        f"{LINE}, or {LENGTH}."
-    )
+    reason = "from 2 vehicles: do not rely on it (2 vehicles alone: too little evidence); "
+    assert f"{reason}{LINE}, or {LENGTH}." in text_of(result)
 
 
 async def test_arguments_reach_the_library(
@@ -159,7 +156,7 @@ def doubtful() -> GsdEstimate:
 
 
 LINE = "draw a line over parking bays or lane dashes (known_lengths)"
-LENGTH = "give a length measured there or on a map (known_lengths, basis)"
+LENGTH = "give a measured length (known_lengths)"
 DROP = "drop boxes that are not cars, see view_image (drop)"
 ORIGINAL = "send the original image"
 
@@ -180,6 +177,14 @@ def test_advice_names_at_most_two_remedies_by_arguments_the_best_first(
     words = answer_of([estimate], (), "short").text
     assert words.endswith(f"; {', or '.join(remedies)}.")
     assert "guess" not in words
+
+
+def test_a_full_answer_has_the_rulers_and_the_gains(doubtful: GsdEstimate) -> None:
+    text = answer_of([doubtful], (), "full").text
+    (cars,) = [ruler for ruler in doubtful.rulers if ruler.kind == "vehicles"]
+    assert f"Vehicles: {significant(cars.gsd_m_per_px)} m/px (95 % interval" in text
+    assert "Expected confidence by remedy: length" in text
+    assert text.startswith(answer_of([doubtful], (), "short").text)
 
 
 # --- Resampling for another model

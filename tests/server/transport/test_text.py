@@ -25,7 +25,7 @@ def test_lone_surrogates_are_replaced(text: str, expected: str) -> None:
     assert without_lone_surrogates(text) == expected
 
 
-async def _reply(accept: bytes) -> list[dict[str, Any]]:
+async def _reply(accept: bytes | None) -> list[dict[str, Any]]:
     """Ask an application that answers by two events."""
     accepted = {}
 
@@ -43,21 +43,37 @@ async def _reply(accept: bytes) -> list[dict[str, Any]]:
     async def send(message: Any) -> None:
         sent.append(message)
 
-    scope: dict[str, Any] = {"type": "http", "method": "POST", "headers": [(b"accept", accept)]}
+    headers = [] if accept is None else [(b"accept", accept)]
+    scope: dict[str, Any] = {"type": "http", "method": "POST", "headers": headers}
     await JsonReply(app)(scope, None, send)  # type: ignore[arg-type]
     assert b"text/event-stream" in accepted[b"accept"]
     return sent
 
 
 @pytest.mark.anyio
-async def test_a_client_that_accepts_json_alone_gets_json() -> None:
-    start, body = await _reply(b"application/json")
+@pytest.mark.parametrize(
+    "accept",
+    [
+        b"application/json",
+        b"application/json; charset=utf-8",
+        b"application/*",
+        b"text/html, */*;q=0.8",
+        b"application/json, text/event-stream;q=0",
+        b"",
+        None,
+    ],
+)
+async def test_a_client_that_does_not_name_events_gets_json(accept: bytes | None) -> None:
+    start, body = await _reply(accept)
     assert dict(start["headers"])[b"content-type"] == b"application/json"
     assert json.loads(body["body"]) == {"id": 5, "result": {}}
 
 
 @pytest.mark.anyio
-async def test_a_client_that_accepts_events_gets_events() -> None:
-    start, *bodies = await _reply(b"application/json, text/event-stream")
+@pytest.mark.parametrize(
+    "accept", [b"application/json, text/event-stream", b"text/event-stream", b"Text/*;q=0.5"]
+)
+async def test_a_client_that_names_events_gets_events(accept: bytes) -> None:
+    start, *bodies = await _reply(accept)
     assert dict(start["headers"])[b"content-type"] == b"text/event-stream"
     assert len(bodies) == 2

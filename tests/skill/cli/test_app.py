@@ -28,6 +28,7 @@ from vehanchor.errors import VehAnchorError
 from vehanchor.models import zoo as model_zoo
 from vehanchor.records.ruler_registry import RULERS
 from vehanchor.rulers.active import ruler_class
+from vehanchor.storage.journal import Source
 
 LENGTH_PX = 30.0
 
@@ -426,6 +427,37 @@ def test_a_closed_pipe_causes_no_traceback(folder: Path, arguments: list[str]) -
     assert done.returncode == 1
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
+def test_a_full_disk_behind_stdout_is_named(folder: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "vehanchor", "--version"],
+            cwd=folder,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"error[output_unwritable]: cannot write to the standard output")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="shells")
+def test_without_a_standard_output_a_command_ends_cleanly(folder: Path) -> None:
+    command = f"{sys.executable} -m vehanchor --version >&-"
+    done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links")
+def test_a_link_to_itself_is_not_found(tmp_path: Path) -> None:
+    loop = tmp_path / "loop.png"
+    loop.symlink_to(loop.name)
+    assert Source.of(loop) == (str(loop), -1, 0)
+    result = CliRunner().invoke(cli.app, ["estimate", str(loop)])
+    assert result.exit_code == 2
+    assert "error[image_not_found]" in result.stderr
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
 def test_the_progress_bar_leaves_stdout_alone(folder: Path) -> None:
     import pty
@@ -557,15 +589,16 @@ def test_opencv_adds_no_line_to_the_error_of_a_damaged_image(tmp_path: Path) -> 
     assert line.startswith("error[image_undecodable]: the BMP (half.bmp) cannot be decoded")
 
 
-def test_help_loads_nothing_heavy(folder: Path) -> None:
-    code = """
+@pytest.mark.parametrize("asked", [["--help"], ["estimate", "--help"]], ids=" ".join)
+def test_help_loads_nothing_heavy(folder: Path, asked: list[str]) -> None:
+    code = f"""
 import sys
 from vehanchor.cli.app import main
-sys.argv = ["vehanchor", "estimate", "--help"]
+sys.argv = ["vehanchor", *{asked}]
 try:
     main()
 finally:
-    heavy = {"cv2", "numpy", "onnxruntime", "scipy", "matplotlib", "rasterio"}
+    heavy = {{"cv2", "numpy", "onnxruntime", "scipy", "matplotlib", "rasterio"}}
     print(sorted(heavy & set(sys.modules)), file=sys.stderr)
 """
     done = subprocess.run(

@@ -28,6 +28,11 @@ def _metres(content: bytes, tmp_path: Path) -> float | str | None:
         COMMAS.encode(),
         SEMICOLONS.encode(),
         COMMAS.replace(",", "\t").encode(),
+        COMMAS.replace(",", "|").encode(),
+        COMMAS.replace("36.5", '"36,5"').encode(),
+        COMMAS.replace("photo.jpg", ".\\photo.jpg").encode(),
+        SEMICOLONS.encode("utf-16-le"),
+        SEMICOLONS.encode("utf-16-be"),
         SEMICOLONS.encode("utf-16"),
         SEMICOLONS.encode("utf-8-sig"),
         COMMAS.replace("what", "\N{LATIN SMALL LETTER E WITH ACUTE}").encode("cp1252"),
@@ -78,6 +83,11 @@ def test_many_lines_of_one_image_keep_their_order(tmp_path: Path) -> None:
 def test_cells_without_a_column_are_refused(content: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(KnownLengthError, match=message):
         _metres(content.replace("5,\n", "5,1\n").encode(), tmp_path)
+
+
+def test_a_comma_that_may_separate_thousands_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(KnownLengthError, match=r"metres is '1,000'"):
+        _metres(COMMAS.replace("36.5", '"1,000"').encode(), tmp_path)
 
 
 def test_a_name_with_a_nul_is_refused(tmp_path: Path) -> None:

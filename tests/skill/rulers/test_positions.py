@@ -22,3 +22,17 @@ def test_two_or_more_photographs_in_a_line_give_the_scale() -> None:
         assert found is not None
         assert found.n == n
         assert found.gsd_m_per_px == pytest.approx(GSD)
+
+
+def test_a_lag_on_opposite_headings_is_in_the_interval() -> None:
+    headings = np.array([1.0, 1.0, -1.0, -1.0], np.complex128)
+    layout = np.array([0.0, 300.0, 900.0, 1200.0], np.complex128)
+    lag_m = 20.0
+    metres = GSD * layout - lag_m * headings
+    places = np.column_stack([metres.real, -metres.imag])
+    by_headings = baseline(layout, places, 1000.0, headings=headings)
+    without = baseline(layout, places, 1000.0)
+    assert by_headings is not None
+    assert without is not None
+    assert by_headings.allows(GSD)
+    assert not without.allows(GSD)

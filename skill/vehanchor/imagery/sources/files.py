@@ -95,7 +95,8 @@ def spelled_as_stored(path: str) -> str:
 def canonical_path(image: str | os.PathLike[str]) -> str:
     """Give the unique name of an image: its absolute path without links."""
     path = spelled_as_stored(os.fspath(image))
-    return str(Path(path).resolve())
+    # Path.resolve raises an error for a link to itself.
+    return os.path.realpath(path)
 
 
 def _files_below(top: Path) -> Iterator[Path]:
