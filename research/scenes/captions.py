@@ -130,10 +130,49 @@ def markers(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
     return picture
 
 
+def boxes(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
+    """Draw boxes with scores, as programs show what they detect."""
+    picture = photograph.copy()
+    height, width = picture.shape[:2]
+    pen = _signal_pen(rng, fonts, 9, 20)
+    for _ in range(int(rng.integers(3, 25))):
+        x, y = rng.uniform(0, 1, 2) * (width, height)
+        size = (draw_size(rng, 15, 60), draw_size(rng, 15, 60))
+        turn = float(rng.uniform(0, 180)) if rng.random() < 0.5 else 0.0
+        corners = cv2.boxPoints(((x, y), size, turn))
+        outline = np.rint(corners).astype(np.int32)
+        cv2.polylines(picture, [outline], True, pen.ink, int(rng.integers(1, 4)))
+        if rng.random() < 0.6:
+            write(picture, f"car {rng.random():.2f}", (x, y - size[1] / 2 - pen.size_px), pen)
+    return picture
+
+
+def program(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
+    """Show the photograph in a program, with a panel of layers on the right and a bar below."""
+    height, width = photograph.shape[:2]
+    is_dark = rng.random() < 0.5
+    ground = int(rng.integers(30, 50) if is_dark else rng.integers(214, 256))
+    ink = (225, 225, 225) if is_dark else (20, 20, 20)
+    pen = Pen(choose_font(rng, fonts), draw_size(rng, 11, 20), ink)
+    panel_px = int(rng.integers(160, 320))
+    bar_px = round(2.2 * pen.size_px)
+    picture = np.full((height + bar_px, width + panel_px, 3), ground, np.uint8)
+    picture[:height, :width] = photograph
+    for y in np.arange(6, height - pen.size_px, 1.8 * pen.size_px):
+        draw_icon(picture, rng, (width + 8, y), pen.size_px)
+        write(picture, words(rng, 2), (width + 14 + pen.size_px, y), pen)
+    coordinate = f"{rng.uniform(0, 9e5):.1f}, {rng.uniform(0, 9e5):.1f}"
+    line = f"Coordinate {coordinate}   Scale 1:{rng.integers(200, 5000)}"
+    write(picture, line, (8, height + 0.5 * pen.size_px), pen)
+    return picture
+
+
 CAPTIONS: dict[str, Captioned] = {
     "caption": caption,
     "labels": labels,
     "display": display,
     "watermark": watermark,
     "markers": markers,
+    "boxes": boxes,
+    "program": program,
 }

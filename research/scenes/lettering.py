@@ -217,3 +217,28 @@ def compressed(picture: Picture, rng: Generator) -> Picture:
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(50, 96))]
     _, file = cv2.imencode(".jpg", picture, quality)
     return np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR), np.uint8)
+
+
+def photographed(picture: Picture, rng: Generator) -> Picture:
+    """Photograph a page on a desk: from a slant, unevenly lit, with blur, noise and compression."""
+    height, width = picture.shape[:2]
+    desk = rng.uniform(60, 200, 3) + rng.normal(0, 8, (height, width, 1))
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32)
+    reach = rng.uniform(0.02, 0.18)
+    moved = corners + rng.uniform(-reach, reach, (4, 2)) * (width, height)
+    homography = cv2.getPerspectiveTransform(corners, moved.astype(np.float32))
+    page = cv2.warpPerspective(picture, homography, (width, height))
+    whole = np.ones((height, width, 1), np.float32)
+    share = cv2.warpPerspective(whole, homography, (width, height))[:, :, None]
+    mixed = page * share + desk * (1 - share)
+    # The light falls off along a direction of its own.
+    across = np.linspace(-0.5, 0.5, width)
+    down = np.linspace(-0.5, 0.5, height)[:, None]
+    slopes = rng.uniform(-0.4, 0.4, 2)
+    light = rng.uniform(0.7, 1) * (1 + slopes[0] * across + slopes[1] * down)
+    blurred = cv2.GaussianBlur(mixed * light[:, :, None], (0, 0), rng.uniform(0.6, 1.6))
+    noisy = np.asarray(blurred) + rng.normal(0, rng.uniform(2, 6), blurred.shape)
+    photograph = np.clip(noisy, 0, 255).astype(np.uint8)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 93))]
+    _, file = cv2.imencode(".jpg", photograph, quality)
+    return np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR), np.uint8)

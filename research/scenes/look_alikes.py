@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from research.scenes.fleet import Fleet
+from research.scenes.further_things import FURTHER_THINGS
 from research.scenes.render import photograph_world
 from research.scenes.site import Palette, Site, jitter, pick
 from research.scenes.sprites import Sun
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from research.scenes.things import Model
+
+LOOK_ALIKES = THINGS | FURTHER_THINGS
+"""Kinds of things."""
 
 FIRST_RECORDED_SEED = 0
 """Seeds from here on are those of the recorded set."""
@@ -46,7 +50,7 @@ class LookAlikes(NamedTuple):
 
     Attributes:
         name: kind and seed, as in a file name.
-        kind: key of ``research.scenes.things.THINGS``.
+        kind: key of ``LOOK_ALIKES``.
         scene: image and truth.
         n_things: number of things in view.
         length_m: length of one.
@@ -66,7 +70,7 @@ def look_alikes(first_seed: int = FIRST_RECORDED_SEED, per_kind: int = 2) -> Ite
         first_seed: seed of the first scene; each further one has the next.
         per_kind: number of scenes of each kind.
     """
-    kinds = list(THINGS) * per_kind
+    kinds = list(LOOK_ALIKES) * per_kind
     for offset, kind in enumerate(kinds):
         yield render_look_alikes(kind, first_seed + offset)
 
@@ -75,11 +79,11 @@ def render_look_alikes(kind: str, seed: int) -> LookAlikes:
     """Render a scene of look-alikes; the arguments determine every byte.
 
     Args:
-        kind: key of ``research.scenes.things.THINGS``.
+        kind: key of ``LOOK_ALIKES``.
         seed: at least 0.
     """
     place_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(3)
-    thing = THINGS[kind]
+    thing = LOOK_ALIKES[kind]
     model = draw_model(thing, place_rng)
     length_px = float(np.exp(place_rng.uniform(*np.log(thing.pixels))))
     gsd_m_per_px = model.length_m / length_px

@@ -14,7 +14,15 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from research.scenes.lettering import Colour, Pen, Picture, compressed, words, write
+from research.scenes.lettering import (
+    Colour,
+    Pen,
+    Picture,
+    compressed,
+    photographed,
+    words,
+    write,
+)
 
 Fonts: TypeAlias = Sequence[Path | int]
 """Files of fonts, or numbers of Hershey fonts."""
@@ -272,6 +280,86 @@ def icons(rng: Generator, fonts: Fonts) -> Picture:
     return compressed(page, rng)
 
 
+def board(rng: Generator, fonts: Fonts) -> Picture:
+    """Draw a board of squares: a game, a crossword, a calendar, or a table with filled cells."""
+    paper, ink = _paper_and_ink(rng)
+    page = _sheet(rng, paper)
+    height, width = page.shape[:2]
+    side = draw_size(rng, 16, 80)
+    pen = Pen(choose_font(rng, fonts), max(9.0, 0.5 * side), ink)
+    colours = _colour(rng), _colour(rng)
+    is_chequered = rng.random() < 0.4
+    filled_share = rng.uniform(0, 0.4)
+    has_discs = rng.random() < 0.3
+    for row in range(int((height - side) / side)):
+        for column in range(int((width - side) / side)):
+            x, y = (column + 0.5) * side, (row + 0.5) * side
+            first, last = (round(x), round(y)), (round(x + side), round(y + side))
+            if is_chequered:
+                cv2.rectangle(page, first, last, colours[(row + column) % 2], -1)
+            elif rng.random() < filled_share:
+                cv2.rectangle(page, first, last, colours[0], -1)
+            cv2.rectangle(page, first, last, ink, 1)
+            if rng.random() > 0.6:
+                continue
+            if has_discs:
+                centre = (round(x + side / 2), round(y + side / 2))
+                cv2.circle(page, centre, round(0.4 * side), _colour(rng), -1, cv2.LINE_AA)
+            else:
+                write(page, words(rng, 1)[:2], (x + 0.2 * side, y + 0.2 * side), pen)
+    return compressed(page, rng)
+
+
+def schedule(rng: Generator, fonts: Fonts) -> Picture:
+    """Draw a schedule: bars of one or many colours beside the names of their rows."""
+    paper, ink = _paper_and_ink(rng)
+    page = _sheet(rng, paper)
+    height, width = page.shape[:2]
+    pen = Pen(choose_font(rng, fonts), draw_size(rng, 10, 28), ink)
+    step = pen.size_px * rng.uniform(1.4, 3)
+    left = 0.25 * width
+    colour = _colour(rng)
+    is_coloured = rng.random() < 0.5
+    for y in np.arange(step, height - step, step):
+        write(page, words(rng, 2), (0.02 * width, y), pen)
+        for _ in range(int(rng.integers(1, 4))):
+            x = rng.uniform(left, 0.9 * width)
+            end = (round(min(x + rng.uniform(0.02, 0.2) * width, width - 2)), round(y + 0.7 * step))
+            filling = _colour(rng) if is_coloured else colour
+            cv2.rectangle(page, (round(x), round(y)), end, filling, -1)
+    cv2.rectangle(page, (round(left), 4), (width - 4, height - 4), ink, 1)
+    return compressed(page, rng)
+
+
+def keyboard(rng: Generator, fonts: Fonts) -> Picture:
+    """Draw rows of keys with letters, and some lines of text below."""
+    paper, ink = _paper_and_ink(rng)
+    page = _sheet(rng, paper)
+    width = page.shape[1]
+    side = min(draw_size(rng, 18, 70), width / 15)
+    key = _colour(rng, 20, 240)
+    legend = _WHITE if sum(key) < 380 else (0, 0, 0)
+    pen = Pen(choose_font(rng, fonts), 0.45 * side, legend)
+    for row in range(5):
+        for column in range(12):
+            x = (0.4 * row + 1.12 * column + 0.5) * side
+            y = (1.12 * row + 0.5) * side
+            last = (round(x + side), round(y + side))
+            cv2.rectangle(page, (round(x), round(y)), last, key, -1)
+            write(page, words(rng, 1)[:1].upper(), (x + 0.3 * side, y + 0.25 * side), pen)
+    text = pen._replace(ink=ink)
+    for number in range(4):
+        write(page, words(rng, 6), (0.5 * side, (6.5 + 0.8 * number) * side), text)
+    return compressed(page, rng)
+
+
+def photographed_page(rng: Generator, fonts: Fonts) -> Picture:
+    """Draw a page, a chart, a plan, a board or a schedule, and photograph it."""
+    drawings = (text_page, chart, plan, board, schedule)
+    drawing = drawings[int(rng.integers(len(drawings)))]
+    return photographed(drawing(rng, fonts), rng)
+
+
 def draw_icon(
     picture: Picture,
     rng: Generator,
@@ -326,4 +414,8 @@ PAGES: dict[str, PageDrawing] = {
     "window": window,
     "plan": plan,
     "icons": icons,
+    "board": board,
+    "schedule": schedule,
+    "keyboard": keyboard,
+    "photographed": photographed_page,
 }

@@ -61,39 +61,40 @@ class Thing(NamedTuple):
     pixels: tuple[float, float] = (16.0, 60.0)
 
 
-def _rect(x0: float, y0: float, x1: float, y1: float) -> Shape:
+def rectangle(x0: float, y0: float, x1: float, y1: float) -> Shape:
+    """Build a rectangle from two corners."""
     return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
 
 
 def _cylinder(strips: int = 9) -> tuple[Part, ...]:
     """Build a lying cylinder of strips that the sun lights from one side."""
-    parts = [Part(_rect(-0.5, -0.5, 0.5, 0.5))]
+    parts = [Part(rectangle(-0.5, -0.5, 0.5, 0.5))]
     edges = np.linspace(-0.5, 0.5, strips + 1)
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         slope = low + high
         gain = 0.62 + 0.5 * math.sqrt(max(0.0, 1.0 - slope**2)) - 0.18 * slope
-        parts.append(Part(_rect(-0.5, low, 0.5, high), gain))
+        parts.append(Part(rectangle(-0.5, low, 0.5, high), gain))
     return tuple(parts)
 
 
-def _slats(count: int, gain: float) -> tuple[Part, ...]:
+def slats(count: int, gain: float) -> tuple[Part, ...]:
     """Build dark joints across the whole thing."""
     joints = []
     for x in np.linspace(-0.5, 0.5, count + 1).tolist():
-        joints.append(Part(_rect(x - 0.02, -0.5, x + 0.02, 0.5), gain))
+        joints.append(Part(rectangle(x - 0.02, -0.5, x + 0.02, 0.5), gain))
     return tuple(joints)
 
 
-def _gable() -> tuple[Part, ...]:
+def gable() -> tuple[Part, ...]:
     """Build a ridge along the length, with a light and a dark side."""
-    whole = Part(_rect(-0.5, -0.5, 0.5, 0.5))
-    light = Part(_rect(-0.5, -0.5, 0.5, 0.0), 1.05)
-    dark = Part(_rect(-0.5, 0.0, 0.5, 0.5), 0.78)
+    whole = Part(rectangle(-0.5, -0.5, 0.5, 0.5))
+    light = Part(rectangle(-0.5, -0.5, 0.5, 0.0), 1.05)
+    dark = Part(rectangle(-0.5, 0.0, 0.5, 0.5), 0.78)
     return (whole, light, dark)
 
 
-_WHOLE = Part(_rect(-0.5, -0.5, 0.5, 0.5))
-_HULL: Shape = (
+WHOLE = Part(rectangle(-0.5, -0.5, 0.5, 0.5))
+HULL: Shape = (
     (-0.5, -0.42), (0.1, -0.5), (0.32, -0.36), (0.5, 0.0), (0.32, 0.36), (0.1, 0.5), (-0.5, 0.42),
 )  # fmt: skip
 _DECK: Shape = (
@@ -110,8 +111,8 @@ _EGG_BODY: Shape = (
     (-0.36, 0.4), (-0.43, 0.24), (-0.43, -0.24),
 )  # fmt: skip
 
-_GREEN = (Material.LAWN, Material.MEADOW)
-_HARD = (Material.ASPHALT, Material.PAVING, Material.GRAVEL)
+GREEN = (Material.LAWN, Material.MEADOW)
+HARD = (Material.ASPHALT, Material.PAVING, Material.GRAVEL)
 _FIELD = (Material.MEADOW, Material.CROP, Material.SOIL)
 
 THINGS: dict[str, Thing] = {
@@ -120,8 +121,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.4, 0.6),
         height_m=0.8,
         paints=(WHITE, WHITE, STONE),
-        parts=(_WHOLE,),
-        grounds=_GREEN,
+        parts=(WHOLE,),
+        grounds=GREEN,
         gap=2.0,
         pixels=(14.0, 36.0),
     ),
@@ -131,11 +132,11 @@ THINGS: dict[str, Thing] = {
         height_m=0.3,
         paints=(STONE, (120, 116, 112), DARK, WHITE),
         parts=(
-            _WHOLE,
-            Part(_rect(-0.38, -0.36, 0.46, 0.36), 0.72),
-            Part(_rect(-0.5, -0.4, -0.4, 0.4), 1.2),
+            WHOLE,
+            Part(rectangle(-0.38, -0.36, 0.46, 0.36), 0.72),
+            Part(rectangle(-0.5, -0.4, -0.4, 0.4), 1.2),
         ),
-        grounds=(*_GREEN, Material.GRAVEL),
+        grounds=(*GREEN, Material.GRAVEL),
         gap=0.5,
         one_paint=False,
     ),
@@ -153,7 +154,7 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.45, 0.52),
         height_m=0.9,
         paints=((196, 176, 122), (206, 190, 146)),
-        parts=(_WHOLE, *_slats(5, 0.88)),
+        parts=(WHOLE, *slats(5, 0.88)),
         grounds=_FIELD,
         gap=1.5,
     ),
@@ -172,10 +173,10 @@ THINGS: dict[str, Thing] = {
         height_m=1.2,
         paints=(WHITE, WHITE, (60, 84, 120)),
         parts=(
-            Part(_HULL),
+            Part(HULL),
             Part(_DECK, 0.9),
-            Part(_rect(-0.42, -0.26, -0.1, 0.26), 0.5),
-            Part(_rect(-0.02, -0.22, 0.14, 0.22), rgb=(70, 82, 94)),
+            Part(rectangle(-0.42, -0.26, -0.1, 0.26), 0.5),
+            Part(rectangle(-0.02, -0.22, 0.14, 0.22), rgb=(70, 82, 94)),
         ),
         grounds=(Material.WATER, Material.GRAVEL, Material.ASPHALT),
         gap=0.35,
@@ -187,11 +188,11 @@ THINGS: dict[str, Thing] = {
         height_m=1.0,
         paints=(DARK, (150, 150, 150), (70, 96, 140)),
         parts=(
-            Part(_rect(-0.5, -0.5, 0.3, 0.5)),
-            Part(_rect(-0.45, -0.42, 0.26, 0.42), 0.7),
+            Part(rectangle(-0.5, -0.5, 0.3, 0.5)),
+            Part(rectangle(-0.45, -0.42, 0.26, 0.42), 0.7),
             Part(((0.3, -0.12), (0.5, 0.0), (0.3, 0.12)), 0.6),
         ),
-        grounds=_HARD,
+        grounds=HARD,
         gap=0.4,
     ),
     "caravans": Thing(
@@ -200,12 +201,12 @@ THINGS: dict[str, Thing] = {
         height_m=2.3,
         paints=(WHITE,),
         parts=(
-            Part(_rect(-0.5, -0.5, 0.38, 0.5)),
-            Part(_rect(-0.2, -0.15, -0.1, 0.15), 0.8),
-            Part(_rect(0.1, -0.15, 0.2, 0.15), 0.8),
-            Part(_rect(0.38, -0.04, 0.5, 0.04), 0.5),
+            Part(rectangle(-0.5, -0.5, 0.38, 0.5)),
+            Part(rectangle(-0.2, -0.15, -0.1, 0.15), 0.8),
+            Part(rectangle(0.1, -0.15, 0.2, 0.15), 0.8),
+            Part(rectangle(0.38, -0.04, 0.5, 0.04), 0.5),
         ),
-        grounds=(*_HARD, Material.LAWN),
+        grounds=(*HARD, Material.LAWN),
         gap=0.5,
     ),
     "containers": Thing(
@@ -213,8 +214,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.4, 0.405),
         height_m=2.6,
         paints=((150, 62, 44), (60, 86, 128), (176, 174, 166)),
-        parts=(_WHOLE, *_slats(12, 0.9)),
-        grounds=_HARD,
+        parts=(WHOLE, *slats(12, 0.9)),
+        grounds=HARD,
         gap=0.15,
         one_paint=False,
     ),
@@ -223,8 +224,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.2, 0.202),
         height_m=2.6,
         paints=((150, 62, 44), (60, 86, 128), (190, 140, 60)),
-        parts=(_WHOLE, *_slats(20, 0.9)),
-        grounds=_HARD,
+        parts=(WHOLE, *slats(20, 0.9)),
+        grounds=HARD,
         gap=0.2,
         one_paint=False,
     ),
@@ -233,8 +234,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.5, 0.8),
         height_m=1.6,
         paints=((120, 140, 90), (200, 120, 60), WHITE, (80, 110, 150)),
-        parts=_gable(),
-        grounds=_GREEN,
+        parts=gable(),
+        grounds=GREEN,
         gap=0.8,
         one_paint=False,
     ),
@@ -244,12 +245,12 @@ THINGS: dict[str, Thing] = {
         height_m=0.75,
         paints=((168, 132, 92), (196, 176, 146), (140, 140, 138)),
         parts=(
-            Part(_rect(-0.5, -0.22, 0.5, 0.22)),
-            Part(_rect(-0.48, -0.5, 0.48, -0.34), 0.9),
-            Part(_rect(-0.48, 0.34, 0.48, 0.5), 0.9),
-            *_slats(1, 0.95),
+            Part(rectangle(-0.5, -0.22, 0.5, 0.22)),
+            Part(rectangle(-0.48, -0.5, 0.48, -0.34), 0.9),
+            Part(rectangle(-0.48, 0.34, 0.48, 0.5), 0.9),
+            *slats(1, 0.95),
         ),
-        grounds=(*_GREEN, Material.PAVING),
+        grounds=(*GREEN, Material.PAVING),
         gap=0.8,
     ),
     "golf carts": Thing(
@@ -258,10 +259,10 @@ THINGS: dict[str, Thing] = {
         height_m=1.8,
         paints=(WHITE, (210, 200, 180), (110, 130, 110)),
         parts=(
-            _WHOLE,
-            Part(_rect(-0.22, -0.44, 0.3, 0.44), 1.1),
-            Part(_rect(0.3, -0.4, 0.36, 0.4), rgb=(60, 66, 72)),
-            Part(_rect(-0.48, -0.36, -0.28, 0.36), 0.5),
+            WHOLE,
+            Part(rectangle(-0.22, -0.44, 0.3, 0.44), 1.1),
+            Part(rectangle(0.3, -0.4, 0.36, 0.4), rgb=(60, 66, 72)),
+            Part(rectangle(-0.48, -0.36, -0.28, 0.36), 0.5),
         ),
         grounds=(Material.ASPHALT, Material.PAVING, Material.LAWN),
         gap=0.4,
@@ -272,9 +273,9 @@ THINGS: dict[str, Thing] = {
         height_m=1.4,
         paints=(WHITE, (210, 180, 60), (120, 130, 140)),
         parts=(
-            _WHOLE,
-            Part(_rect(-0.1, -0.4, 0.16, 0.4), 0.5),
-            Part(_rect(0.2, -0.44, 0.48, 0.44), 1.1),
+            WHOLE,
+            Part(rectangle(-0.1, -0.4, 0.16, 0.4), 0.5),
+            Part(rectangle(0.2, -0.44, 0.48, 0.44), 1.1),
         ),
         grounds=(Material.PAVING,),
         gap=0.7,
@@ -284,7 +285,7 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.48, 0.55),
         height_m=0.6,
         paints=((150, 154, 158), (176, 176, 172)),
-        parts=(_WHOLE, Part(_rect(-0.42, -0.4, 0.42, 0.4), 0.75), *_slats(3, 0.6)),
+        parts=(WHOLE, Part(rectangle(-0.42, -0.4, 0.42, 0.4), 0.75), *slats(3, 0.6)),
         grounds=(Material.PAVING, Material.ASPHALT),
         gap=0.3,
     ),
@@ -294,11 +295,11 @@ THINGS: dict[str, Thing] = {
         height_m=1.2,
         paints=((60, 90, 60), (50, 70, 120), DARK, (190, 170, 50)),
         parts=(
-            _WHOLE,
-            Part(_rect(-0.45, -0.1, 0.45, 0.5), 1.15),
-            Part(_rect(-0.45, -0.4, 0.45, -0.2), 0.8),
+            WHOLE,
+            Part(rectangle(-0.45, -0.1, 0.45, 0.5), 1.15),
+            Part(rectangle(-0.45, -0.4, 0.45, -0.2), 0.8),
         ),
-        grounds=_HARD,
+        grounds=HARD,
         gap=0.2,
     ),
     "skips": Thing(
@@ -306,8 +307,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.45, 0.55),
         height_m=1.3,
         paints=((180, 140, 40), (60, 90, 130), (120, 120, 118)),
-        parts=(_WHOLE, Part(_rect(-0.44, -0.4, 0.44, 0.4), 0.45)),
-        grounds=_HARD,
+        parts=(WHOLE, Part(rectangle(-0.44, -0.4, 0.44, 0.4), 0.45)),
+        grounds=HARD,
         gap=0.4,
     ),
     "greenhouses": Thing(
@@ -315,7 +316,7 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.28, 0.4),
         height_m=2.8,
         paints=((206, 212, 212), (188, 198, 200)),
-        parts=(*_gable(), *_slats(10, 0.85)),
+        parts=(*gable(), *slats(10, 0.85)),
         grounds=_FIELD,
         gap=0.25,
     ),
@@ -324,8 +325,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.48, 0.62),
         height_m=0.3,
         paints=((38, 46, 74), (28, 32, 44)),
-        parts=(_WHOLE, *_slats(4, 1.5), Part(_rect(-0.5, -0.02, 0.5, 0.02), 1.5)),
-        grounds=(*_GREEN, Material.GRAVEL),
+        parts=(WHOLE, *slats(4, 1.5), Part(rectangle(-0.5, -0.02, 0.5, 0.02), 1.5)),
+        grounds=(*GREEN, Material.GRAVEL),
         gap=0.15,
     ),
     "pallets": Thing(
@@ -333,8 +334,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.66, 0.84),
         height_m=0.8,
         paints=((190, 160, 116), (170, 140, 104), WHITE),
-        parts=(_WHOLE, *_slats(6, 0.75)),
-        grounds=_HARD,
+        parts=(WHOLE, *slats(6, 0.75)),
+        grounds=HARD,
         gap=0.3,
     ),
     "sheds": Thing(
@@ -342,8 +343,8 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.55, 0.9),
         height_m=2.2,
         paints=((128, 112, 96), (104, 106, 110), (172, 120, 96)),
-        parts=_gable(),
-        grounds=_GREEN,
+        parts=gable(),
+        grounds=GREEN,
         gap=1.5,
         one_paint=False,
     ),
@@ -352,7 +353,7 @@ THINGS: dict[str, Thing] = {
         width_per_length=(0.33, 0.4),
         height_m=0.4,
         paints=(WHITE, (70, 120, 170), (220, 200, 150)),
-        parts=(_WHOLE, Part(_rect(0.2, -0.45, 0.48, 0.45), 0.85)),
+        parts=(WHOLE, Part(rectangle(0.2, -0.45, 0.48, 0.45), 0.85)),
         grounds=(Material.SOIL, Material.PAVING, Material.LAWN),
         gap=0.8,
     ),
@@ -364,8 +365,8 @@ THINGS: dict[str, Thing] = {
         parts=(
             Part(_EGG, rgb=DARK),
             Part(_EGG_BODY),
-            Part(_rect(-0.2, -0.24, 0.1, 0.24), rgb=(30, 30, 32)),
-            Part(_rect(-0.36, -0.28, -0.2, 0.28), 1.15),
+            Part(rectangle(-0.2, -0.24, 0.1, 0.24), rgb=(30, 30, 32)),
+            Part(rectangle(-0.36, -0.28, -0.2, 0.28), 1.15),
         ),
         grounds=(Material.PAVING, Material.ASPHALT),
         gap=0.6,
@@ -377,13 +378,13 @@ THINGS: dict[str, Thing] = {
         height_m=2.1,
         paints=((215, 165, 40), (180, 60, 40), (120, 124, 128)),
         parts=(
-            Part(_rect(-0.5, -0.5, 0.2, 0.5)),
-            Part(_rect(-0.2, -0.42, 0.16, 0.42), rgb=(44, 46, 50)),
-            Part(_rect(-0.46, -0.4, -0.26, 0.4), 0.8),
-            Part(_rect(0.2, -0.3, 0.5, -0.18), rgb=(50, 50, 52)),
-            Part(_rect(0.2, 0.18, 0.5, 0.3), rgb=(50, 50, 52)),
+            Part(rectangle(-0.5, -0.5, 0.2, 0.5)),
+            Part(rectangle(-0.2, -0.42, 0.16, 0.42), rgb=(44, 46, 50)),
+            Part(rectangle(-0.46, -0.4, -0.26, 0.4), 0.8),
+            Part(rectangle(0.2, -0.3, 0.5, -0.18), rgb=(50, 50, 52)),
+            Part(rectangle(0.2, 0.18, 0.5, 0.3), rgb=(50, 50, 52)),
         ),
-        grounds=_HARD,
+        grounds=HARD,
         gap=0.5,
     ),
     "covered boats": Thing(
@@ -392,7 +393,7 @@ THINGS: dict[str, Thing] = {
         height_m=1.1,
         paints=((60, 84, 120), (90, 96, 100), (120, 130, 110), WHITE),
         parts=(
-            Part(_HULL, 0.8),
+            Part(HULL, 0.8),
             Part(_DECK),
             Part(((-0.4, -0.05), (0.35, 0.0), (-0.4, 0.05)), 1.2),
             Part(((-0.4, 0.05), (0.35, 0.0), (-0.4, 0.3)), 0.75),
@@ -407,9 +408,9 @@ THINGS: dict[str, Thing] = {
         height_m=1.2,
         paints=((196, 198, 200), (170, 172, 174)),
         parts=(
-            _WHOLE,
-            Part(_rect(-0.4, -0.34, -0.02, 0.34), 0.6),
-            Part(_rect(0.04, -0.34, 0.42, 0.34), 0.6),
+            WHOLE,
+            Part(rectangle(-0.4, -0.34, -0.02, 0.34), 0.6),
+            Part(rectangle(0.04, -0.34, 0.42, 0.34), 0.6),
         ),
         grounds=(Material.GRAVEL, Material.PLAIN),
         gap=1.0,
@@ -450,7 +451,7 @@ def _draw_marks(rng: np.random.Generator) -> tuple[Part, ...]:
         middle = rng.uniform(-0.35, 0.35)
         half = rng.uniform(0.02, 0.1)
         across = rng.uniform(0.25, 0.45)
-        stripe = _rect(middle - half, -across, middle + half, across)
+        stripe = rectangle(middle - half, -across, middle + half, across)
         marks.append(Part(stripe, rng.uniform(0.3, 1.15)))
     return tuple(marks)
 

@@ -9,6 +9,7 @@ usable scale.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
@@ -94,7 +95,8 @@ def _by_lens(photograph: Photograph) -> Claim | None:
     rulers = photograph.view.options.rulers
     if image.camera is None or not rulers.metadata:
         return None
-    optics = lens(image, image.camera, rulers.focal_35mm)
+    unzoomed = replace(image.camera, digital_zoom=1.0)
+    optics = lens(image, unzoomed, rulers.focal_35mm)
     if optics is None:
         return None
     pixels = optics.pixels * max(image.camera.digital_zoom, 1.0)

@@ -24,6 +24,6 @@ def test_lettering_leaves_most_of_the_photograph_as_it_is(kind: str) -> None:
     before = scene.copy()
     lettered = CAPTIONS[kind](scene, np.random.default_rng(5), own_fonts())
     assert np.array_equal(scene, before)
-    changed = (lettered[:300] != scene).any(axis=2).mean()
+    changed = (lettered[:300, :400] != scene).any(axis=2).mean()
     assert changed < 0.4
     assert lettered.shape != scene.shape or changed > 0

@@ -28,7 +28,7 @@ def test_a_line_of_known_length_sets_the_scale_of_a_page() -> None:
     assert estimate.gsd_m_per_px == pytest.approx(0.1, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", ["caption", "display"])
+@pytest.mark.parametrize("kind", ["caption", "display", "program"])
 def test_lettering_does_not_change_the_scale_of_a_car_park(kind: str) -> None:
     scene = render_scene(0.1, width_px=640, height_px=512, seed=3, layout="parking")
     bare = estimate_gsd(scene.image)

@@ -5,11 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.drawing import drawing_chance_around
+from vehanchor.imagery.drawing import (
+    SMALL_PATCH_PX,
+    drawing_chance_around,
+    measure_drawing_chance,
+)
 from vehanchor.imagery.horizon import find_horizon
-from vehanchor.imagery.raster import RasterNote
+from vehanchor.imagery.raster import RasterNote, Window
 from vehanchor.imagery.seams import find_seam
 from vehanchor.records.notices import NoticeCode
+from vehanchor.scale.defaults import PROBABLY_RIGHT
 
 if TYPE_CHECKING:
     from vehanchor.detection.detections import Detections
@@ -45,7 +50,7 @@ def with_image_doubts(
     is_map = facts.georeference_gsd_m_per_px is not None
     if check_seams and not is_map:
         seam = find_seam(raster)
-        if seam is not None:
+        if seam is not None and not _is_beside_drawing(raster, seam):
             notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES.value, _several_pictures(seam)))
         horizon_px = find_horizon(raster)
         if horizon_px is not None:
@@ -57,6 +62,51 @@ def with_detections(view: View, raster: Raster, detections: Detections) -> View:
     """Add the vehicles of an image, and judge by their surroundings whether they are drawn."""
     chance = drawing_chance_around(raster, detections.boxes, view.drawing_chance)
     return replace(view, detections=detections, drawing_chance=chance)
+
+
+def _is_beside_drawing(raster: Raster, seam: Seam) -> bool:
+    """Test whether a seam separates a photograph from a panel, a caption or a small map."""
+    width = raster.width_px
+    height = raster.height_px
+    if seam.inset is not None:
+        inset = _inside(seam.inset, width, height)
+        sides = [[inset], _around(inset, width, height)]
+    elif seam.x_px is not None:
+        before = Window(0, 0, width_px=seam.x_px, height_px=height)
+        behind = Window(seam.x_px, 0, width_px=width - seam.x_px, height_px=height)
+        sides = [[before], [behind]]
+    else:
+        assert seam.y_px is not None
+        above = Window(0, 0, width_px=width, height_px=seam.y_px)
+        below = Window(0, seam.y_px, width_px=width, height_px=height - seam.y_px)
+        sides = [[above], [below]]
+    for parts in sides:
+        chances = [measure_drawing_chance(raster, part) for part in parts]
+        if chances and min(chances) >= PROBABLY_RIGHT:
+            return True
+    return False
+
+
+def _inside(inset: Window, width: int, height: int) -> Window:
+    """Cut a rectangle, which was found in a reduced copy, at the image's border."""
+    right = min(inset.x_px + inset.width_px, width)
+    bottom = min(inset.y_px + inset.height_px, height)
+    left = min(inset.x_px, right)
+    top = min(inset.y_px, bottom)
+    return Window(left, top, width_px=right - left, height_px=bottom - top)
+
+
+def _around(inset: Window, width: int, height: int) -> list[Window]:
+    """List the strips around an inset that are broad enough to be judged."""
+    right = inset.x_px + inset.width_px
+    bottom = inset.y_px + inset.height_px
+    strips = (
+        Window(0, 0, width_px=inset.x_px, height_px=height),
+        Window(right, 0, width_px=width - right, height_px=height),
+        Window(0, 0, width_px=width, height_px=inset.y_px),
+        Window(0, bottom, width_px=width, height_px=height - bottom),
+    )
+    return [strip for strip in strips if min(strip.width_px, strip.height_px) >= SMALL_PATCH_PX]
 
 
 def shows_horizon(view: View) -> bool:

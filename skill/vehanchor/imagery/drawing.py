@@ -33,6 +33,7 @@ SMALL_PATCH_PX = 64
 _MAX_ALONG = 6
 # Largest difference of neighbouring pixels (3 x 3, the largest of the bands): in grey levels.
 _UNIFORM = 1
+_FLAT = 3
 _SHARP = 40
 # Share of uniform pixels from which a patch shows nothing: plain paper, or the border of a mosaic.
 _EMPTY_SHARE = 0.995
@@ -42,6 +43,10 @@ _EDGED_PATCHES = 0.1
 # Share of the pixels of a patch that are its flattest ones.
 _FLATTEST_SHARE = 0.25
 _N_GREYS = 256
+# Share of flat pixels below which an image is photographed, and from which it may be drawn; between
+# them the chance rises evenly. Of 376 drawings that their tones show 6 have less than 0.4, and of
+# 43 photographs whose tones alone give a chance above 0.05, 41.
+_FLAT_SHARES = (0.25, 0.4)
 # Fewest and most vehicles whose surroundings are judged. Choices.
 _FEWEST_VEHICLES = 2
 _MAX_VEHICLES = 12
@@ -63,33 +68,38 @@ class DrawingWeights(NamedTuple):
 
 
 # Fitted to 1,905 photographs of known scale and 138 rendered scenes, and 430 drawings: 200 of
-# research.scenes.pages, and 230 of 29 other kinds, most of them compressed, blurred, noisy or
+# research.scenes.pages, and 230 of 27 other kinds, most of them compressed, blurred, noisy or
 # photographed; in equal parts. Then 4 is taken from the offset, because few pictures are drawings.
-# Of the photographs the highest chance is 0.45. Of 170 further drawings of these kinds 101 of 113
+# Of the photographs the highest chance is 0.45. Of 170 further drawings of these kinds 100 of 113
 # that are clean, compressed or blurred have more than 0.5, but only 4 of 57 that are noisy, scanned
 # or photographed.
 _WEIGHTS = DrawingWeights(log_difference=-2.47, two_tones=15.2, offset=-11.14)
 
 
-def measure_drawing_chance(raster: Raster) -> float:
+def measure_drawing_chance(raster: Raster, part: Window | None = None) -> float:
     """Measure the chance, 0..1, that an image is drawn and no photograph.
 
     Args:
         raster: the image.
+        part: a part of it; None for all of it.
 
     Returns:
         The chance; 0 if a side is below 64 px, or if less than a tenth of it shows sharp edges.
     """
-    shorter_px = min(raster.width_px, raster.height_px)
+    if part is None:
+        part = Window(0, 0, width_px=raster.width_px, height_px=raster.height_px)
+    shorter_px = min(part.width_px, part.height_px)
     if shorter_px < SMALL_PATCH_PX:
         return 0.0
     patch_px = PATCH_PX if shorter_px >= PATCH_PX else SMALL_PATCH_PX
-    columns = _starts(raster.width_px, patch_px)
-    rows = _starts(raster.height_px, patch_px)
+    columns = _starts(part.width_px, patch_px)
+    rows = _starts(part.height_px, patch_px)
     measured = []
     for y in rows:
         for x in columns:
-            patch = raster.read(Window(x, y, width_px=patch_px, height_px=patch_px))
+            left = part.x_px + x
+            top = part.y_px + y
+            patch = raster.read(Window(left, top, width_px=patch_px, height_px=patch_px))
             if np.mean(_differences(patch) <= _UNIFORM) < _EMPTY_SHARE:
                 measured.append(_measure(patch))
     edged = [patch for patch in measured if patch.has_edges]
@@ -97,7 +107,8 @@ def measure_drawing_chance(raster: Raster) -> float:
         return 0.0
     # A flat thing with sharp edges, such as a pool, does not make a drawing of a photograph.
     difference = max(_upper_median(edged), _upper_median(measured))
-    return _chance(edged, difference)
+    flat_share = min(_flat_share(edged), _flat_share(measured))
+    return _chance(edged, difference, flat_share)
 
 
 def drawing_chance_around(raster: Raster, boxes: NDArray[np.float64], overall: float) -> float:
@@ -123,7 +134,8 @@ def drawing_chance_around(raster: Raster, boxes: NDArray[np.float64], overall: f
         top = int(np.clip(y - patch_px / 2, 0, raster.height_px - patch_px))
         patch = raster.read(Window(left, top, width_px=patch_px, height_px=patch_px))
         measured.append(_measure(patch))
-    return min(overall, _chance(measured, _upper_median(measured)))
+    around = _chance(measured, _upper_median(measured), _flat_share(measured))
+    return min(overall, around)
 
 
 class _Patch(NamedTuple):
@@ -131,22 +143,25 @@ class _Patch(NamedTuple):
 
     Attributes:
         flattest: difference of neighbours among its flattest pixels, grey levels.
+        flat_share: share of flat pixels at full resolution.
         two_tones: share of the variance of its greys between two tones.
         has_edges: whether it shows sharp edges.
     """
 
     flattest: float
+    flat_share: float
     two_tones: float
     has_edges: bool
 
 
 def _measure(patch: RgbImage) -> _Patch:
-    """Measure a patch at half its resolution."""
+    """Measure a patch, at half its resolution where compression would disturb."""
+    flat_share = float(np.mean(_differences(patch) <= _FLAT))
     halved = _halved(patch)
     differences = _differences(halved)
     flattest = float(np.quantile(differences, _FLATTEST_SHARE, method="inverted_cdf"))
     has_edges = bool(np.mean(differences > _SHARP) > _EDGE_SHARE)
-    return _Patch(flattest, _two_tone_share(halved), has_edges=has_edges)
+    return _Patch(flattest, flat_share, two_tones=_two_tone_share(halved), has_edges=has_edges)
 
 
 def _upper_median(patches: Sequence[_Patch]) -> float:
@@ -154,10 +169,20 @@ def _upper_median(patches: Sequence[_Patch]) -> float:
     return float(np.quantile([patch.flattest for patch in patches], 0.5, method="higher"))
 
 
-def _chance(patches: Sequence[_Patch], difference: float) -> float:
-    """Compute the chance of a drawing from a difference and the patches' lower median of tones.
+def _flat_share(patches: Sequence[_Patch]) -> float:
+    """Compute the median share of flat pixels; the lower one of two."""
+    return float(np.quantile([patch.flat_share for patch in patches], 0.5, method="lower"))
 
-    Both medians are those of the less drawn half: the border of a mosaic looks drawn, too.
+
+def _chance(patches: Sequence[_Patch], difference: float, flat_share: float) -> float:
+    """Compute the chance of a drawing.
+
+    All medians are those of the less drawn half: the border of a mosaic looks drawn, too.
+
+    Args:
+        patches: patches whose tones count.
+        difference: median difference of neighbours among the flattest pixels.
+        flat_share: median share of flat pixels.
     """
     two_tones = np.quantile([patch.two_tones for patch in patches], 0.5, method="lower")
     log_odds = (
@@ -166,7 +191,9 @@ def _chance(patches: Sequence[_Patch], difference: float) -> float:
         + _WEIGHTS.offset
     )
     # The logistic function, by a formula that does not overflow.
-    return (1.0 + math.tanh(log_odds / 2)) / 2
+    of_tones = (1.0 + math.tanh(log_odds / 2)) / 2
+    least, enough = _FLAT_SHARES
+    return float(of_tones * np.clip((flat_share - least) / (enough - least), 0.0, 1.0))
 
 
 def _halved(patch: RgbImage) -> RgbImage:

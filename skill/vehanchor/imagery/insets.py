@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from vehanchor.imagery.texture import MIN_COMMON_TEXTURE, common_texture
+
 if TYPE_CHECKING:
     from typing import TypeAlias
 
@@ -35,8 +37,8 @@ if TYPE_CHECKING:
 
 # Least strengths of a rectangle whose borders are steps, and lines. The formula was chosen on 300
 # insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
-_LEAST_OF_STEPS = 0.56
-_LEAST_OF_LINES = 0.86
+_LEAST_OF_STEPS = 0.61
+_LEAST_OF_LINES = 0.96
 # Weights of the weakest side, of a border that goes on beyond a corner, and of the log length.
 _WEAKEST = 0.3
 _GOING_ON = 0.4
@@ -77,6 +79,11 @@ _GROUND_LEVELS = 3
 _MAX_GROUND = 0.10
 _GROUND_AROUND = 0.7
 _AROUND_PX = 3
+# Pixels from the middle of a border to those that are compared across it, and their number.
+_BESIDE_PX = 3
+_COMPARED_PX = 2
+# Spread of grey values along a border up to which it is plain.
+_PLAIN_SD = 4.0
 
 
 class Inset(NamedTuple):
@@ -117,14 +124,18 @@ def find_inset(grey: Grey, *, with_frames: bool = True) -> Inset | None:
     of_rows = _without_blocks(_step_strengths(transposed))
     inset = _best_rectangle(of_columns, of_rows)
     if inset is not None and inset.strength >= _LEAST_OF_STEPS:
-        return None if _lies_on_ground(grey, inset, _AROUND_PX) else inset
+        if _lies_on_ground(grey, inset, _AROUND_PX) or _goes_on_behind(grey, inset):
+            return None
+        return inset
     if not with_frames:
         return None
     inset = _best_rectangle(_line_strengths(grey), _line_strengths(transposed))
     if inset is None or inset.strength < _LEAST_OF_LINES:
         return None
     # A line of the ground's colour separates things in a drawing.
-    return None if _lies_on_ground(grey, inset, 0) else inset
+    if _lies_on_ground(grey, inset, 0) or _goes_on_behind(grey, inset):
+        return None
+    return inset
 
 
 def _step_strengths(grey: Grey) -> Strengths:
@@ -192,6 +203,31 @@ def _lies_on_ground(grey: Grey, inset: Inset, distance_px: int) -> bool:
     share_around = (np.abs(surroundings - colour) <= _GROUND_LEVELS).mean()
     share = (np.abs(grey - colour) <= _GROUND_LEVELS).mean()
     return bool(share_around >= _GROUND_AROUND and share > _MAX_GROUND)
+
+
+def _goes_on_behind(grey: Grey, inset: Inset) -> bool:
+    """Test whether one picture goes on behind the border, as behind the lines of a map's grid."""
+    transposed = np.ascontiguousarray(grey.T)
+    rows = slice(inset.top, inset.bottom)
+    columns = slice(inset.left, inset.right)
+    sides = (
+        (grey[rows], inset.left),
+        (grey[rows], inset.right),
+        (transposed[columns], inset.top),
+        (transposed[columns], inset.bottom),
+    )
+    common = []
+    for along, place in sides:
+        first = place - _BESIDE_PX - _COMPARED_PX
+        behind = place + _BESIDE_PX
+        if first < 0 or behind + _COMPARED_PX > along.shape[1]:
+            continue
+        left = along[:, first : first + _COMPARED_PX]
+        right = along[:, behind : behind + _COMPARED_PX]
+        # A thick frame has no texture that could go on.
+        if min(left.std(axis=0).max(), right.std(axis=0).max()) > _PLAIN_SD:
+            common.append(common_texture(left, right))
+    return bool(common) and float(np.median(common)) >= MIN_COMMON_TEXTURE
 
 
 def _without_blocks(strengths: Strengths) -> Strengths:

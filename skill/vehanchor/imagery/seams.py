@@ -19,6 +19,7 @@ import numpy as np
 
 from vehanchor.imagery.insets import find_inset
 from vehanchor.imagery.raster import Window
+from vehanchor.imagery.texture import MIN_COMMON_TEXTURE, common_texture
 from vehanchor.imagery.tiles import read_reduced_window
 
 if TYPE_CHECKING:
@@ -68,8 +69,6 @@ _MAX_SAME_COLOUR = 0.10
 # JPEG divides the picture into blocks of 8 px, whose borders are steps in strongly compressed ones.
 _BLOCK_PX = 8
 _MIN_OVER_BLOCKS = 2.5
-# Columns over which texture is compared across a seam.
-_TEXTURE_PX = 9
 
 
 class Seam(NamedTuple):
@@ -78,10 +77,12 @@ class Seam(NamedTuple):
     Attributes:
         x_px: column of a vertical seam, or of an inset's corner; None for a horizontal seam.
         y_px: row of a horizontal seam, or of an inset's corner; None for a vertical seam.
+        inset: rectangle of an inset; None for a seam across the image.
     """
 
     x_px: int | None
     y_px: int | None
+    inset: Window | None = None
 
 
 def find_seam(raster: Raster) -> Seam | None:
@@ -121,14 +122,27 @@ def _seam(grey: Grey, *, with_frames: bool) -> Seam | None:
     if row is not None:
         return Seam(None, row)
     inset = find_inset(grey, with_frames=with_frames)
-    return None if inset is None else Seam(*inset.corner)
+    if inset is None:
+        return None
+    width = inset.right - inset.left
+    height = inset.bottom - inset.top
+    rectangle = Window(inset.left, inset.top, width_px=width, height_px=height)
+    return Seam(*inset.corner, inset=rectangle)
 
 
 def _in_image(seam: Seam, factor: int, left: int, top: int) -> Seam:
     """Convert a seam of a reduced part to pixels of the image."""
     x_px = None if seam.x_px is None else seam.x_px * factor + left
     y_px = None if seam.y_px is None else seam.y_px * factor + top
-    return Seam(x_px, y_px)
+    inset = seam.inset
+    if inset is not None:
+        inset = Window(
+            inset.x_px * factor + left,
+            inset.y_px * factor + top,
+            width_px=inset.width_px * factor,
+            height_px=inset.height_px * factor,
+        )
+    return Seam(x_px, y_px, inset)
 
 
 def _without_margins(grey: Grey) -> tuple[Grey, int, int]:
@@ -232,9 +246,27 @@ def _strip_between(grey: Grey, share: Line) -> int | None:
         beside = has_colour[:, [max(0, first - 2), min(behind + 1, len(share) - 1)]]
         if beside.mean(axis=0).max() > 1.0 - _MIN_STRIP_EDGE:
             continue
+        if _goes_on_behind(grey, first, behind):
+            continue
         if has_colour[:, ~is_plain].mean() <= _MAX_SAME_COLOUR:
             return int(first)
     return None
+
+
+def _goes_on_behind(grey: Grey, first: int, behind: int) -> bool:
+    """Test whether a picture goes on behind a strip: a line drawn over it, as of a map's grid.
+
+    Args:
+        grey: ``[h, w]``.
+        first: first column of the strip.
+        behind: first column behind it.
+    """
+    # The pixels next to the strip have its colour in them.
+    left = grey[:, max(0, first - 3) : first - 1]
+    right = grey[:, behind + 1 : behind + 3]
+    if left.shape[1] == 0 or right.shape[1] == 0:
+        return False
+    return common_texture(left, right) >= MIN_COMMON_TEXTURE
 
 
 def _above_blocks(share: Line) -> Line:
@@ -257,16 +289,4 @@ def _border_px(side_px: int) -> int:
 
 def _common_texture(grey: Grey, column: int) -> float:
     """Correlate the texture of both sides of a column, -1 to 1."""
-    left = _texture(grey[:, column - 2 : column])
-    right = _texture(grey[:, column + 1 : column + 3])
-    power = math.sqrt(float((left**2).sum()) * float((right**2).sum()))
-    if power == 0.0:
-        return 1.0
-    return float((left * right).sum()) / power
-
-
-def _texture(columns: Grey) -> Line:
-    """Average columns, and subtract from each pixel its local mean."""
-    line = columns.mean(axis=1, dtype=np.float32)
-    local_mean = cv2.blur(line.reshape(-1, 1), (1, _TEXTURE_PX))
-    return np.asarray(line - local_mean.ravel())
+    return common_texture(grey[:, column - 2 : column], grey[:, column + 1 : column + 3])

@@ -117,7 +117,7 @@ def _place_polygon(
     if polygon.in_degrees and raster.ground is not None:
         unit_px = 1.0
         parts = _parts_in_degrees(polygon, raster)
-    elif orientation == "stored":
+    elif _is_stored_polygon(polygon, raster.in_file, options, orientation):
         _check_no_frame(options)
         parts = _stored_parts(polygon, raster)
     else:
@@ -155,6 +155,24 @@ def _place_polygon(
         edge_px=edge * unit_px,
         parts=parts,
     )
+
+
+def _is_stored_polygon(
+    polygon: CallerPolygon,
+    raster: Raster,
+    options: ScaleOptions,
+    orientation: Orientation | None,
+) -> bool:
+    """Decide whether a polygon is of the stored pixels, by the caller's word or its picture's size.
+
+    Raises:
+        PromptError: its picture has another size than the image.
+    """
+    if polygon.size is None:
+        return orientation == "stored"
+    if orientation is None and polygon.size == (raster.width_px, raster.height_px):
+        orientation = "oriented"
+    return _is_stored(polygon.size, raster, options, orientation, noun="picture of the polygon")
 
 
 def _ring_in_image(ring: Corners, coordinates: CoordinateFrame) -> Corners:
@@ -281,17 +299,18 @@ def _is_stored(
     raster: Raster,
     options: ScaleOptions,
     orientation: Orientation | None,
+    noun: str = "mask",
 ) -> bool:
     """Decide whether a mask is of the stored pixels, by its size or by the caller's word."""
     upright_size = options.frame.size or (raster.width_px, raster.height_px)
     size_in_file = raster.stored_size_px()
     if orientation == "stored":
         _check_no_frame(options)
-        _check_size(size, size_in_file, "the stored image")
+        _check_size(size, size_in_file, "the stored image", noun)
         return True
     is_turned = raster.orientation != 1
     if options.frame.size is not None:
-        _check_size(size, upright_size, "the frame")
+        _check_size(size, upright_size, "the frame", noun)
         return False
     if orientation is None and is_turned and size == size_in_file:
         if size == upright_size:
@@ -301,15 +320,15 @@ def _is_stored(
                 '"oriented" (as viewers and supervision show it) or "stored"'
             )
         return True
-    _check_size(size, upright_size, "the image")
+    _check_size(size, upright_size, "the image", noun)
     return False
 
 
-def _check_size(size: tuple[int, int], expected: tuple[int, int], owner: str) -> None:
+def _check_size(size: tuple[int, int], expected: tuple[int, int], owner: str, noun: str) -> None:
     if size != expected:
         raise PromptError(
-            f"the mask has {size[0]} x {size[1]} px, {owner} {expected[0]} x {expected[1]}: give "
-            "a mask of the image in full size, or the size of your uncropped copy as frame"
+            f"the {noun} has {size[0]} x {size[1]} px, {owner} {expected[0]} x {expected[1]}: give "
+            "one of the image in full size, or the size of your uncropped copy as frame"
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from vehanchor.measure.id_image import masks_of
 from vehanchor.measure.shapes import (
     MAX_SHAPES,
     CallerMask,
+    CallerPolygon,
     check_number,
     read_annotation,
     read_shapes,
@@ -111,9 +113,22 @@ def _read_coco(content: Mapping[str, Any], image: str) -> tuple[CallerShape, ...
         except PromptError as error:
             raise PromptError(f"annotation {annotation.get('id')}: {error}") from None
         check_number(shapes)
+    size = _size_of(entry)
+    shapes = [
+        replace(shape, size=size) if isinstance(shape, CallerPolygon) else shape for shape in shapes
+    ]
     if not shapes:
         raise PromptError(f"it has no annotation of {Path(image).name!r}")
     return tuple(shapes)
+
+
+def _size_of(entry: Mapping[str, Any]) -> tuple[int, int] | None:
+    """Read width and height of an entry's image; None without them."""
+    width = entry.get("width")
+    height = entry.get("height")
+    if not isinstance(width, int) or not isinstance(height, int):
+        return None
+    return (width, height) if width > 0 and height > 0 else None
 
 
 def _records(content: Mapping[str, Any], name: str) -> Sequence[Mapping[str, Any]]:

@@ -58,11 +58,13 @@ class CallerPolygon:
         in_degrees: whether the coordinates are longitude and latitude, if the image is
             georeferenced.
         name: the caller's name of it; may be empty.
+        size: width and height of the picture in which it was drawn; None if unknown.
     """
 
     parts: tuple[Part, ...]
     in_degrees: bool = False
     name: str = ""
+    size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, eq=False)

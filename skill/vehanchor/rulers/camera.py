@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from vehanchor.imagery.metadata.camera import CameraMetadata
-from vehanchor.imagery.metadata.lens import lens, perspective_problem, taken_ratio
+from vehanchor.imagery.metadata.lens import lens, perspective_problem, taken_ratio, zoom_problem
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import NADIR_TOLERANCE_DEG, TILT_SD_DEG
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 _OWN_LOG_SD = 0.01
 _MAX_HEIGHT_M = 20_000.0
 _MAX_TILT_DEG = 85.0
-_MAX_DIGITAL_ZOOM = 1.01
 
 # Consequences of a tilt.
 _SCALE_OF_THE_CENTRE = (
@@ -83,10 +82,9 @@ class Camera(Ruler):
             return self._without_height(view, camera, focal_35mm)
         if not 0 < height.metres <= _MAX_HEIGHT_M:
             return self._unusable(f"{height.tag} is {height.metres:g} m")
-        if camera.digital_zoom > _MAX_DIGITAL_ZOOM:
-            return self._unusable(
-                f"the photograph was enlarged {camera.digital_zoom:g} times in the camera"
-            )
+        zoom = zoom_problem(camera)
+        if zoom:
+            return self._unusable(zoom)
         if taken_ratio(view.image, camera) is None:
             notice = cropped(view.image, camera, "the camera metadata are not usable")
             return unusable(self.kind, notice)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from vehanchor.imagery.metadata.lens import lens, perspective_problem, taken_ratio
+from vehanchor.imagery.metadata.lens import lens, perspective_problem, taken_ratio, zoom_problem
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import uses
@@ -52,7 +52,8 @@ class GivenHeight(Ruler):
             return unusable(self.kind, _repeated(height_m))
         optics = lens(image, camera, options.focal_35mm)
         if optics is None:
-            return _unusable("the file has no usable focal length. Also give its 35 mm equivalent")
+            cause = zoom_problem(camera) or "the file has no usable focal length"
+            return _unusable(f"{cause}. Also give its 35 mm equivalent")
 
         tilt_deg = 0.0 if view.plane is None else view.plane.tilt_deg
         coarser, tilt_log_sd = coarsening(tilt_deg)

@@ -85,6 +85,8 @@ if TYPE_CHECKING:
 _FITTING_SHARE = 0.5
 # Score of a car that is beyond doubt.
 _CLEAR_SCORE = 1.0
+# Log odds of a stretch from which one network's verdict counts.
+_CLEAR_STRETCH = 1.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -456,10 +458,10 @@ class Vehicles(Ruler):
         log_odds = None
         if plane is None and detections.stretch_log_odds is not None:
             log_odds = detections.stretch_log_odds + log_odds_by_density(view.image.density_aspect)
-            # One network's verdict is no doubt if the odds by both contradict it. Of 524 images of
-            # true proportions with two to six vehicles 7 are then doubted instead of 10, and of 139
-            # stretched by 1.4 there are 71 instead of 76. The chance by the odds stays.
-            if log_odds < 0.0:
+            # One network's verdict is a doubt only if the odds by all witnesses are for it, too. Of
+            # 1,081 stretched photographs 36 are then usable and wrong, and 35 with a limit of 0; of
+            # 1,050 right scales three fewer are lost. The chance by the odds stays.
+            if log_odds < _CLEAR_STRETCH:
                 stretch = None
         voting = vehicles.with_votes()
         return replace(

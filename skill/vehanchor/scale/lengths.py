@@ -11,6 +11,8 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.scale.defaults import OUTLIER_ALPHA
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import ArrayLike, NDArray
 
     from vehanchor.scale.defaults import Aggregation
@@ -64,6 +66,15 @@ class Interval(NamedTuple):
 
     low: float
     high: float
+
+    def with_others(self, others: Iterable[Interval | None]) -> Interval:
+        """Extend the interval to cover others; None covers nothing."""
+        low, high = self
+        for other in others:
+            if other is not None:
+                low = min(low, other.low)
+                high = max(high, other.high)
+        return Interval(low, high)
 
 
 class Spread(NamedTuple):

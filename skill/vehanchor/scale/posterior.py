@@ -297,7 +297,7 @@ def answer(witnesses: Sequence[Witness]) -> Answer | None:
     intervals = [witnesses[k].interval for pair in contradictions for k in pair]
     return replace(
         decision,
-        interval=_hull(decision.interval, intervals),
+        interval=decision.interval.with_others(intervals),
         contradictions=contradictions,
         p_right=tuple(p_right),
         leading=_leading(witnesses, answers_without, p_right),
@@ -445,16 +445,6 @@ def _exclude_each_other(first: Witness, second: Witness) -> bool:
     if first.gsd_m_per_px is None or second.gsd_m_per_px is None:
         return False
     return not (first.allows(second.gsd_m_per_px) or second.allows(first.gsd_m_per_px))
-
-
-def _hull(interval: Interval, others: Iterable[Interval | None]) -> Interval:
-    """Extend an interval to cover others."""
-    low, high = interval
-    for other in others:
-        if other is not None:
-            low = min(low, other.low)
-            high = max(high, other.high)
-    return Interval(low, high)
 
 
 def _leading(

@@ -168,6 +168,8 @@ def _lens(camera: Mapping[str, Any]) -> Lens:
         raise ReconstructionError(f"the camera is of type {kind!r}: supported are {supported}")
     width = float(camera["width"])
     height = float(camera["height"])
+    if not width > 0 or not height > 0:
+        raise ReconstructionError(f"a camera has {width:g} x {height:g} px: it must have a size")
     side = max(width, height)
     focal = camera.get("focal", 0)
     focal_x = float(camera.get("focal_x", focal))

@@ -162,6 +162,15 @@ def test_a_damaged_file_of_opensfm_is_named(tmp_path: Path) -> None:
         read_model(tmp_path)
 
 
+def test_a_camera_of_opensfm_without_a_size_is_named(tmp_path: Path) -> None:
+    camera = {"width": 0, "height": 0, "focal": 0.8}
+    shot = {"camera": "c", "rotation": [0, 0, 0], "translation": [0, 0, 0]}
+    part = {"cameras": {"c": camera}, "shots": {"a.jpg": shot}}
+    (tmp_path / "reconstruction.json").write_text(json.dumps([part]))
+    with pytest.raises(ReconstructionError, match="0 x 0 px"):
+        read_model(tmp_path)
+
+
 def test_a_folder_without_a_model_is_named(tmp_path: Path) -> None:
     with pytest.raises(ReconstructionError, match="no reconstruction in"):
         read_model(_write_binary(tmp_path / "whole") / "none")

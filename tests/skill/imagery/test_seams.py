@@ -108,6 +108,16 @@ def test_plain_ground_between_things_is_no_seam() -> None:
     assert _seam(image) is None
 
 
+@pytest.mark.parametrize("quality", [None, 85])
+def test_the_grid_of_a_map_is_no_seam(quality: int | None) -> None:
+    image = LEFT.copy()
+    image[60::90] = 255
+    image[:, 70::90] = 255
+    if quality is not None:
+        image = _compressed(image, quality)
+    assert _seam(image) is None
+
+
 def test_an_image_enlarged_without_interpolation_has_no_seam() -> None:
     large = cv2.resize(LEFT[:80, :80], None, fx=7, fy=7, interpolation=cv2.INTER_NEAREST)
     assert _seam(np.asarray(large, np.uint8)) is None

@@ -11,7 +11,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from tests.bombs import png_of_text
-from tests.skill.imagery.files import geotiff
+from tests.skill.imagery.files import after_head, encoded, exif, geotiff, png_chunk
 from tests.skill.imagery.samples import SAMPLES
 from vehanchor import analyse_areas, measure_areas
 from vehanchor.errors import PromptError
@@ -51,6 +51,24 @@ def _json(folder: Path, content: Any, name: str = "shapes.json") -> Path:
 def _areas(file: Path, photo: Path) -> list[float | None]:
     shapes = read_shape_file(file, str(photo))
     return [record.area_m2 for record in measure_areas(photo, shapes, gsd_m_per_px=0.1)]
+
+
+def test_a_polygon_of_coco_drawn_in_a_larger_copy_is_refused(photo: Path, tmp_path: Path) -> None:
+    larger = {**COCO, "images": [{**COCO["images"][1], "width": 400, "height": 240}]}
+    with pytest.raises(PromptError, match="picture of the polygon has 400 x 240 px, the image 200"):
+        _areas(_json(tmp_path, larger), photo)
+
+
+def test_a_polygon_of_coco_drawn_in_stored_pixels_is_turned(tmp_path: Path) -> None:
+    turned = tmp_path / "photo.png"
+    stored = png_chunk(b"eXIf", exif({"Orientation": 6}))
+    turned.write_bytes(after_head(encoded(".png", IMAGE), stored))
+    (shape, _) = read_shape_file(_json(tmp_path, COCO), str(turned))
+    (analysis,) = analyse_areas(turned, [shape], gsd_m_per_px=0.1)
+    window = analysis.segmentation.window
+    # The stored rows 30 to 70 of 120 become columns 50 to 90.
+    assert (window.x_px, window.y_px) == (50, 20)
+    assert (window.width_px, window.height_px) == (40, 60)
 
 
 def test_coco_names_the_image_by_its_file_name(photo: Path, tmp_path: Path) -> None:

@@ -77,6 +77,16 @@ def _beside_another_scale(photo: Photo) -> Any:
     return np.hstack([photo.image, other.image])
 
 
+def _under_a_sky(photo: Photo) -> Any:
+    """Paint a hazy sky over the upper part of a photograph."""
+    rows = np.arange(photo.size[1])[:, None, None]
+    below_px = rows - 0.25 * photo.size[1]
+    haze = np.where(below_px < 0, 1.0, 0.8 * np.exp(-np.maximum(below_px, 0) / 120))
+    noise = np.random.default_rng(1).normal(0, 2, (*photo.image.shape[:2], 1))
+    sky = np.array([200.0, 215.0, 235.0]) + noise
+    return np.clip(haze * sky + (1 - haze) * photo.image, 0, 255).astype(np.uint8)
+
+
 def _yard(kind: Any, gsd: float) -> Photo:
     return pixels_as_photo(paint_yard(kind, gsd, 640), gsd)
 
@@ -126,6 +136,7 @@ SITUATIONS: dict[str, Callable[[], Call]] = {
     "stretched": lambda: Call(_spoilt(lambda photo: enlarged(photo, 1.5, 1)), {}),
     "tilted": lambda: Call(_spoilt(lambda photo: tilted(photo, 0.2)), {}),
     "much tilted": lambda: Call(_spoilt(lambda photo: tilted(photo, 0.3)), {}),
+    "horizon": lambda: Call(_spoilt(_under_a_sky), {}),
     "collage": lambda: Call(_spoilt(_beside_another_scale), {}),
     "black": lambda: Call(_spoilt(lambda photo: np.zeros_like(photo.image)), {}),
     "chart": lambda: Call(pixels_as_photo(_chart(), better=_car_park()), {}),

@@ -76,6 +76,15 @@ def test_the_lens_of_a_resized_picture_needs_a_second_source() -> None:
     assert beside.status == "ok"
 
 
+def test_a_given_height_does_not_measure_through_a_digital_zoom() -> None:
+    zoomed = replace(MAVIC, digital_zoom=2.0, height_m=None)
+    witness = measured(GivenHeight(), _view(zoomed, height_m=100))
+    assert witness.gsd_m_per_px is None
+    assert "enlarged 2 times" in witness.notices[0].message
+    stated = measured(GivenHeight(), _view(zoomed, height_m=100, focal_35mm=52))
+    assert stated.gsd_m_per_px == pytest.approx(100 * 43.27 / (52 * 5000), rel=1e-3)
+
+
 CROP = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)
 
 

@@ -81,8 +81,8 @@ def test_a_stretched_image_is_doubted() -> None:
     assert _doubts(_searched(_view(_fleet(30)), stretch=1.5))[0] == ["stretched"]
 
 
-@pytest.mark.parametrize(("log_odds", "codes"), [(0.5, ["stretched"]), (-0.5, [])])
-def test_odds_against_a_stretch_overrule_one_network(log_odds: float, codes: list[str]) -> None:
+@pytest.mark.parametrize(("log_odds", "codes"), [(1.5, ["stretched"]), (0.5, [])])
+def test_one_network_needs_odds_for_a_stretch(log_odds: float, codes: list[str]) -> None:
     view = _searched(_view(_fleet(4)), stretch=1.2, stretch_log_odds=log_odds)
     assert _doubts(view)[0] == codes
 

@@ -69,6 +69,8 @@ _MAX_CONTRADICTION = 0.15
 _CENTRE_TOLERANCE = 0.05
 """Distance of an optical centre from the middle, relative to half the width."""
 
+_MAX_DIGITAL_ZOOM = 1.01
+
 _MAX_PICTURE_RATIO = 2.4
 """Largest ratio of a picture's long side to its short one that a camera takes at once: 21:9 of some
 phones. A choice."""
@@ -114,6 +116,17 @@ def perspective_problem(image: ImageFacts, camera: CameraMetadata | None) -> str
     return ""
 
 
+def zoom_problem(camera: CameraMetadata | None) -> str:
+    """Explain why a digital zoom makes the lens unknown: some makers count it in, some do not.
+
+    Returns:
+        A clause; empty without a digital zoom.
+    """
+    if camera is None or camera.digital_zoom <= _MAX_DIGITAL_ZOOM:
+        return ""
+    return f"the photograph was enlarged {camera.digital_zoom:g} times in the camera"
+
+
 def taken_ratio(image: ImageFacts, camera: CameraMetadata) -> float | None:
     """Compute the ratio of the picture's size when it was taken to the image's size.
 
@@ -153,11 +166,11 @@ def lens(
             metadata.
 
     Returns:
-        None without a focal length, or for a crop.
+        None without a focal length, for a crop, and with a digital zoom.
     """
     if focal_35mm is not None:
         return equivalent_lens(image.width_px, image.height_px, focal_35mm)
-    if camera is None:
+    if camera is None or zoom_problem(camera):
         return None
     ratio = taken_ratio(image, camera)
     if ratio is None:
