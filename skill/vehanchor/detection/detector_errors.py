@@ -103,7 +103,7 @@ class AppearanceErrors(_Errors):
     log_mean: Annotated[float, Field(ge=-1.0, le=1.0)] = -0.015
     kind_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.06
     kind_cars: Annotated[float, Field(ge=0.1, le=1000.0)] = 2.0
-    work_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.25
+    work_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.28
     fair_odds: Annotated[float, Field(ge=0.001, le=1e6)] = 20.0
     doubt_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.125
 
