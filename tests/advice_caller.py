@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -25,6 +27,7 @@ Options: TypeAlias = Mapping[str, Any]
 Outcome: TypeAlias = Literal["right", "wrong", "where it began", "no way on", "not in three steps"]
 
 MAX_STEPS = 3
+_REMEMBERED = 128
 FOCAL_35MM = 24.0
 # Largest ratio of a right scale to the true one.
 RIGHT_WITHIN = 1.2
@@ -132,6 +135,7 @@ def photo_of(scene: Scene, better: Photo | None = None) -> Photo:
     return Photo(scene.image, (width, height), scene.gsd_m_per_px, tuple(cars), better)
 
 
+@cache
 def rendered(
     gsd_m_per_px: float, seed: int, layout: Any, *, n_cars: int | None = None, side_px: int = 640
 ) -> Photo:
@@ -167,7 +171,7 @@ def follow_all(
             lines are measured.
         before: answers on the way, with the steps to them.
     """
-    analysis = engine.analyse_scale(call.photo.image, ScaleOptions.of(dict(call.options)))
+    analysis = _analysed(engine, call)
     estimate = analysis.estimate
     steps = before[-1].steps if before else ()
     if estimate.status == "ok":
@@ -192,6 +196,23 @@ def follow_all(
         yield from follow_all(engine, following, guesses=guesses, before=(*before, now))
     if not n_followed:
         yield End(steps, "no way on", estimate)
+
+
+_answers: dict[Any, ScaleAnalysis] = {}
+
+
+def _analysed(engine: Engine, call: Call) -> ScaleAnalysis:
+    """Answer a call; equal calls, with which many paths begin, are made once."""
+    image = call.photo.image
+    content = image
+    if isinstance(image, np.ndarray):
+        content = hashlib.sha256(image.tobytes()).digest()
+    key = engine, content, repr(sorted(call.options.items()))
+    if key not in _answers:
+        _answers[key] = engine.analyse_scale(image, ScaleOptions.of(dict(call.options)))
+    if len(_answers) > _REMEMBERED:
+        _answers.pop(next(iter(_answers)))
+    return _answers[key]
 
 
 def _is_right(estimate: GsdEstimate, photo: Photo) -> bool:
