@@ -25,10 +25,13 @@ def dota_lines(boxes: NDArray[np.float64], name: str = "small-vehicle") -> str:
 
 
 def cars(length_px: float, n: int = 12) -> NDArray[np.float64]:
-    return np.array(
-        [[40 + 70 * (k % 6), 50 + 60 * (k // 6), length_px, 12, 0.0] for k in range(n)],
-        dtype=np.float64,
-    )
+    """Place vehicles in rows that are not quite straight, which might border an inset."""
+    boxes = []
+    for k in range(n):
+        x = 40 + 70 * (k % 6)
+        y = 50 + 60 * (k // 6) + 7 * (k % 3)
+        boxes.append([x, y, length_px, 12, 0.0])
+    return np.array(boxes, dtype=np.float64).reshape(n, 5)
 
 
 def paint(path: Path, boxes: NDArray[np.float64]) -> None:

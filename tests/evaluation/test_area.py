@@ -62,7 +62,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if name == "P2":
             objects.append(("tennis-court", box_mask(np.s_[320:416, 400:480])))
             objects.append(("swimming-pool", box_mask(np.s_[380:390, 300:340])))
-        for _, mask in objects:
+        for category, mask in objects:
+            if category == "swimming-pool":
+                # A coping softens the edge; those of an inset are abrupt.
+                image[cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0] = (55, 105, 140)
             image[mask] = (40, 140, 210)
         if name != "P3":
             paint_vehicles(image, CARS)

@@ -87,7 +87,7 @@ CASES = {
         surfaces=_UNNAMED,
     ),
     "a line and a height with one mistake": Case(
-        "cars.png", _lines([LINE]) | _WRONG_HEIGHT, "low_confidence", 0.167, "rulers_disagree"
+        "cars.png", _lines([LINE]) | _WRONG_HEIGHT, "low_confidence", 0.174, "rulers_disagree"
     ),
     "guesses alone": Case("empty.png", _lines(_GUESSES, "assumed"), "low_confidence", 0.154),
     "the file's scale as a guessed line": Case(

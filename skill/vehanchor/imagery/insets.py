@@ -82,7 +82,7 @@ _AROUND_PX = 3
 # Pixels from the middle of a border to those that are compared across it, and their number.
 _BESIDE_PX = 3
 _COMPARED_PX = 2
-# Spread of grey values along a border up to which it is plain.
+# Spread of grey values up to which a border or a rectangle is plain.
 _PLAIN_SD = 4.0
 
 
@@ -124,9 +124,9 @@ def find_inset(grey: Grey, *, with_frames: bool = True) -> Inset | None:
     of_rows = _without_blocks(_step_strengths(transposed))
     inset = _best_rectangle(of_columns, of_rows)
     if inset is not None and inset.strength >= _LEAST_OF_STEPS:
-        if _lies_on_ground(grey, inset, _AROUND_PX) or _goes_on_behind(grey, inset):
+        if _is_plain(grey, inset) or _lies_on_ground(grey, inset, _AROUND_PX):
             return None
-        return inset
+        return None if _goes_on_behind(grey, inset) else inset
     if not with_frames:
         return None
     inset = _best_rectangle(_line_strengths(grey), _line_strengths(transposed))
@@ -174,6 +174,12 @@ def _contrast(signal: Grey, noise: Grey, levels: float) -> Strengths:
     total = cv2.add(signal, noise, dtype=cv2.CV_32F)
     contrast = np.asarray(difference, np.float32) / (total + np.float32(levels))
     return np.maximum(contrast, np.float32(_LEAST_STRENGTH))
+
+
+def _is_plain(grey: Grey, inset: Inset) -> bool:
+    """Test whether a rectangle has one colour, as a painted court, a pool or a roof."""
+    inside = grey[inset.top : inset.bottom, inset.left : inset.right]
+    return float(inside[_BESIDE_PX:-_BESIDE_PX, _BESIDE_PX:-_BESIDE_PX].std()) <= _PLAIN_SD
 
 
 def _lies_on_ground(grey: Grey, inset: Inset, distance_px: int) -> bool:
