@@ -61,10 +61,8 @@ _NEUTRAL_LOG_WIDTH = 2.0
 # Largest size odds in either direction, because the prior may be wrong.
 _MAX_SIZE_ODDS = 2.0
 
-# GSD below which the training data have few places, and the width of the transition. With 0.15, the
-# rms of the error over the stated half-width was 1.28 for `banepa` (0.13 m/px), now it is 1.12, and
-# 0.25 would make it 0.9; 0.2 costs 3 of 1,023 right scales, 0.25 7.
-_SHARP_GSD_M_PER_PX = 0.2
+# GSD below which the training data have few places, and the width of the transition.
+_SHARP_GSD_M_PER_PX = 0.15
 _SHARP_LOG_WIDTH = 0.15
 # Largest difference, in log GSD, by which a new place is finer than it looks.
 _FINER_LOG_REACH = 0.8

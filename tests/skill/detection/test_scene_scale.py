@@ -45,8 +45,8 @@ def test_a_sharp_place_may_be_finer_than_it_looks(gsd: float, wider: float) -> N
 def test_only_a_wide_density_opens_far_to_finer_scales(log_sd: float, lower: float) -> None:
     """Fields and lawns resemble little in training, and look coarser than they are."""
     sharp = _prior(0.06, log_sd).density
-    coarse = _prior(0.4, log_sd).density
-    opened = quantile(coarse, 0.16) / 0.4 / (quantile(sharp, 0.16) / 0.06)
+    coarse = _prior(0.3, log_sd).density
+    opened = quantile(coarse, 0.16) / 0.3 / (quantile(sharp, 0.16) / 0.06)
     assert opened == pytest.approx(lower, rel=0.1)
 
 
