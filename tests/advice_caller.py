@@ -305,7 +305,8 @@ def _with_line(call: Call, *, guesses: bool) -> Call | None:
             return None
         lines.append(call.photo.thing(len(lines)))
     else:
-        lines.append(call.photo.line("measured", row=0.6))
+        # A line in the same place would be a copy.
+        lines.append(call.photo.line("measured", row=0.6 + 0.1 * len(lines)))
     return Call(call.photo, {**_with_ruler(call.options, "known_length"), "known_lengths": lines})
 
 

@@ -52,9 +52,10 @@ _MIN_GROUND = 0.2
 # Height of the strip of ground below the horizon, as a share of the height.
 _STRIP = 0.1
 _N_STEPS = 10
-# The limits were chosen on 952 photographs of known scale, in none of which they find a horizon,
-# and on one photograph with it; they find it in 35 of 38 rendered oblique views of these
-# photographs.
+# The limits were chosen on half of some 2,700 photographs that show no sky, in all of which they
+# find a horizon once: in the one photograph that has one. In rendered oblique views of the same
+# ground with 5 % and more of sky they find it in 29 of 34; not found are skies darker than the
+# ground, and clouds with sharp edges.
 
 
 def find_horizon(raster: Raster) -> int | None:

@@ -117,6 +117,8 @@ def advice_for(estimate: GsdEstimate | None) -> Advice | None:
     if estimate.reason == "oblique":
         return _OBLIQUE
     cause = _CAUSES[estimate.reason](estimate)
+    if _has_doubtful_fact(estimate) and "facts" not in cause.remedies:
+        cause = cause._replace(remedies=("facts", *cause.remedies))
     return _with_gains(cause, estimate)
 
 
@@ -126,11 +128,7 @@ def _with_gains(cause: Advice, estimate: GsdEstimate) -> Advice:
     What makes the scale usable comes before what only helps. Of both kinds, those in sight and
     those that the caller must know take turns, because a caller often has only one of them.
     """
-    gains = [
-        gain
-        for gain in estimate.details.remedies
-        if _leads(gain) or gain.confidence >= estimate.confidence + _MIN_GAIN
-    ]
+    gains = [gain for gain in estimate.details.remedies if _helps(gain, estimate)]
     in_sight = [gain for gain in gains if gain.remedy in _IN_SIGHT]
     to_know = [gain for gain in gains if gain.remedy not in _IN_SIGHT]
     first, second = in_sight, to_know
@@ -150,6 +148,11 @@ def _with_gains(cause: Advice, estimate: GsdEstimate) -> Advice:
     vehicles = to_drop[0] if to_drop else ()
     distinct = tuple(dict.fromkeys(remedies))
     return cause._replace(remedies=distinct[:limit], vehicles=vehicles)
+
+
+def _helps(gain: ExpectedGain, estimate: GsdEstimate) -> bool:
+    """Test whether a remedy is expected to make the scale usable, or much surer."""
+    return _leads(gain) or gain.confidence >= estimate.confidence + _MIN_GAIN
 
 
 def _leads(gain: ExpectedGain) -> bool:
@@ -191,7 +194,7 @@ def _not_cars(_: GsdEstimate) -> Advice:
 def _assumed(estimate: GsdEstimate) -> Advice:
     why = "it rests on assumed facts alone"
     gains = estimate.details.remedies
-    if any(gain.remedy in ("line", "things") and _leads(gain) for gain in gains):
+    if any(gain.remedy in ("line", "things") and _helps(gain, estimate) for gain in gains):
         return Advice(why)
     return Advice(f"{why}, and a further one will not help")
 
@@ -206,8 +209,7 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
         why = "the image is stretched in one direction"
         return Advice(why, ("sides",) if is_orthophoto else ("original", "aspect"))
     setting = [ruler for ruler in estimate.rulers if ruler.sets_scale]
-    facts = [ruler for ruler in setting if ruler.kind not in ("vehicles", "positions")]
-    remedies: tuple[Remedy, ...] = ("facts",) if facts else ("drop",)
+    remedies: tuple[Remedy, ...] = ("facts",) if any(map(_is_fact, setting)) else ("drop",)
     # The record of a photograph in a flight has the flight's rulers, without their warnings.
     disagree = _warns(estimate, "rulers_disagree") or _some_exclude_each_other(setting)
     if len(setting) > 1 and disagree:
@@ -218,6 +220,18 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
     if scene is None:
         return Advice("the evidence contradicts itself", remedies)
     return Advice(f"the scene suggests a scale of about {scene.gsd_m_per_px:.2g} m/px", remedies)
+
+
+def _is_fact(ruler: RulerScale) -> bool:
+    """Test whether a ruler rests on what the caller or the file states, or on a court."""
+    return ruler.sets_scale and ruler.kind not in ("vehicles", "positions")
+
+
+def _has_doubtful_fact(estimate: GsdEstimate) -> bool:
+    """Test whether a fact is probably wrong, because other rulers contradict it."""
+    if not _warns(estimate, "rulers_disagree"):
+        return False
+    return any(_is_fact(ruler) and not ruler.probably_right for ruler in estimate.rulers)
 
 
 def _some_exclude_each_other(rulers: Sequence[RulerScale]) -> bool:
