@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import logging
 import multiprocessing
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vehanchor.analysis.heap import map_large_blocks, return_freed, use_one_heap
 from vehanchor_server.calls.capacity import Stop
 from vehanchor_server.calls.job import Job
 from vehanchor_server.calls.messages import (
@@ -39,12 +39,8 @@ if TYPE_CHECKING:
     from vehanchor_server.calls.task import Task
     from vehanchor_server.resources import Resources
 
-# Idle time before freed memory is returned; the next call maps it again, which takes some 25 ms.
+# Idle time before freed memory is returned.
 _IDLE_S = 5.0
-# From malloc.h. One heap, from which freed large blocks return to the system.
-_M_ARENA_MAX = -8
-_M_MMAP_THRESHOLD = -3
-_MEMORY_OPTIONS = ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 8 << 20))
 # Errors of OpenCV, C++ and ONNX Runtime.
 _OUT_OF_MEMORY = ("Insufficient memory", "bad_alloc", "bad allocation", "Failed to allocate")
 _DATA_PAGES = 5  # position of the size of the data in /proc/self/statm
@@ -89,7 +85,7 @@ def serve_tasks(
             target=_end_with_server, args=(connection,), name="vehanchor-server", daemon=True
         ).start()
         resources.models.load_all()
-        _glibc("malloc_trim", 0)
+        return_freed()
     except Exception:
         send(connection, _bug())
         return
@@ -99,7 +95,7 @@ def serve_tasks(
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
             if not connection.poll(_IDLE_S):
-                _glibc("malloc_trim", 0)
+                return_freed()
             task = connection.recv()
             _limit_cpu(limits.cpu_s)
             failure = _run_task(resources, task, connection)
@@ -115,8 +111,8 @@ def _prepare_process(connection: Connection, log: Connection) -> None:
     # A worker shares memory with the fork server. Garbage collections would write to it, and so
     # copy it.
     gc.freeze()
-    for option, value in _MEMORY_OPTIONS:
-        _glibc("mallopt", option, value)
+    use_one_heap()
+    map_large_blocks()
     # Ctrl-C reaches all processes; the server ends its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _keep_streams(connection, log)
@@ -211,13 +207,6 @@ def _limit_memory(n_bytes: int) -> None:
         current_bytes = int(pages[_DATA_PAGES]) * resource.getpagesize()
         limit = current_bytes + n_bytes
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-
-
-def _glibc(function: str, *arguments: int) -> None:
-    """Call a function of glibc's memory allocator, if there is one."""
-    # TypeError: Windows has no CDLL of itself
-    with contextlib.suppress(OSError, TypeError, AttributeError):
-        getattr(ctypes.CDLL(None), function)(*arguments)
 
 
 def _limit_cpu(seconds: float) -> None:

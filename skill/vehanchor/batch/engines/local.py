@@ -10,6 +10,7 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from vehanchor.analysis.heap import use_one_heap
 from vehanchor.analysis.isolated_process import (
     IsolatedProcess,
     ignore_interrupts_and_end_with_parent,
@@ -187,6 +188,7 @@ def _pool(job: BatchJob, workers: int) -> ProcessPoolExecutor:
 def _start_worker(job: BatchJob) -> None:
     """Make this process a worker; it ignores Ctrl-C, and ends with its parent."""
     global _worker
+    use_one_heap()
     ignore_interrupts_and_end_with_parent()
     _worker = Worker.for_this_process(job)
 
