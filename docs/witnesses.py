@@ -6,6 +6,7 @@ Run ``python -m docs.witnesses`` in the root of the project.
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,6 +49,7 @@ DIRT_SD = 14.0
 # Grey level that the yard of pasted vehicles has at least, and the width of its border.
 YARD_GREY = 80.0
 YARD_BORDER_PX = 6.0
+TITLE_CHARS = 90
 YELLOW = "#FFD400"
 GREEN = "#009E73"
 TRUTH = "#D55E00"
@@ -224,7 +226,8 @@ def draw(analysis: ScaleAnalysis, pixels: NDArray[np.uint8], true_gsd_m_per_px: 
         label=f"true {true_gsd_m_per_px:g}",
     )
     densities.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8.5, frameon=False)
-    densities.set_title(sentence(analysis), loc="left", fontsize=10)
+    title = textwrap.fill(sentence(analysis), TITLE_CHARS)
+    densities.set_title(title, loc="left", fontsize=10)
     return figure
 
 

@@ -18,7 +18,7 @@ _QUOTES: dict[str, tuple[str, ...]] = {
         "One car gives {vehicles:.3f} m/px, the prior {scene_scale:.3f}",
         "lowers the chance to {chance:.2f}",
     ),
-    "look_alikes": ("{n} equal things give {vehicles:.3f} m/px", "stays at {chance:.2f}"),
+    "look_alikes": ("32 equal things give {vehicles:.3f} m/px", "stays at {chance:.2f}"),
     "line_leads": ("A line of {line:g} m gives a narrow posterior at {known_length:.2f} m/px",),
     "line_wrong": ("the chance falls to {chance:.2f}",),
     "line_assumed": ("prior have densities around {known_length:.2f} m/px",),

@@ -216,12 +216,16 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
             distinct.add(picture)
             places.append(k)
             pictures.append(picture)
+    distinct_vehicles = detections.take(~is_copy)
     # Copies with other brightness, direction or size.
     boxes = [picture.box for picture in pictures]
-    is_copy[places] = altered_copies(boxes, [picture.square for picture in pictures])
+    is_altered = altered_copies(boxes, [picture.square for picture in pictures])
+    is_copy[places] = is_altered
     if not is_copy.any():
         return detections
-    return replace(detections.take(~is_copy), n_copies=int(is_copy.sum()))
+    with_copies = distinct_vehicles if is_altered.any() else None
+    n_copies = int(is_copy.sum())
+    return replace(detections.take(~is_copy), n_copies=n_copies, with_copies=with_copies)
 
 
 def _picture(raster: Raster, box: Box) -> _Picture | None:

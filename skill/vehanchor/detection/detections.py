@@ -183,6 +183,8 @@ class Detections:
         corrections: by the caller; None without any.
         n_skipped: number of candidates in crowded tiles that were left out before the verifier.
         n_copies: number of vehicles that were left out because their pixels repeat another one's.
+        with_copies: the vehicles before similar copies were left out, because things that repeat
+            each other may not be cars; None if none was.
     """
 
     boxes: Boxes
@@ -199,6 +201,7 @@ class Detections:
     corrections: Corrections | None = None
     n_skipped: int = 0
     n_copies: int = 0
+    with_copies: Detections | None = None
 
     @property
     def were_searched(self) -> bool:

@@ -173,9 +173,14 @@ class VehicleWitness(Witness):
         fleet = self.fleet
         if fleet.detections.reductions is None or fleet.is_stated or not self.n:
             return 0.0
-        log_lengths = np.log(fleet.lengths)
         errors = self.card.errors.look_alikes
-        return chance_of_look_alikes(log_lengths, fleet.appearance, errors)
+        chance = chance_of_look_alikes(np.log(fleet.lengths), fleet.appearance, errors)
+        repeating = fleet.detections.with_copies
+        if repeating is None:
+            return chance
+        # What few distinct vehicles do not show, their copies do.
+        log_lengths = np.log(repeating.boxes[:, 2])
+        return max(chance, chance_of_look_alikes(log_lengths, repeating.appearance, errors))
 
     @property
     def doubted(self) -> bool:

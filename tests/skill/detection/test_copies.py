@@ -23,7 +23,14 @@ def _car(seed: int) -> NDArray[np.uint8]:
 def _n_distinct(
     cars: list[NDArray[np.uint8]], quality: int = 85, longer: tuple[float, ...] = ()
 ) -> int:
-    """Paste cars into a row, compress it, and count the distinct ones.
+    """Count the distinct ones of cars in a row."""
+    return len(_distinct(cars, quality, longer).boxes)
+
+
+def _distinct(
+    cars: list[NDArray[np.uint8]], quality: int = 85, longer: tuple[float, ...] = ()
+) -> Detections:
+    """Paste cars into a row, compress it, and leave out copies.
 
     ``longer`` are shares by which the first boxes are too long.
     """
@@ -44,7 +51,7 @@ def _n_distinct(
     assert found.appearance is not None
     assert len(found.boxes) + found.n_copies == n
     assert len(found.appearance) == len(found.boxes)
-    return len(found.boxes)
+    return found
 
 
 def test_one_car_pasted_nine_times_is_one_car() -> None:
@@ -84,6 +91,12 @@ def test_copies_of_other_brightness_contrast_and_direction_are_copies() -> None:
     car = _car(1)
     copies = [_altered(car, 1 - 0.06 * k, 3.0 * k, 1.5 * k) for k in range(5)]
     assert _n_distinct(copies) == 1
+
+
+def test_the_doubt_about_equal_things_sees_similar_copies() -> None:
+    found = _distinct([_altered(_car(1), 1 - 0.06 * k, 3.0 * k, 1.5 * k) for k in range(5)])
+    assert found.with_copies is not None
+    assert len(found.with_copies.boxes) == 5
 
 
 def test_two_cars_of_one_model_among_others_are_two_cars() -> None:

@@ -77,6 +77,11 @@ def test_equal_things_may_be_look_alikes() -> None:
     assert _doubts(_searched(_view(EQUAL)))[0] == ["look_alikes"]
 
 
+def test_copies_that_were_left_out_still_show_equal_things() -> None:
+    with_copies = _searched(_view(EQUAL)).detections
+    assert _doubts(_searched(_view([40.0]), with_copies=with_copies))[0] == ["look_alikes"]
+
+
 def test_a_stretched_image_is_doubted() -> None:
     assert _doubts(_searched(_view(_fleet(30)), stretch=1.5))[0] == ["stretched"]
 
