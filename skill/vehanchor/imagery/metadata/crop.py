@@ -39,6 +39,8 @@ def stated_crop(statements: Statements, header: ImageHeader) -> str:
     is_applied = statements.text("AlreadyApplied").casefold() == "true"
     if is_applied and statements.text("HasCrop").casefold() == "true":
         return "its editor states HasCrop"
+    if not header.width_px or not header.height_px:
+        return ""  # a damaged file, which opening it refuses
     for names in _SIZE_NAMES:
         # A TIFF's own tags of this name are those of its picture.
         for width, height in statements.sizes(*names):

@@ -6,7 +6,10 @@ import pytest
 
 from tests.skill.imagery.files import exif, jpeg, read_metadata, xmp
 from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.formats.image_header import ImageHeader
+from vehanchor.imagery.metadata.crop import stated_crop
 from vehanchor.imagery.metadata.lens import lens
+from vehanchor.imagery.metadata.statements import Statements
 
 CAMERA = {
     "Make": "SONY",
@@ -69,3 +72,9 @@ def test_an_optical_centre_beside_the_middle_makes_the_lens_doubtful() -> None:
     optics = lens(ImageFacts(80, 60), camera)
     assert optics is not None
     assert optics.chance_wrong > 0.1
+
+
+def test_the_header_of_a_damaged_file_shows_no_crop() -> None:
+    statements = Statements([{"ImageWidth": 40.0, "ImageLength": 30.0}], [], [])
+    assert stated_crop(statements, ImageHeader("jpeg", width_px=0, height_px=30)) == ""
+    assert stated_crop(statements, ImageHeader("jpeg", width_px=40, height_px=0)) == ""
