@@ -51,12 +51,15 @@ def list_vehicles(analysis: ScaleEvidence) -> tuple[ListedVehicle, ...]:
     return tuple(vehicles)
 
 
-def vehicles_in_words(vehicles: Sequence[ListedVehicle]) -> str:
-    """Describe each vehicle by its number, centre and length."""
+def vehicles_in_words(vehicles: Sequence[ListedVehicle], n_detections: int) -> str:
+    """Describe each vehicle by its number, centre and length, and say how many are not listed."""
     if not vehicles:
         return "No vehicles."
+    name = "Vehicles"
+    if n_detections > len(vehicles):
+        name = f"The {len(vehicles)} surest of {n_detections} vehicles"
     words = [_in_words(vehicle) for vehicle in vehicles]
-    return f"Vehicles by their numbers in drop, at x, y, with lengths: {'; '.join(words)}."
+    return f"{name} by their numbers in drop, at x, y, with lengths: {'; '.join(words)}."
 
 
 def _in_words(vehicle: ListedVehicle) -> str:

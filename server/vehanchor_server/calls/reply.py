@@ -54,12 +54,14 @@ class Reply(Generic[Record]):
         picture: the requested picture as JPEG.
         drawing: shapes that the page draws over the image.
         vehicles: the vehicles behind a scale, best first; None unless the caller asks for them.
+        n_detections: how many there are, listed or not.
     """
 
     records: tuple[Record, ...]
     picture: bytes | None = None
     drawing: Drawing | None = None
     vehicles: tuple[ListedVehicle, ...] | None = None
+    n_detections: int = 0
 
     @property
     def record(self) -> Record:
@@ -88,7 +90,7 @@ class Reply(Generic[Record]):
         from mcp.types import CallToolResult, TextContent
 
         if self.vehicles is not None:
-            text = f"{text} {vehicles_in_words(self.vehicles)}"
+            text = f"{text} {vehicles_in_words(self.vehicles, self.n_detections)}"
         words = TextContent(type="text", text=text)
         kind = "" if shown is None else shown.kind
         if kind == "evidence":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from vehanchor.records import AreaMeasurement, DistanceMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
 from vehanchor.records.contradiction import contradiction_of
+from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import (
     by_hand_text,
     file_source_text,
@@ -217,7 +218,7 @@ def _area_in_words(area: AreaMeasurement) -> str:
         words = f"No area: the object covers {area.mask_area_px} px, but {_no_scale(area)}"
     else:
         interval = _interval(area.area_ci95_low_m2, area.area_ci95_high_m2)
-        size = f"{significant(area.area_m2)} m2{interval}"
+        size = f"{_at_least(area)}{significant(area.area_m2)} m2{interval}"
         # Beside the answer to must_fit, other sizes are not needed.
         is_asked = area.status == "ok" and area.fit is None
         if is_asked and area.length_m and area.width_m and area.inscribed_diameter_m:
@@ -232,6 +233,12 @@ def _area_in_words(area: AreaMeasurement) -> str:
         others = " or ".join(map(_size, area.alternatives))
         words += f" Or you mean {others}."
     return words
+
+
+def _at_least(area: AreaMeasurement) -> str:
+    """Begin an area that the image's edge cuts off; empty for a whole one."""
+    is_cut = any(notice.code == NoticeCode.MASK_TOUCHES_EDGE for notice in area.warnings)
+    return "At least " if is_cut else ""
 
 
 def _fit_sentence(area: AreaMeasurement) -> str:

@@ -425,6 +425,14 @@ async def test_a_short_answer_has_the_pixels_of_the_mask(
     assert record_of(result)["mask_area_px"] == 48 * 96
 
 
+async def test_an_area_at_the_images_edge_is_stated_as_a_lower_bound(
+    server: MCPServer[object], images: Path
+) -> None:
+    corners = [{"polygon": [540, 330, 640, 330, 640, 426, 540, 426]}]
+    result = await asked(server, {**by_path(images / "pool_two.png"), "targets": corners})
+    assert text_of(result).startswith("At least ")
+
+
 @pytest.mark.parametrize("tool", ["measure_area", "measure_distance"])
 async def test_a_measuring_tool_names_the_way_from_several_images(
     server: MCPServer[object], tool: str
