@@ -7,14 +7,12 @@ the upper side of a nadir photograph is smooth, too, but it is dark, and a shore
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
 
-from vehanchor.imagery.raster import Window
-from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.imagery.tiles import read_small_grey
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,10 +25,8 @@ if TYPE_CHECKING:
     Rows: TypeAlias = NDArray[np.float64]
     """``[w]`` rows, one for each column."""
 
-# Longest side of the reduced image in which the horizon is looked for, and most pixels of an image
-# to read for it. Larger ones are mosaics.
+# Longest side of the reduced image in which the horizon is looked for.
 _SIDE_PX = 256
-_MAX_PIXELS = 64_000_000
 _MIN_SIDE_PX = 40
 # Slope of grey values per pixel above which there is something; a sky has less.
 _MIN_SLOPE = 4.0
@@ -67,16 +63,13 @@ def find_horizon(raster: Raster) -> int | None:
     Returns:
         Its row in the middle of the image; None without one, or if the image is too large.
     """
-    if raster.width_px * raster.height_px > _MAX_PIXELS:
+    small = read_small_grey(raster, _SIDE_PX)
+    if small is None:
         return None
-    factor = math.ceil(max(raster.width_px, raster.height_px) / _SIDE_PX)
-    width = raster.width_px // factor
-    height = raster.height_px // factor
-    if min(width, height) < _MIN_SIDE_PX:
+    grey, factor = small
+    if min(grey.shape) < _MIN_SIDE_PX:
         return None
-    pixels = read_reduced_window(raster, Window(0, 0, width_px=width, height_px=height), factor)
-    grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), np.float32)
-    row = _horizon(grey)
+    row = _horizon(grey.astype(np.float32))
     return None if row is None else round(row * factor)
 
 

@@ -11,7 +11,6 @@ that differ in brightness everywhere are not found, unless they are borders of a
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -20,7 +19,7 @@ import numpy as np
 from vehanchor.imagery.insets import find_inset
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.texture import MIN_COMMON_TEXTURE, common_texture
-from vehanchor.imagery.tiles import read_reduced_window
+from vehanchor.imagery.tiles import read_small_grey
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -38,10 +37,8 @@ if TYPE_CHECKING:
     Line: TypeAlias = NDArray[np.float32]
     """``[n]`` a number for each pixel of a line, or for each line."""
 
-# Longest side of the reduced image that is searched, and most pixels of an image to read for it.
-# Choices: larger images are mosaics, and reading them whole takes seconds.
+# Longest side of the reduced image that is searched. A choice.
 _SIDE_PX = 1024
-_MAX_PIXELS = 64_000_000
 # A side must have this many pixels after constant margins are cut off.
 _MIN_SIDE_PX = 40
 # Spread of grey values up to which a row or column at the border is a margin.
@@ -87,12 +84,10 @@ class Seam(NamedTuple):
 
 def find_seam(raster: Raster) -> Seam | None:
     """Find a seam in an image; None without one, and for an image too large to read for it."""
-    if raster.width_px * raster.height_px > _MAX_PIXELS:
+    small = read_small_grey(raster, _SIDE_PX)
+    if small is None:
         return None
-    factor = math.ceil(max(raster.width_px, raster.height_px) / _SIDE_PX)
-    window = Window(0, 0, width_px=raster.width_px // factor, height_px=raster.height_px // factor)
-    pixels = read_reduced_window(raster, window, factor)
-    grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), np.uint8)
+    grey, factor = small
     content, left, top = _without_margins(grey)
     if min(content.shape) < _MIN_SIDE_PX or _is_pixelated(_steps(content)):
         return None

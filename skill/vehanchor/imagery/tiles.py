@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
@@ -25,6 +26,10 @@ TILE_OVERLAP = 0.25
 
 _BLOCK_PX = 1024
 """Side of a block in which a window is read before it is reduced: 3 MiB of pixels."""
+
+_MAX_SMALL_PIXELS = 64_000_000
+"""Most pixels of an image that is read whole for a small copy. A choice: larger images are mosaics,
+and reading them takes seconds."""
 
 
 def tile_grid(
@@ -101,6 +106,29 @@ def read_reduced_window(raster: Raster, window: Window, factor: int) -> RgbImage
             mean = cv2.resize(block, size, interpolation=cv2.INTER_AREA)
             reduced[top : top + rows, left : left + columns] = mean
     return reduced
+
+
+def read_small_grey(raster: Raster, side_px: int) -> tuple[NDArray[np.uint8], int] | None:
+    """Read the grey values of a whole image, reduced by a whole factor.
+
+    Args:
+        raster: the image.
+        side_px: longest side of the reduced image.
+
+    Returns:
+        ``[h, w]`` grey values, and the factor; None for an image of more than 64 megapixels, and
+        for one of which less than a row or column is left.
+    """
+    if raster.width_px * raster.height_px > _MAX_SMALL_PIXELS:
+        return None
+    factor = math.ceil(max(raster.width_px, raster.height_px) / side_px)
+    width_px = raster.width_px // factor
+    height_px = raster.height_px // factor
+    if not width_px or not height_px:
+        return None
+    window = Window(0, 0, width_px=width_px, height_px=height_px)
+    pixels = read_reduced_window(raster, window, factor)
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), np.uint8), factor
 
 
 def read_around(raster: Raster, box: Box, factor: int, reach: float) -> tuple[RgbImage, Box]:

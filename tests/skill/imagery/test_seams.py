@@ -34,6 +34,10 @@ def test_one_picture_has_no_seam() -> None:
     assert _seam(LEFT) is None
 
 
+def test_a_picture_too_narrow_to_be_reduced_has_no_seam() -> None:
+    assert _seam(np.zeros((16, 20_000, 3), np.uint8)) is None
+
+
 def test_one_strongly_compressed_picture_has_no_seam() -> None:
     assert _seam(_compressed(LEFT, 15)) is None
 
