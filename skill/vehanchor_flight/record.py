@@ -15,6 +15,7 @@ from vehanchor.analysis.pipeline import make_known_scale
 from vehanchor.records import Notice
 from vehanchor.records.advice import Advice, advice_for
 from vehanchor.records.notices import NoticeCode
+from vehanchor.records.text import with_capital
 from vehanchor.rulers.vehicles import Vehicles
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
@@ -525,5 +526,4 @@ def _carried_advice(*, maybe_tilted: bool) -> str:
 
 
 def _sentence(advice: Advice) -> str:
-    initial = advice.why[0].upper()
-    return f"{initial}{advice.why[1:]}: {advice.helps}."
+    return f"{with_capital(advice.why)}: {advice.helps}."

@@ -14,7 +14,7 @@ from pydantic import FailFast, Field
 from vehanchor.records import AreaMeasurement, GsdEstimate
 from vehanchor.records.advice import advice_for
 from vehanchor.records.contradiction import contradiction_of
-from vehanchor.records.text import by_hand_text
+from vehanchor.records.text import by_hand_text, with_capital
 from vehanchor_server.base_model import FrozenModel
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _sentence_for_people(record: BaseModel) -> str | None:
     else:
         helps = advice.in_words({"drop": "drop the boxes that are not cars"})
         words = f"{advice.why}; {helps}"
-    sentence = f"{_with_capital(words)}."
+    sentence = f"{with_capital(words)}."
     corrections = by_hand_text(estimate)
     if corrections:
         sentence += f" Vehicles corrected {corrections}."
@@ -136,12 +136,7 @@ def _sentence_for_people(record: BaseModel) -> str | None:
 def _reason_for_people(record: BaseModel) -> str | None:
     """Name the problem of an estimate; None for a usable one, and for other records."""
     advice = advice_for(record) if isinstance(record, GsdEstimate) else None
-    return None if advice is None else _with_capital(advice.why)
-
-
-def _with_capital(words: str) -> str:
-    """Begin a sentence with a capital letter."""
-    return f"{words[0].upper()}{words[1:]}"
+    return None if advice is None else with_capital(advice.why)
 
 
 def drawing_of(analysis: ScaleEvidence) -> Drawing:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeAlias, TypeV
 from pydantic import BaseModel
 
 from vehanchor.options import Frame
+from vehanchor.records import GsdEstimate
 from vehanchor_server.app_page.panel import panel_meta
 from vehanchor_server.calls.compact import short_record
 from vehanchor_server.calls.listed_vehicle import vehicles_in_words
@@ -54,14 +55,12 @@ class Reply(Generic[Record]):
         picture: the requested picture as JPEG.
         drawing: shapes that the page draws over the image.
         vehicles: the vehicles behind a scale, best first; None unless the caller asks for them.
-        n_detections: how many there are, listed or not.
     """
 
     records: tuple[Record, ...]
     picture: bytes | None = None
     drawing: Drawing | None = None
     vehicles: tuple[ListedVehicle, ...] | None = None
-    n_detections: int = 0
 
     @property
     def record(self) -> Record:
@@ -90,7 +89,9 @@ class Reply(Generic[Record]):
         from mcp.types import CallToolResult, TextContent
 
         if self.vehicles is not None:
-            text = f"{text} {vehicles_in_words(self.vehicles, self.n_detections)}"
+            assert isinstance(self.record, GsdEstimate)
+            n_detections = self.record.details.n_detections or 0
+            text = f"{text} {vehicles_in_words(self.vehicles, n_detections)}"
         words = TextContent(type="text", text=text)
         kind = "" if shown is None else shown.kind
         if kind == "evidence":

@@ -15,6 +15,7 @@ from vehanchor.records.text import (
     pixel_text,
     ruler_names,
     significant,
+    with_capital,
 )
 from vehanchor.scale.defaults import INTERVAL_PREMISE
 from vehanchor_server.calls.compact import brief, has_unknown_extent
@@ -107,7 +108,7 @@ def _details_in_words(record: AnyRecord) -> list[str]:
     for ruler in estimate.rulers:
         interval = _interval(ruler.gsd_ci95_low_m_per_px, ruler.gsd_ci95_high_m_per_px)
         scale = f"{significant(ruler.gsd_m_per_px)} m/px{interval}"
-        label = f"{ruler.label[0].upper()}{ruler.label[1:]}"
+        label = with_capital(ruler.label)
         sentences.append(f"{label}: {scale}, right with a chance of {ruler.p_right:.2f}.")
         if ruler.explanation is not None:
             sentences.append(ruler.explanation)
@@ -246,7 +247,7 @@ def _fit_sentence(area: AreaMeasurement) -> str:
     fit = area.fit
     assert fit is not None
     words = fit_in_words(fit, has_scale=area.area_m2 is not None)
-    sentence = f"{words[0].upper()}{words[1:]}"
+    sentence = with_capital(words)
     if area.status != "ok":
         return f"{sentence}: do not act on it."
     centre = fit.center

@@ -107,13 +107,7 @@ def scale_reply(
     if request.kind == "plain":
         drawing = drawing_of(analysis)
     vehicles = list_vehicles(analysis) if lists_vehicles else None
-    return Reply(
-        (analysis.estimate,),
-        picture=picture,
-        drawing=drawing,
-        vehicles=vehicles,
-        n_detections=len(analysis.detections.boxes),
-    )
+    return Reply((analysis.estimate,), picture=picture, drawing=drawing, vehicles=vehicles)
 
 
 def part_window(raster: Raster, request: PictureRequest) -> Window:

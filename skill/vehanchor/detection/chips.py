@@ -23,6 +23,7 @@ from vehanchor.detection.detections import Appearance, Objects
 from vehanchor.detection.hidden_ends import cut_chances, edge_strengths, hidden_errors
 from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
+from vehanchor.scale.odds import chances_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -135,8 +136,7 @@ class ChipAnswers(NamedTuple):
     @property
     def drawn_chances(self) -> Answers:
         """``[n]`` chances, 0..1, of something drawn; negligible ones are 0."""
-        # The logistic function, by a formula that does not overflow.
-        chances = (1.0 + np.tanh(self.drawn / 2)) / 2
+        chances = chances_of(self.drawn)
         excess = (chances - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE)
         return np.asarray(np.maximum(excess, 0.0))
 

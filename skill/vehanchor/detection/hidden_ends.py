@@ -8,11 +8,12 @@ Hard shadows cut hardly any car: the networks see its other half.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+
+from vehanchor.scale.odds import chances_of, log_odds_of
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -103,9 +104,8 @@ def cut_chances(strengths: Strengths, proportions: Proportions) -> Chances:
         + _LOG_ODDS_PER_LOG_PROPORTION * np.log(proportions)
     )
     # The fit had more cut cars than there are.
-    log_odds += _logit(_CUT_SHARE) - _logit(_FITTED_SHARE)
-    # The logistic function, by a formula that does not overflow.
-    return np.asarray((1.0 + np.tanh(log_odds / 2)) / 2)
+    log_odds += log_odds_of(_CUT_SHARE) - log_odds_of(_FITTED_SHARE)
+    return chances_of(log_odds)
 
 
 def hidden_errors(strengths: Strengths, chances: Chances) -> tuple[Errors, Errors]:
@@ -121,11 +121,6 @@ def hidden_errors(strengths: Strengths, chances: Chances) -> tuple[Errors, Error
     excess = (strengths - _HALF_STRENGTH) / _STRENGTH_WIDTH
     edge_sds = _EDGE_LOG_SD / (1.0 + np.exp(-excess))
     return means, np.sqrt(variances + edge_sds**2)
-
-
-def _logit(share: float) -> float:
-    """Compute the log odds of a share."""
-    return math.log(share / (1.0 - share))
 
 
 def _edge_by_column(chip: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -31,6 +31,11 @@ class Scale(Protocol):
         """Upper end of the 95 % interval, in metres per pixel."""
 
 
+def with_capital(words: str) -> str:
+    """Begin words with a capital letter, and leave the others as they are."""
+    return f"{words[0].upper()}{words[1:]}"
+
+
 def significant(value: float, digits: int = 3) -> str:
     """Format a finite number with significant digits, such as 0.12 as ``0.120``; 0 is ``0``.
 
