@@ -123,6 +123,16 @@ def test_a_caption_begins_with_the_status(
     assert text.startswith(first_words)
 
 
+@pytest.mark.parametrize("width_px", [300, 768])
+def test_a_long_line_of_a_caption_is_broken_instead_of_cut(width_px: int) -> None:
+    sentence = "give the height, or draw a line over something of known size, " * 4
+    panel = scale_picture.caption_panel(width_px, [[(None, sentence)]])
+    margin = panel[:, -6:]
+    assert (margin == panel[0, 0]).all()
+    short = scale_picture.caption_panel(width_px, [[(None, "safe to use")]])
+    assert panel.shape[0] > short.shape[0]
+
+
 @pytest.mark.parametrize(
     ("statuses", "verdict"),
     [

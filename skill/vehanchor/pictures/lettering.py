@@ -36,10 +36,17 @@ def stroke_px(capital_px: float) -> int:
     return max(1, round(capital_px / 10))
 
 
-def text_width(text: str, capital_px: float) -> int:
-    """Compute the width of a text, pixels."""
+def text_width(text: str, capital_px: float, stroke: int | None = None) -> int:
+    """Compute the width of a text, pixels.
+
+    Args:
+        text: the text.
+        capital_px: height of its capitals.
+        stroke: width of its strokes, pixels, with which letters become broader; None for the usual
+            one.
+    """
     scale = font_scale(capital_px)
-    (width_px, _), _ = cv2.getTextSize(text, FONT, scale, stroke_px(capital_px))
+    (width_px, _), _ = cv2.getTextSize(text, FONT, scale, stroke or stroke_px(capital_px))
     return int(width_px)
 
 

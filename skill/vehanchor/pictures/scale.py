@@ -497,20 +497,25 @@ def _rulers_line(analysis: ScaleEvidence) -> CaptionLine:
 
 
 def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
-    """Draw the panel below a picture: lines of text with swatches; the first line is bold."""
-    capital = _fitting_capital(width_px, lines)
+    """Draw the panel below a picture: lines of text with swatches; the first line is bold.
+
+    A text that is too long for the smallest letters is broken between words.
+    """
+    rows = []
+    for number, line in enumerate(lines):
+        is_bold = number == 0
+        rows += [_Row(part, is_bold) for part in _broken(_Row(line, is_bold), width_px)]
+    capital = _fitting_capital(width_px, rows)
     margin = round(capital)
     pitch = round(_LINE_PITCH * capital)
     first_baseline = round(_FIRST_BASELINE * capital)
-    height_px = pitch * len(lines) + margin
+    height_px = pitch * len(rows) + margin
     panel = np.full((height_px, width_px, 3), _PANEL_RGB, np.uint8)
-    for row, line in enumerate(lines):
+    for number, row in enumerate(rows):
         x = margin
-        baseline = first_baseline + row * pitch
-        stroke = stroke_px(capital)
-        if row == 0:
-            stroke += 1
-        for colour, text in line:
+        baseline = first_baseline + number * pitch
+        stroke = row.stroke_px(capital)
+        for colour, text in row.line:
             if colour is not None:
                 side = round(capital)
                 first = (x, baseline - side)
@@ -525,27 +530,64 @@ def caption_panel(width_px: int, lines: list[CaptionLine]) -> RgbImage:
                 colour=_TEXT_RGB,
                 stroke=stroke,
             )
-            x += text_width(text, capital) + round(_TEXT_GAP * capital)
+            x += text_width(text, capital, stroke) + round(_TEXT_GAP * capital)
     return panel
 
 
-def _fitting_capital(width_px: int, lines: list[CaptionLine]) -> float:
-    """Find the height of capitals, pixels, at which the lines fit the width between two margins."""
+class _Row(NamedTuple):
+    """Row of a caption.
+
+    Attributes:
+        line: its texts.
+        is_bold: whether its letters are bold, and broader.
+    """
+
+    line: CaptionLine
+    is_bold: bool
+
+    def stroke_px(self, capital_px: float) -> int:
+        """Width of its strokes, pixels, for a height of capitals."""
+        return stroke_px(capital_px) + int(self.is_bold)
+
+    def width(self, capital_px: float) -> float:
+        """Width in pixels, for a height of capitals."""
+        swatches = 0.0
+        texts = 0
+        for colour, text in self.line:
+            texts += text_width(text, capital_px, self.stroke_px(capital_px))
+            if colour is not None:
+                swatches += _SWATCH_WIDTH * capital_px
+        gaps = _TEXT_GAP * capital_px * (len(self.line) - 1)
+        return texts + swatches + gaps
+
+    def fits(self, width_px: int, capital_px: float) -> bool:
+        """Test whether it fits between two margins."""
+        return self.width(capital_px) <= width_px - 2 * capital_px
+
+
+def _broken(row: _Row, width_px: int) -> list[CaptionLine]:
+    """Break a text that is too long for the smallest letters into lines that suit usual ones."""
+    if len(row.line) > 1 or row.fits(width_px, _MIN_CAPTION_CAPITAL_PX):
+        return [row.line]
+    [(swatch, text)] = row.line
+    capital = text_px(width_px)
+    lines: list[CaptionLine] = []
+    for word in text.split():
+        if lines:
+            [(colour, begun)] = lines[-1]
+            longer: CaptionLine = [(colour, f"{begun} {word}")]
+            if row._replace(line=longer).fits(width_px, capital):
+                lines[-1] = longer
+                continue
+        lines.append([(None if lines else swatch, word)])
+    return lines
+
+
+def _fitting_capital(width_px: int, rows: list[_Row]) -> float:
+    """Find the height of capitals, pixels, at which all rows fit."""
     capital = float(text_px(width_px))
     while capital > _MIN_CAPTION_CAPITAL_PX:
-        widest = max(_line_width(line, capital) for line in lines)
-        if widest <= width_px - 2 * capital:
+        if all(row.fits(width_px, capital) for row in rows):
             break
         capital -= 1
     return capital
-
-
-def _line_width(line: CaptionLine, capital_px: float) -> float:
-    swatches = 0.0
-    texts = 0
-    for colour, text in line:
-        texts += text_width(text, capital_px)
-        if colour is not None:
-            swatches += _SWATCH_WIDTH * capital_px
-    gaps = _TEXT_GAP * capital_px * (len(line) - 1)
-    return texts + swatches + gaps
