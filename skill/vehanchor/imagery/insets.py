@@ -45,8 +45,9 @@ if TYPE_CHECKING:
 _LEAST_OF_STEPS = 0.61
 _LEAST_OF_LINES = 0.96
 # Least sum of the strengths of a border in two maps, to which a border adds that is brighter here
-# and darker there.
+# and darker there; and of lines without that. Kerbs and lanes have lines up to 1.3.
 _LEAST_OF_AGREEING = 1.9
+_LEAST_OF_AGREEING_LINES = 1.5
 _ALTERNATING = 4.64
 _MAX_ALTERNATING = 0.2
 _MIN_DIFFERENCE = 2.0
@@ -182,9 +183,11 @@ def _agreed(
             continue
         if _is_thing(grey, inset) or _lies_on_ground(grey, inset, 0):
             continue
+        strength = inset.strength + wide.strength
+        if inset in by_lines and strength < _LEAST_OF_AGREEING_LINES:
+            continue
         alternating = min(_alternating_share(grey, inset), _MAX_ALTERNATING)
-        strength = inset.strength + wide.strength + _ALTERNATING * alternating
-        if strength >= _LEAST_OF_AGREEING:
+        if strength + _ALTERNATING * alternating >= _LEAST_OF_AGREEING:
             return inset
     return None
 
