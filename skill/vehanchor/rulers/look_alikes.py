@@ -31,10 +31,12 @@ _DEVIATES = np.linspace(-3.0, 3.0, 25)
 _DEVIATE_WEIGHTS = np.exp(-(_DEVIATES**2) / 2)
 # Number of vehicles that no larger number exceeds as evidence by itself. A choice.
 _SATURATION = 20.0
-# Least mean lightness, 0 to 255, of vehicles whose paints are compared. Of 781 fleets in photographs
-# three are darker than 65, with spreads of 6, 10 and 22; nine of 65 to 80 have 19 and more, and half
-# of them 42. Rendered scenes of equal things begin at 62. A choice.
-_MIN_LIGHTNESS = 60.0
+# Mean lightness, 0 to 255, at which paints count half, and the width of the transition: in deep
+# shadow they are alike. Of 781 fleets in photographs the one below 50 has a spread of 6, the two of
+# 50 to 65 have 10 and 35, and nine of 65 to 80 a median of 42, as brighter ones. Rendered scenes of
+# equal things begin at 62. A choice.
+_EVEN_LIGHTNESS = 52.0
+_LIGHTNESS_WIDTH = 3.0
 # Largest absolute log odds: no doubt is certain, and none is excluded.
 _MAX_LOG_ODDS = 20.0
 
@@ -54,18 +56,21 @@ def chance_of_look_alikes(
     if appearance is not None:
         evidence += spread_evidence(appearance.log_lengths, errors.appearance)
         log_odds += _logit_evidence(appearance.logits, errors)
-        if appearance.tones is not None and _shows_paint(appearance.tones):
-            evidence += spread_evidence(appearance.tones, errors.tones)
+        if appearance.tones is not None:
+            light = _light_share(appearance.tones)
+            evidence += light * spread_evidence(appearance.tones, errors.tones)
             # Only if all three spreads are known, their evidence for cars balances this rise.
-            log_odds += errors.log_odds_per_log_n * _log_telling_number(len(log_lengths))
+            rise = errors.log_odds_per_log_n * _log_telling_number(len(log_lengths))
+            log_odds += light * rise
     log_odds += errors.spread_power * evidence
     bounded = min(max(log_odds, -_MAX_LOG_ODDS), _MAX_LOG_ODDS)
     return 1.0 / (1.0 + math.exp(-bounded))
 
 
-def _shows_paint(tones: Values) -> bool:
-    """Test whether vehicles stand in enough light: in deep shadow, all paints are alike."""
-    return float(np.mean(tones[:, 0])) >= _MIN_LIGHTNESS
+def _light_share(tones: Values) -> float:
+    """Compute how much paints ``[n, 3]`` tell, 0 to 1: little in deep shadow."""
+    surplus = float(np.mean(tones[:, 0])) - _EVEN_LIGHTNESS
+    return 1.0 / (1.0 + math.exp(-surplus / _LIGHTNESS_WIDTH))
 
 
 def _log_telling_number(n: int) -> float:
