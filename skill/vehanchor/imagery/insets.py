@@ -422,7 +422,16 @@ def _best_rectangles(of_columns: Strengths, of_rows: Strengths) -> list[Inset]:
             chosen.append(k)
         if len(chosen) == _N_RECTANGLES:
             break
-    return [Inset(*corners[k].tolist(), strength=float(strengths[k])) for k in chosen]
+    return [
+        Inset(
+            int(left[k]),
+            int(top[k]),
+            right=int(right[k]),
+            bottom=int(bottom[k]),
+            strength=float(strengths[k]),
+        )
+        for k in chosen
+    ]
 
 
 class _Sides(NamedTuple):
