@@ -57,6 +57,7 @@ from vehanchor.imagery.sources.pillow import (
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.imagery.sources.sidecars import Sidecars, unreadable_mask, unusable_coordinates
 from vehanchor.imagery.square_raster import in_square_pixels
+from vehanchor.imagery.thumbnail import with_crop_by_thumbnail
 from vehanchor.options import Reading
 
 if TYPE_CHECKING:
@@ -247,7 +248,8 @@ def _open_bytes(
     )
     raster.orientation = header.orientation
     raster.warnings = (*raster.warnings, *notes)
-    raster.camera = read_camera(read_at, header)
+    camera = read_camera(read_at, header)
+    raster.camera = with_crop_by_thumbnail(camera, raster, read_at, header)
     _georeference_by_sidecars(raster, sidecars)
     _read_density(raster, read_at, header)
     return raster
