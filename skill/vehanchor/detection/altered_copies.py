@@ -47,6 +47,11 @@ _LENGTH = 0.84
 _WIDTH = 0.36
 # A vehicle can be turned by half and mirrored: signs along and across it.
 _ORIENTATIONS = ((1, 1), (-1, 1), (1, -1), (-1, -1))
+# Places of the pixels ``[rows, columns]`` from the middle of a body, in lengths.
+_ALONG, _ACROSS = np.meshgrid(
+    _LENGTH * (np.arange(_COLUMNS) - (_COLUMNS - 1) / 2) / _COLUMNS,
+    _WIDTH * (np.arange(_ROWS) - (_ROWS - 1) / 2) / _ROWS,
+)
 # First steps of the alignment: of the place in lengths, the direction, and the size; each round
 # halves them.
 _PLACE_STEP = 0.03
@@ -102,13 +107,15 @@ class _Vehicle:
         """Cut out the body with a corrected box; None without contrast."""
         along, across = orientation
         length = self._length * alignment.size
-        u = ((np.arange(_COLUMNS) + 0.5) / _COLUMNS - 0.5) * (_LENGTH * length * along)
-        v = ((np.arange(_ROWS) + 0.5) / _ROWS - 0.5) * (_WIDTH * length * across)
         angle = self._angle + alignment.turn
-        cosine = math.cos(angle)
-        sine = math.sin(angle)
-        x = self._x + alignment.x + u * cosine - v[:, None] * sine
-        y = self._y + alignment.y + u * sine + v[:, None] * cosine
+        cosine = length * math.cos(angle)
+        sine = length * math.sin(angle)
+        x = _ALONG * (along * cosine)
+        x -= _ACROSS * (across * sine)
+        x += self._x + alignment.x
+        y = _ALONG * (along * sine)
+        y += _ACROSS * (across * cosine)
+        y += self._y + alignment.y
         greys = cv2.remap(
             self._grey,
             x.astype(np.float32),
@@ -116,8 +123,9 @@ class _Vehicle:
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         )
-        deviations = np.asarray(greys, np.float32).ravel() - np.float32(greys.mean())
-        size = float(np.linalg.norm(deviations))
+        deviations = np.asarray(greys, np.float32).ravel()
+        deviations -= deviations.mean()
+        size = math.sqrt(deviations @ deviations)
         if size <= min_contrast * math.sqrt(deviations.size):
             return None
         return np.asarray(deviations / size, np.float32)
@@ -138,11 +146,15 @@ def altered_copies(boxes: Sequence[Box], squares: Sequence[Square]) -> NDArray[n
     Returns:
         ``[n]``; none is marked in an image in which only some vehicles look equal.
     """
-    is_copy = np.zeros(len(boxes), np.bool_)
+    n = len(boxes)
+    nothing = np.zeros(n, np.bool_)
+    is_copy = nothing.copy()
     distinct: list[_Vehicle] = []
     for k, (box, square) in enumerate(zip(boxes, squares, strict=True)):
-        if k == _N_DECIDING and not _are_most(is_copy[:k]):
-            return np.zeros(len(boxes), np.bool_)
+        n_deciding = _N_DECIDING if k <= _N_DECIDING < n else n
+        n_at_most = int(is_copy.sum()) + n_deciding - k
+        if not _are_most(n_at_most, n_deciding):
+            return nothing
         vehicle = _Vehicle(box, square)
         if vehicle.body is None:
             continue
@@ -150,55 +162,70 @@ def altered_copies(boxes: Sequence[Box], squares: Sequence[Square]) -> NDArray[n
             is_copy[k] = True
         else:
             distinct.append(vehicle)
-    return is_copy if _are_most(is_copy) else np.zeros(len(boxes), np.bool_)
+    return is_copy if _are_most(int(is_copy.sum()), n) else nothing
 
 
-def _are_most(is_copy: NDArray[np.bool_]) -> bool:
-    """Test whether most of the vehicles behind the first one are copies."""
-    return len(is_copy) > 1 and int(is_copy.sum()) >= _MIN_SHARE * (len(is_copy) - 1)
+def _are_most(n_copies: int, n: int) -> bool:
+    """Test whether most of ``n`` vehicles behind the first one are copies."""
+    return n > 1 and n_copies >= _MIN_SHARE * (n - 1)
 
 
 def _repeats_one(vehicle: _Vehicle, others: Sequence[_Vehicle]) -> bool:
     """Test whether a vehicle repeats one of the others, in any of four orientations."""
-    candidates: list[tuple[float, int, _Vehicle, tuple[int, int]]] = []
-    for other in others:
-        if abs(other.log_length - vehicle.log_length) > _MAX_LOG_LENGTH:
-            continue
-        for orientation in _ORIENTATIONS:
-            correlation = _correlation(vehicle, other, _Alignment(), orientation)
-            if correlation >= _MIN_ROUGH_CORRELATION:
-                candidates.append((correlation, len(candidates), other, orientation))
-    best_first = sorted(candidates, key=lambda candidate: candidate[:2], reverse=True)
-    for correlation, _, other, orientation in best_first[:_N_COMPARED]:
-        if _best_correlation(vehicle, other, orientation, correlation) >= _MIN_CORRELATION:
+    near = [
+        other for other in others if abs(other.log_length - vehicle.log_length) <= _MAX_LOG_LENGTH
+    ]
+    if not near:
+        return False
+    rough = _rough_correlations(vehicle, near)
+    candidates = np.flatnonzero(rough >= _MIN_ROUGH_CORRELATION)
+    best_first = candidates[np.argsort(rough[candidates], kind="stable")[::-1]]
+    for candidate in best_first[:_N_COMPARED]:
+        k, orientation = divmod(int(candidate), len(_ORIENTATIONS))
+        if _is_alignable(vehicle, near[k], _ORIENTATIONS[orientation], float(rough[candidate])):
             return True
     return False
 
 
-def _correlation(
-    vehicle: _Vehicle, other: _Vehicle, alignment: _Alignment, orientation: tuple[int, int]
-) -> float:
-    """Correlate a vehicle with another one, whose box is corrected."""
-    body = other.aligned(alignment, orientation)
-    if body is None or vehicle.body is None:
-        return 0.0
-    return float(body @ vehicle.body)
+def _rough_correlations(vehicle: _Vehicle, others: Sequence[_Vehicle]) -> NDArray[np.float32]:
+    """Correlate a vehicle with others as their boxes show them.
+
+    Returns:
+        ``[n * 4]``: the orientations of the first one, then those of the next one.
+    """
+    assert vehicle.body is not None
+    body = vehicle.body.reshape(_ROWS, _COLUMNS)
+    turned = [body[::across, ::along].ravel() for along, across in _ORIENTATIONS]
+    bodies = np.stack([other.body for other in others])
+    return np.asarray(bodies @ np.stack(turned, axis=1)).ravel()
 
 
-def _best_correlation(
+def _is_alignable(
     vehicle: _Vehicle, other: _Vehicle, orientation: tuple[int, int], correlation: float
-) -> float:
-    """Correlate a vehicle with another one after aligning their boxes, which differ slightly."""
+) -> bool:
+    """Test whether a vehicle equals another one after aligning their boxes, which differ slightly.
+
+    Args:
+        vehicle: the vehicle.
+        other: another one, whose box is corrected.
+        orientation: of the other one.
+        correlation: of both without correction.
+    """
     best = _Alignment()
     steps = other.first_steps()
     for _ in range(_ROUNDS):
         for field in _Alignment._fields:
             for direction in (-1, 1):
+                if correlation >= _MIN_CORRELATION:
+                    return True
                 value = getattr(best, field) + direction * getattr(steps, field)
                 trial = best._replace(**{field: value})
-                trial_correlation = _correlation(vehicle, other, trial, orientation)
+                body = other.aligned(trial, orientation)
+                if body is None:
+                    continue
+                trial_correlation = float(body @ vehicle.body)
                 if trial_correlation > correlation:
                     correlation = trial_correlation
                     best = trial
         steps = _Alignment(*(0.5 * step for step in steps))
-    return correlation
+    return correlation >= _MIN_CORRELATION
