@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     """``[side, side, 3]`` RGB around a vehicle."""
 
     Body: TypeAlias = NDArray[np.float32]
-    """``[336]`` grey values of a body, with mean 0 and length 1."""
+    """``[336]`` grey values of a body, with mean 0 and length 1; all 0 without contrast."""
 
 # Least correlation of a copy, and the share of vehicles that must repeat another one. In 28 images
 # of a car that was pasted nine times with other brightness, contrast, direction, size, noise or
@@ -47,11 +47,12 @@ _LENGTH = 0.84
 _WIDTH = 0.36
 # A vehicle can be turned by half and mirrored: signs along and across it.
 _ORIENTATIONS = ((1, 1), (-1, 1), (1, -1), (-1, -1))
-# Places of the pixels ``[rows, columns]`` from the middle of a body, in lengths.
+# Place of each pixel of a body: lengths along and across from its middle, and 1.
 _ALONG, _ACROSS = np.meshgrid(
     _LENGTH * (np.arange(_COLUMNS) - (_COLUMNS - 1) / 2) / _COLUMNS,
     _WIDTH * (np.arange(_ROWS) - (_ROWS - 1) / 2) / _ROWS,
 )
+_PLACES = np.stack([_ALONG.ravel(), _ACROSS.ravel(), np.ones(_ROWS * _COLUMNS)])
 # First steps of the alignment: of the place in lengths, the direction, and the size; each round
 # halves them.
 _PLACE_STEP = 0.03
@@ -82,7 +83,7 @@ class _Vehicle:
 
     Attributes:
         log_length: log of the box's length.
-        body: the body as the box shows it; None without contrast.
+        body: the body as the box shows it.
     """
 
     def __init__(self, box: Box, square: Square) -> None:
@@ -103,31 +104,27 @@ class _Vehicle:
 
     def aligned(
         self, alignment: _Alignment, orientation: tuple[int, int], *, min_contrast: float = 0.0
-    ) -> Body | None:
-        """Cut out the body with a corrected box; None without contrast."""
+    ) -> Body:
+        """Cut out the body with a corrected box."""
         along, across = orientation
         length = self._length * alignment.size
         angle = self._angle + alignment.turn
         cosine = length * math.cos(angle)
         sine = length * math.sin(angle)
-        x = _ALONG * (along * cosine)
-        x -= _ACROSS * (across * sine)
-        x += self._x + alignment.x
-        y = _ALONG * (along * sine)
-        y += _ACROSS * (across * cosine)
-        y += self._y + alignment.y
-        greys = cv2.remap(
-            self._grey,
-            x.astype(np.float32),
-            y.astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
+        # From lengths in the body to pixels of the square.
+        to_square = np.array(
+            [
+                [along * cosine, -across * sine, self._x + alignment.x],
+                [along * sine, across * cosine, self._y + alignment.y],
+            ]
         )
+        x, y = (to_square @ _PLACES).astype(np.float32).reshape(2, _ROWS, _COLUMNS)
+        greys = cv2.remap(self._grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         deviations = np.asarray(greys, np.float32).ravel()
         deviations -= deviations.mean()
         size = math.sqrt(deviations @ deviations)
         if size <= min_contrast * math.sqrt(deviations.size):
-            return None
+            return np.zeros_like(deviations)
         return np.asarray(deviations / size, np.float32)
 
     def first_steps(self) -> _Alignment:
@@ -151,12 +148,13 @@ def altered_copies(boxes: Sequence[Box], squares: Sequence[Square]) -> NDArray[n
     is_copy = nothing.copy()
     distinct: list[_Vehicle] = []
     for k, (box, square) in enumerate(zip(boxes, squares, strict=True)):
+        # The first vehicles decide, then all; it ends when too few of them can still be copies.
         n_deciding = _N_DECIDING if k <= _N_DECIDING < n else n
         n_at_most = int(is_copy.sum()) + n_deciding - k
         if not _are_most(n_at_most, n_deciding):
             return nothing
         vehicle = _Vehicle(box, square)
-        if vehicle.body is None:
+        if not vehicle.body.any():
             continue
         if _repeats_one(vehicle, distinct):
             is_copy[k] = True
@@ -172,19 +170,22 @@ def _are_most(n_copies: int, n: int) -> bool:
 
 def _repeats_one(vehicle: _Vehicle, others: Sequence[_Vehicle]) -> bool:
     """Test whether a vehicle repeats one of the others, in any of four orientations."""
-    near = [
-        other for other in others if abs(other.log_length - vehicle.log_length) <= _MAX_LOG_LENGTH
-    ]
+    near = [other for other in others if _have_similar_lengths(vehicle, other)]
     if not near:
         return False
     rough = _rough_correlations(vehicle, near)
     candidates = np.flatnonzero(rough >= _MIN_ROUGH_CORRELATION)
     best_first = candidates[np.argsort(rough[candidates], kind="stable")[::-1]]
     for candidate in best_first[:_N_COMPARED]:
-        k, orientation = divmod(int(candidate), len(_ORIENTATIONS))
-        if _is_alignable(vehicle, near[k], _ORIENTATIONS[orientation], float(rough[candidate])):
+        k, number = divmod(int(candidate), len(_ORIENTATIONS))
+        orientation = _ORIENTATIONS[number]
+        if _is_alignable(vehicle, near[k], orientation, correlation=float(rough[candidate])):
             return True
     return False
+
+
+def _have_similar_lengths(vehicle: _Vehicle, other: _Vehicle) -> bool:
+    return abs(other.log_length - vehicle.log_length) <= _MAX_LOG_LENGTH
 
 
 def _rough_correlations(vehicle: _Vehicle, others: Sequence[_Vehicle]) -> NDArray[np.float32]:
@@ -193,11 +194,11 @@ def _rough_correlations(vehicle: _Vehicle, others: Sequence[_Vehicle]) -> NDArra
     Returns:
         ``[n * 4]``: the orientations of the first one, then those of the next one.
     """
-    assert vehicle.body is not None
     body = vehicle.body.reshape(_ROWS, _COLUMNS)
+    # A body that is turned or mirrored has the same pixels in another order.
     turned = [body[::across, ::along].ravel() for along, across in _ORIENTATIONS]
     bodies = np.stack([other.body for other in others])
-    return np.asarray(bodies @ np.stack(turned, axis=1)).ravel()
+    return np.asarray(bodies @ np.stack(turned, axis=1), np.float32).ravel()
 
 
 def _is_alignable(
@@ -221,8 +222,6 @@ def _is_alignable(
                 value = getattr(best, field) + direction * getattr(steps, field)
                 trial = best._replace(**{field: value})
                 body = other.aligned(trial, orientation)
-                if body is None:
-                    continue
                 trial_correlation = float(body @ vehicle.body)
                 if trial_correlation > correlation:
                     correlation = trial_correlation
