@@ -81,6 +81,10 @@ class Seam(NamedTuple):
     y_px: int | None
     inset: Window | None = None
 
+    def moved(self, right_px: int, down_px: int) -> Seam:
+        """Move the seam of a part of an image to its place in the image."""
+        return _in_image(self, 1, right_px, down_px)
+
 
 def find_seam(raster: Raster) -> Seam | None:
     """Find a seam in an image; None without one, and for an image too large to read for it."""
