@@ -34,11 +34,14 @@ def with_image_doubts(
 
     Args:
         facts: facts of the image.
-        raster: the same image, open.
+        raster: the same image, or the part of it that is a photograph, open.
         metadata: whether the metadata may be used.
         check_seams: whether to look for seams between pictures, and for the horizon.
     """
     notes = []
+    left_px, top_px = raster.origin_px
+    if (raster.width_px, raster.height_px) != (facts.width_px, facts.height_px):
+        notes.append(RasterNote(NoticeCode.PART_SEARCHED.value, _part_searched(raster)))
     camera = facts.camera if metadata else None
     # A map is often assembled from pictures of one scale.
     is_map = facts.georeference_gsd_m_per_px is not None
@@ -49,10 +52,12 @@ def with_image_doubts(
     if check_seams and not is_map:
         seam = find_seam(raster)
         if seam is not None and not _is_beside_drawing(raster, seam):
-            notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES.value, _several_pictures(seam)))
+            message = _several_pictures(seam.moved(left_px, top_px))
+            notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES.value, message))
         horizon_px = find_horizon(raster)
         if horizon_px is not None:
-            notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE.value, _horizon_visible(horizon_px)))
+            message = _horizon_visible(top_px + horizon_px)
+            notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE.value, message))
     return facts._replace(notices=(*facts.notices, *notes))
 
 
@@ -124,6 +129,18 @@ def _not_perspective(cause: str) -> RasterNote:
         "photograph that was taken straight down, or a perspective view made from this image."
     )
     return RasterNote(NoticeCode.NOT_PERSPECTIVE.value, message)
+
+
+def _part_searched(part: Raster) -> str:
+    """Say where the photograph is in a picture that shows other things beside it."""
+    left_px, top_px = part.origin_px
+    right_px = left_px + part.width_px
+    bottom_px = top_px + part.height_px
+    return (
+        f"The photograph in this picture lies from ({left_px}, {top_px}) to ({right_px}, "
+        f"{bottom_px}) px. It alone was searched, and the scale is that of its pixels; margins, "
+        "panels and text beside it were left out."
+    )
 
 
 def _horizon_visible(row_px: int) -> str:

@@ -210,7 +210,7 @@ def test_the_inks_of_adobe_are_read() -> None:
 
 def test_a_tiff_of_plain_tiles_of_any_size_is_read(tmp_path: Path) -> None:
     noise = np.random.default_rng(2).integers(0, 256, (90, 130, 3), dtype=np.uint8)
-    tiles = {"tiled": True, "blockxsize": 48, "blockysize": 48}
+    tiles: dict[str, Any] = {"tiled": True, "blockxsize": 48, "blockysize": 48}
     path = geotiff(tmp_path / "a.tif", noise, crs=None, transform=None, **tiles)
     np.testing.assert_array_equal(read_all(path), noise)
 
