@@ -64,6 +64,7 @@ def test_an_interval_of_no_seconds_is_refused(tmp_path: Path) -> None:
 
 def test_the_suffix_names_a_video() -> None:
     assert is_video("flight.MP4")
+    assert is_video("flight.m2ts")
     assert not is_video("flight.jpg")
 
 
