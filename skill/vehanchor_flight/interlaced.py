@@ -36,7 +36,10 @@ def returns_no_frames(film: cv2.VideoCapture, raw_film: cv2.VideoCapture) -> boo
         is_readable, frame = film.read()
         if is_readable:
             frames.append(frame.copy())
-    if not frames or any(not np.array_equal(frames[0], frame) for frame in frames[1:]):
+    if not frames:
+        return False
+    first, *others = frames
+    if not all(np.array_equal(first, frame) for frame in others):
         return False
     return _allows_interlaced(_extra_data(raw_film))
 
