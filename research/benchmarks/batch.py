@@ -82,8 +82,14 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
+        # As on the command line, one worker has a process of its own, too.
         run_batch(
-            [str(folder)], table, engine=engine, workers=workers, runtime=Runtime(progress=tell)
+            [str(folder)],
+            table,
+            engine=engine,
+            workers=workers,
+            runtime=Runtime(progress=tell),
+            isolated=True,
         )
         rows = Counter(json.loads(line)["photograph"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
