@@ -25,6 +25,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
+from vehanchor.imagery.lettering import paint_over_lettering
 from vehanchor.imagery.photograph import find_photograph
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.reading import CoordinateFrame
@@ -150,7 +151,9 @@ def search_raster(
     )
     uses_prior = any(ruler.kind == SceneScale.kind for ruler in rulers)
     if prior is None and uses_prior:
-        prior = load_scene_scale(detector.runtime).predict(photograph)
+        # Letters look like things on the ground; vehicles under them are not painted over.
+        ground = paint_over_lettering(photograph)
+        prior = load_scene_scale(detector.runtime).predict(ground)
     view = View(
         facts,
         NOT_SEARCHED,
