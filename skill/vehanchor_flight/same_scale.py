@@ -9,13 +9,12 @@ usable scale.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.metadata.lens import lens
+from vehanchor.imagery.metadata.lens import lens_without_zoom
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import significant
 from vehanchor.rulers.camera import coarsening
@@ -95,10 +94,11 @@ def _by_lens(photograph: Photograph) -> Claim | None:
     rulers = photograph.view.options.rulers
     if image.camera is None or not rulers.metadata:
         return None
-    unzoomed = replace(image.camera, digital_zoom=1.0)
-    optics = lens(image, unzoomed, rulers.focal_35mm)
+    optics = lens_without_zoom(image, image.camera, rulers.focal_35mm)
     if optics is None:
         return None
+    # Pictures of one camera with different zooms have different scales, whether or not its maker
+    # counts the zoom into the focal length.
     pixels = optics.pixels * max(image.camera.digital_zoom, 1.0)
     coarser = 1.0
     tilt_log_sd = 0.0

@@ -207,10 +207,12 @@ def length_correction(pairs: LengthPairs) -> list[tuple[float, float]]:
     design = np.column_stack([bin_columns, set_columns[:, 1:]])
     fitted = np.linalg.lstsq(design, error[usable])[0]
     common = np.median(np.append(0.0, fitted[n_bins:])[sets])
-    return [
-        (round(float(np.sqrt(low * high)), 2), round(float(np.exp(value + common)), 4))
-        for (low, high), value in zip(pairwise(_CORRECTION_BINS_PX), fitted, strict=False)
-    ]
+    points = []
+    for (low, high), value in zip(pairwise(_CORRECTION_BINS_PX), fitted, strict=False):
+        length_px = float(np.sqrt(low * high))
+        factor = float(np.exp(value + common))
+        points.append((round(length_px, 2), round(factor, 4)))
+    return points
 
 
 def hash_of(name: str) -> int:

@@ -126,7 +126,8 @@ def load_scenes(folder: Path) -> list[MaskImage]:
     """Load rendered scenes: ``NAME.jpg`` with ``NAME_CATEGORY.png`` instance masks beside it."""
     out = []
     for path in sorted(folder.glob("*.jpg")):
-        image = np.ascontiguousarray(_read(path, cv2.IMREAD_COLOR)[:, :, ::-1]).astype(np.uint8)
+        rgb = _read(path, cv2.IMREAD_COLOR)[:, :, ::-1]
+        image = np.ascontiguousarray(rgb).astype(np.uint8)
         for mask in sorted(folder.glob(f"{path.stem}_*.png")):
             category = mask.stem.removeprefix(f"{path.stem}_")
             ids = _read(mask, cv2.IMREAD_UNCHANGED).astype(np.uint16)
@@ -142,7 +143,8 @@ def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) 
         for number in np.unique(sample.mask)[1:]:
             x, y, w, h = cv2.boundingRect((sample.mask == number).astype(np.uint8))
             if min(w, h) >= least_side_px:
-                out.append(MaskObject(index, int(number), x0=x, y0=y, x1=x + w, y1=y + h))
+                item = MaskObject(index, int(number), x0=x, y0=y, x1=x + w, y1=y + h)
+                out.append(item)
     return out
 
 

@@ -135,6 +135,42 @@ class SpreadErrors(_Errors):
     things_log_sd: _Spread
 
 
+class HeadingErrors(_Errors):
+    """How much the lengths of the vehicles of an image depend on their directions.
+
+    Attributes:
+        cars: standard deviation, between images, of the amplitude in the log lengths of cars.
+        things: the same for things whose boxes include their shadow.
+        spread: median standard deviation of the log lengths around that trend.
+        spread_log_sd: standard deviation of its log between images.
+    """
+
+    cars: _Spread = 0.02
+    things: _Spread = 0.15
+    spread: _Spread = 0.09
+    spread_log_sd: _Spread = 0.5
+
+
+class ProportionErrors(_Errors):
+    """Proportions of the bodies of an image, relative to those in ``AppearanceErrors``.
+
+    Attributes:
+        image_sd: standard deviation of the mean log of length over width between images of cars.
+        vehicle_sd: standard deviation of that log within an image.
+        outliers: share of images of cars whose mean is something else.
+        outlier_sd: its standard deviation there.
+        things: length over width of small vehicles that are not cars.
+        things_log_sd: standard deviation of the mean log between images of these.
+    """
+
+    image_sd: _Spread = 0.03
+    vehicle_sd: _Spread = 0.055
+    outliers: _Chance = 0.002
+    outlier_sd: _Spread = 0.25
+    things: _Ratio = 2.34
+    things_log_sd: _Spread = 0.12
+
+
 class LookAlikeErrors(_Errors):
     """How equal things that are not cars differ from cars; see ``vehanchor.rulers.look_alikes``.
 
@@ -142,10 +178,12 @@ class LookAlikeErrors(_Errors):
         log_odds: log odds of look-alikes for a single vehicle with the mean logit of cars.
         log_odds_per_log_n: their rise per log of the number of vehicles, which saturates:
             look-alikes come in numbers.
-        spread_power: power of the evidence from the three spreads.
+        spread_power: power of the evidence from the spreads, the directions and the proportions.
         lengths: spread of the log lengths.
         appearance: spread of the log lengths by appearance.
         tones: spread of the colours of bodies, the root of the summed variances in CIELAB.
+        headings: dependence of the lengths on the directions.
+        proportions: length over width of bodies.
         mean_logit: mean logit of the chip network over cars.
         log_odds_per_logit: log odds of look-alikes per logit below that mean.
         logit_half_n: number of vehicles at which their mean logit counts half.
@@ -161,6 +199,8 @@ class LookAlikeErrors(_Errors):
         cars=0.07, cars_log_sd=0.33, things=0.035, things_log_sd=0.5
     )
     tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.45, things=8.0, things_log_sd=0.9)
+    headings: HeadingErrors = HeadingErrors()
+    proportions: ProportionErrors = ProportionErrors()
     mean_logit: _LogOdds = 3.4
     log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 10.0
     logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 4.0

@@ -87,8 +87,10 @@ _UPRIGHT_TILTS_DEG = np.arange(25.0, 61.0, 5.0)
 # Spread of the log sizes of few cars over that of one fleet, and the share of other vehicles and
 # their spread. Choices.
 _FEW_CARS_SPREAD = 1.2
-_OTHERS_SHARE = 0.1
+_OTHERS_SHARE = 0.05
 _OTHERS_LOG_SD = 0.45
+# Least score: two boxes, one of them no car, are of different sizes, as two cars seen at a tilt.
+_MIN_SCORE_OF_FEW = 0.7
 # Fewest and most cars for it; more tell every tilt.
 _FEW_CARS = (2, 2 * MIN_CARS)
 # Log sizes of the image's centre, relative to the median car.
@@ -260,7 +262,7 @@ def suspected_tilt(
         The tilt that explains the trend, in degrees; None unless more than ten degrees are nearly
         certain, and for fewer than 12 certain cars that lie completely in the image.
     """
-    boxes = _whole_cars(detections, width_px, height_px)
+    boxes = _whole_cars(detections, width_px, height_px, min_score=_MIN_SCORE)
     if len(boxes) < MIN_CARS:
         return None
     # Log of the square root of a box's area, over its place in focal lengths from the centre.
@@ -326,19 +328,21 @@ class _UprightTilt(NamedTuple):
 
 
 def _upright_tilt(
-    boxes: Boxes, height_px: int, *, focal_px: float, log_size_sd: float
+    detections: Detections, image: ImageFacts, *, focal_px: float, log_size_sd: float
 ) -> _UprightTilt | None:
     """Weigh tilts from 25 to 60 degrees, all equally likely, by the sizes of cars.
 
     Args:
-        boxes: of cars that lie completely in the image.
-        height_px: height of the image.
+        detections: vehicles in pixels of the image.
+        image: size of the image.
         focal_px: focal length, pixels.
         log_size_sd: as in ``suspected_tilt``.
 
     Returns:
         None for fewer than two cars, and for many.
     """
+    height_px = image.height_px
+    boxes = _whole_cars(detections, image.width_px, height_px, min_score=_MIN_SCORE_OF_FEW)
     fewest, most = _FEW_CARS
     if not fewest <= len(boxes) <= most:
         return None
@@ -394,8 +398,7 @@ def unknown_tilt_chance(
     if camera is not None and camera.off_nadir_deg is not None:
         return 0.0
     focal_px, _ = focal_length(image, options)
-    boxes = _whole_cars(detections, image.width_px, image.height_px)
-    tilt = _upright_tilt(boxes, image.height_px, focal_px=focal_px, log_size_sd=log_size_sd)
+    tilt = _upright_tilt(detections, image, focal_px=focal_px, log_size_sd=log_size_sd)
     if tilt is None:
         return 0.0
     return chance_of_tilt(tilt.log_odds)
@@ -454,16 +457,17 @@ def _probable_tilt_deg(
     )
     if tilt_deg is not None:
         return tilt_deg
-    boxes = _whole_cars(detections, image.width_px, image.height_px)
-    tilt = _upright_tilt(boxes, image.height_px, focal_px=focal_px, log_size_sd=log_size_sd)
+    tilt = _upright_tilt(detections, image, focal_px=focal_px, log_size_sd=log_size_sd)
     if tilt is None or chance_of_tilt(tilt.log_odds) < PROBABLY_RIGHT:
         return None
     return tilt.tilt_deg
 
 
-def _whole_cars(detections: Detections, width_px: int, height_px: int) -> Boxes:
+def _whole_cars(
+    detections: Detections, width_px: int, height_px: int, *, min_score: float
+) -> Boxes:
     """Select the boxes of likely cars that lie completely in the image."""
-    boxes = detections.boxes[detections.scores >= _MIN_SCORE]
+    boxes = detections.boxes[detections.scores >= min_score]
     if len(boxes) == 0:
         return boxes
     x = boxes[:, 0]

@@ -148,6 +148,14 @@ def test_a_lorry_below_few_cars_is_no_tilt() -> None:
     assert _chance(Detections(boxes, detections.scores)) < 0.05
 
 
+def test_a_doubtful_box_below_a_car_is_no_tilt() -> None:
+    detections = _cars(0.0, n=2, lorries=1)
+    boxes = detections.boxes.copy()
+    boxes[:, :2] = [(500, HEIGHT - 200), (500, 200)]
+    assert _chance(Detections(boxes, np.array([0.9, 0.9]))) > 0.1
+    assert _chance(Detections(boxes, np.array([0.6, 0.9]))) == 0.0
+
+
 def test_a_known_tilt_leaves_no_chance_of_another() -> None:
     few = _cars(45.0, n=8)
     assert _chance(few) > 0.5
