@@ -184,7 +184,6 @@ class EndErrors(_Errors):
         things: median spread near an end that is a shadow.
         things_log_sd: standard deviation of its log between images.
         things_vehicle_log_sd: what a single vehicle adds.
-        power: power of the evidence.
     """
 
     cars: Annotated[float, Field(ge=_MIN_SD, le=255.0)] = 45.0
@@ -196,7 +195,6 @@ class EndErrors(_Errors):
     things: Annotated[float, Field(ge=_MIN_SD, le=255.0)] = 5.0
     things_log_sd: _Spread = 0.45
     things_vehicle_log_sd: Annotated[float, Field(ge=0.0, le=10.0)] = 0.71
-    power: Annotated[float, Field(ge=0.0, le=5.0)] = 2.2
 
 
 class LookAlikeErrors(_Errors):
@@ -206,7 +204,7 @@ class LookAlikeErrors(_Errors):
         log_odds: log odds of look-alikes for a single vehicle with the mean logit of cars.
         log_odds_per_log_n: their rise per log of the number of vehicles, which saturates:
             look-alikes come in numbers.
-        spread_power: power of the evidence from the spreads, the directions and the proportions.
+        spread_power: power of the evidence from spreads, directions, proportions and ends.
         lengths: spread of the log lengths.
         appearance: spread of the log lengths by appearance.
         tones: spread of the colours of bodies, the root of the summed variances in CIELAB.

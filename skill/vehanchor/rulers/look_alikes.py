@@ -88,8 +88,7 @@ def chance_of_look_alikes(
         log_odds += _logit_evidence(appearance.logits, errors)
         if appearance.end_tones is not None:
             headings = boxes[: len(appearance), 4]
-            ends = end_evidence(appearance.end_tones, headings, errors.ends)
-            log_odds += errors.ends.power * ends
+            evidence += end_evidence(appearance.end_tones, headings, errors.ends)
         if appearance.tones is not None:
             evidence += spread_evidence(appearance.tones, errors.tones)
             # Only if all three spreads are known, their evidence for cars balances this rise.
@@ -218,10 +217,11 @@ def proportion_evidence(bodies: Boxes, errors: ProportionErrors, usual: float) -
 
 
 def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> float:
-    """Compute the log likelihood ratio of things over cars from the colours near the ends.
+    """Compute the evidence for things from the colours near the ends.
 
     If the spread near one end is that of a shadow, whatever the one near the other end is, the
-    boxes include shadows. One half of the things is as cars are: a choice.
+    boxes include shadows. If none is, nothing follows: the evidence is the log of one plus the
+    likelihood ratio, so that it never speaks for cars.
 
     Args:
         end_tones: ``[n, 2, 3]`` colours, in the order of ``Appearance.end_tones``.
@@ -250,7 +250,7 @@ def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> fl
         of_cars = (1.0 - errors.outliers) * of_usual_cars + errors.outliers * of_others
         ratios.append(normal_density(one - math.log(errors.things), shadow_sd) / of_cars)
     # Either end can be the shadow's.
-    return math.log((1.0 + (ratios[0] + ratios[1]) / 2.0) / 2.0)
+    return math.log1p((ratios[0] + ratios[1]) / 2.0)
 
 
 def _logit_evidence(logits: Values, errors: LookAlikeErrors) -> float:

@@ -180,7 +180,7 @@ def test_ends_of_one_tone_beside_ends_of_all_paints_are_shadows() -> None:
     with_shadows = end_evidence(np.stack([paints, shadow], 1), headings, LOOK_ALIKES.ends)
     of_cars = end_evidence(np.stack([paints, paints], 1), headings, LOOK_ALIKES.ends)
     assert with_shadows > 3.0
-    assert of_cars < 0.0
+    assert 0.0 <= of_cars < 0.2
 
 
 def test_shadows_lie_on_one_side_of_the_image_whatever_way_a_box_is_turned() -> None:
