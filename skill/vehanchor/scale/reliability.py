@@ -357,7 +357,8 @@ def detail_likelihoods(difference: float | None) -> ProportionLikelihoods:
 
 def normal_density(deviation: float, sd: float) -> float:
     """Compute the density of a normal distribution around zero."""
-    return math.exp(-0.5 * (deviation / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
+    norm = sd * math.sqrt(2 * math.pi)
+    return math.exp(-0.5 * (deviation / sd) ** 2) / norm
 
 
 UPRIGHT_SHARE = 0.01
