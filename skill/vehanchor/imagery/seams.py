@@ -87,6 +87,10 @@ class Seam(NamedTuple):
     y_px: int | None
     inset: Window | None = None
 
+    def moved(self, right_px: int, down_px: int) -> Seam:
+        """Move the seam of a part of an image to its place in the image."""
+        return _in_image(self, 1, right_px, down_px)
+
 
 def find_seam(raster: Raster) -> Seam | None:
     """Find a seam in an image; None without one, and for an image too large to read for it."""
@@ -233,8 +237,12 @@ def _strip_between(grey: Grey, share: Line) -> int | None:
     columns_behind = np.flatnonzero(edges < 0) + 1
     if is_plain[0]:
         columns_behind = columns_behind[1:]
+    border = _border_px(len(share))
     # The last strip has no column behind it if it reaches the border.
     for first, behind in zip(first_columns.tolist(), columns_behind.tolist(), strict=False):
+        # A bar near the border, as of a player, separates no picture.
+        if behind <= border or first >= len(share) - border:
+            continue
         # A compressed picture has pixels of both sides at its edge.
         near_first = share[max(0, first - 1) : first + 2].max()
         near_behind = share[behind - 1 : behind + 2].max()
