@@ -25,6 +25,8 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
+from vehanchor.imagery.lettering import paint_over_lettering
+from vehanchor.imagery.photograph import find_photograph
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import (
@@ -41,7 +43,7 @@ from vehanchor.records import (
 )
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class, unused_facts
-from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice, unknown_tilt_chance
+from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_doubt
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.scene_scale import SceneScalePrior
+    from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
@@ -142,23 +145,26 @@ def search_raster(
     facts = image_facts(raster)
     # An image with the horizon is refused before the work.
     tilt = metadata_tilt(facts, options)
+    photograph = _photograph_in(raster, facts)
     facts = with_image_doubts(
-        facts, raster, metadata=options.rulers.metadata, check_seams=check_stretch
+        facts, photograph, metadata=options.rulers.metadata, check_seams=check_stretch
     )
     uses_prior = any(ruler.kind == SceneScale.kind for ruler in rulers)
     if prior is None and uses_prior:
-        prior = load_scene_scale(detector.runtime).predict(raster)
+        # Letters look like things on the ground; vehicles under them are not painted over.
+        ground = paint_over_lettering(photograph)
+        prior = load_scene_scale(detector.runtime).predict(ground)
     view = View(
         facts,
         NOT_SEARCHED,
         card=detector.card,
         options=options,
-        measure_detail_share=partial(measure_detail_share, raster),
-        raster=raster,
+        measure_detail_share=partial(measure_detail_share, photograph),
+        raster=photograph,
         runtime=detector.runtime,
         prior=prior,
         tilt=tilt,
-        drawing_chance=measure_drawing_chance(raster),
+        drawing_chance=measure_drawing_chance(photograph),
     )
     if not any(ruler.needs_search for ruler in rulers):
         if options.by_hand.given:
@@ -167,7 +173,7 @@ def search_raster(
             )
         return view
 
-    search = ImageSearch(raster, detector, options=options.search, prior=prior)
+    search = ImageSearch(photograph, detector, options=options.search, prior=prior)
     if tilt is None:
         search_until_settled(search, view)
     else:
@@ -182,6 +188,13 @@ def search_raster(
         length_over_width=detector.card.errors.boxes.length_over_width,
     )
     return with_detections(view, raster, detections)
+
+
+def _photograph_in(raster: Raster, facts: ImageFacts) -> Raster:
+    """Find the photograph in a picture; a photograph of a camera, or a map, is one as it is."""
+    if facts.camera is not None or facts.georeference_gsd_m_per_px is not None:
+        return raster
+    return find_photograph(raster)
 
 
 def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleAnalysis:
@@ -202,11 +215,9 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
     # The vehicles may show a tilt, or several scales, only if no tilt is known.
     if view.tilt is None and vehicles is not None and vehicles.found:
         log_size_sd = view.card.errors.boxes.log_size_sd
-        notices = tilt_notice(view.image, view.options, view.detections, log_size_sd=log_size_sd)
-        tilt_chance = unknown_tilt_chance(
-            view.image, view.options, view.detections, log_size_sd=log_size_sd
-        )
-        notices += several_scales_notice(
+        doubt = tilt_doubt(view.image, view.options, view.detections, log_size_sd=log_size_sd)
+        tilt_chance = doubt.chance
+        notices = doubt.notices + several_scales_notice(
             view.image,
             view.detections,
             length_m=vehicles.reference.length_m,

@@ -236,6 +236,21 @@ class Detections:
         n_vehicles = len(self.boxes)
         return np.arange(n_vehicles) >= n_vehicles - n_added
 
+    def moved(self, origin_px: tuple[int, int]) -> Detections:
+        """Move the objects of a part of an image to their places in the image.
+
+        Args:
+            origin_px: column and row of the part's first pixel.
+        """
+        if origin_px == (0, 0):
+            return self
+        offset = np.array([*origin_px, 0.0, 0.0, 0.0])
+        others = replace(self.others, boxes=self.others.boxes + offset)
+        with_copies = self.with_copies
+        if with_copies is not None:
+            with_copies = with_copies.moved(origin_px)
+        return replace(self, boxes=self.boxes + offset, others=others, with_copies=with_copies)
+
     def take(self, kept: NDArray[np.bool_]) -> Detections:
         """Select vehicles by a mask ``[n]``; corrections by hand come after it.
 

@@ -110,7 +110,7 @@ class ImageSearch:
     ``stop``.
 
     Args:
-        raster: the image; at most two of its tiles are in memory.
+        raster: the image, or a part of one; at most two of its tiles are in memory.
         detector: the model; the search reports its tiles to the progress of the detector's runtime.
         options: how to search; None for the defaults.
         prior: scene-scale prior, which orders the levels and weighs the boxes' sizes; None without
@@ -234,6 +234,8 @@ class ImageSearch:
     def result(self, *, ended: bool = True, check_stretch: bool = True) -> Detections:
         """Merge the detections of all visited tiles, independent of the order of the visits.
 
+        They are in pixels of the image, if a part of it was searched, too.
+
         Args:
             ended: whether the search has ended; before, the chip network is not asked.
             check_stretch: whether to test that width and height have one scale; a running camera
@@ -262,7 +264,7 @@ class ImageSearch:
         if check_stretch:
             stretch_share = self._stretch(final.vehicles.boxes, are_few=are_few)
             stretch_odds = self._stretch_log_odds(final)
-        return Detections(
+        detections = Detections(
             final.vehicles.boxes,
             final.vehicles.scores,
             n_tiles=len(parts),
@@ -276,6 +278,7 @@ class ImageSearch:
             stretch_log_odds=stretch_odds,
             n_skipped=self._tile_search.n_skipped,
         )
+        return detections.moved(self._raster.origin_px)
 
     def _visit_all(self) -> None:
         """Visit all tiles."""

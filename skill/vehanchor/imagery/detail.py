@@ -116,7 +116,7 @@ def measure_detail_share(
     """Measure the share of the resolution that holds detail around vehicles.
 
     Args:
-        raster: the image.
+        raster: the image, or the part of one that shows the vehicles.
         centres: ``[n, 2]`` x, y of vehicles in pixels of the image; at most 16 are used.
         reduction: reduction at which the vehicles were detected: 1, 0.5, 0.25 or 0.125.
 
@@ -132,7 +132,8 @@ def measure_detail_share(
     n_patches = min(_MAX_PATCHES, len(centres))
     steps = np.linspace(0, len(centres) - 1, n_patches)
     indexes = np.unique(steps.round().astype(int))
-    reduced_centres = np.rint(centres[indexes] / factor)
+    centres_in_part = centres[indexes] - raster.origin_px
+    reduced_centres = np.rint(centres_in_part / factor)
     unclipped_corners = reduced_centres.astype(int) - PATCH_PX // 2
     last_corner = (width - PATCH_PX, height - PATCH_PX)
     corners = np.clip(unclipped_corners, 0, last_corner)

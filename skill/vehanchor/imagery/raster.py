@@ -111,6 +111,7 @@ class Raster(ABC):
         in_memory: whether all pixels are decoded.
         encoded: path or bytes of the file that is read by windows; None if unknown.
         cached_id: result of ``vehanchor.imagery.identity.image_id``; empty before.
+        origin_px: column and row of its first pixel in the image that it is a part of.
     """
 
     orientation = 1
@@ -121,6 +122,7 @@ class Raster(ABC):
     in_memory = False
     encoded: str | bytes | None = None
     cached_id = ""
+    origin_px = (0, 0)
 
     def __init__(
         self,

@@ -19,6 +19,7 @@ class NoticeCode(StrEnum):
     PIXELS_NOT_SQUARE = "pixels_not_square"
     NOTHING_VISIBLE = "nothing_visible"
     NO_PHOTOGRAPH = "no_photograph"
+    PART_SEARCHED = "part_searched"
     BANDS_SELECTED = "bands_selected"
     PAGES_UNUSED = "pages_unused"
     SIDECAR_UNUSED = "sidecar_unused"

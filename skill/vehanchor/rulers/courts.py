@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,7 +40,10 @@ class Courts(Ruler):
         if view.raster is None:
             return None
         courts = find_courts(view.raster, view.prior, view.runtime)
-        return witness_of(courts)
+        in_image = [
+            replace(court, corners=court.corners + view.raster.origin_px) for court in courts
+        ]
+        return witness_of(in_image)
 
 
 def witness_of(courts: Sequence[Court]) -> Witness | None:

@@ -26,7 +26,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import rectified
 from vehanchor.rulers.fleet import select
 from vehanchor.rulers.look_alikes import chance_of_look_alikes
-from vehanchor.rulers.reference import reference_length, unmeasured_region
+from vehanchor.rulers.reference import country_in_words, reference_length, unmeasured_region
 from vehanchor.rulers.ruler import Ruler, as_assumed
 from vehanchor.rulers.vehicle_notices import (
     DOUBT_CODES,
@@ -473,6 +473,9 @@ class Vehicles(Ruler):
         if mode_px is None:
             return replace(vehicles, notices=(*vehicles.notices, *nothing_detailed(view)))
         unmeasured = unmeasured_region(card, view.options.reference)
+        statement = None
+        if reference.source == "region":
+            statement = country_in_words(card, view.options.reference)
         # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None
         log_odds = None
@@ -488,6 +491,7 @@ class Vehicles(Ruler):
             voting,
             stretch_log_odds=log_odds,
             gsd_m_per_px=reference.stated_m / mode_px,
+            statement=statement,
             notices=(*voting.notices, *unmeasured, *_notices(voting, stretch)),
         )
 

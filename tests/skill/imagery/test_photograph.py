@@ -1,0 +1,95 @@
+"""The photograph in a page, a slide or a program is found, and measured as if it were alone."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from research.scenes import render_scene
+from research.scenes.captions import Captioned, caption, program
+from research.scenes.lettering import own_fonts
+from research.scenes.pages import PAGES
+from vehanchor import estimate_gsd
+from vehanchor.imagery.photograph import PartRaster, find_photograph
+from vehanchor.imagery.raster import Window
+from vehanchor.imagery.sources.opening import open_raster
+
+Picture = NDArray[np.uint8]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Picture:
+    return render_scene(0.1, width_px=300, height_px=240, seed=3, layout="parking").image
+
+
+def _place(picture: Picture) -> tuple[int, int, int, int]:
+    """Find left, top, width and height of the photograph in a picture."""
+    with open_raster(picture) as raster:
+        part = find_photograph(raster)
+        return (*part.origin_px, part.width_px, part.height_px)
+
+
+def _on_page(photograph: Picture, left: int, top: int) -> Picture:
+    page = PAGES["page"](np.random.default_rng(1), own_fonts()).copy()
+    height, width = photograph.shape[:2]
+    page[top - 12 : top + height + 12, :] = page[0, 0]
+    page[top : top + height, left : left + width] = photograph
+    return page
+
+
+def test_the_photograph_on_a_page_is_found_to_the_pixel(scene: Picture) -> None:
+    assert _place(_on_page(scene, 40, 61)) == (40, 61, 300, 240)
+
+
+@pytest.mark.parametrize("draw", [caption, program])
+def test_a_photograph_with_a_caption_or_panels_is_found(scene: Picture, draw: Captioned) -> None:
+    picture = draw(scene, np.random.default_rng(2), own_fonts())
+    assert _place(picture) == (0, 0, 300, 240)
+
+
+def test_a_photograph_on_a_compressed_page_is_found(scene: Picture) -> None:
+    _, file = cv2.imencode(".jpg", _on_page(scene, 40, 61), [cv2.IMWRITE_JPEG_QUALITY, 80])
+    place = _place(np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR), np.uint8))
+    assert np.abs(np.subtract(place, (40, 61, 300, 240))).max() <= 8
+
+
+def test_a_photograph_alone_is_searched_whole(scene: Picture) -> None:
+    assert _place(scene) == (0, 0, 300, 240)
+
+
+def test_a_page_with_two_photographs_is_searched_whole(scene: Picture) -> None:
+    page = np.full((600, 400, 3), 255, np.uint8)
+    page[20:260, 50:350] = scene
+    page[300:540, 50:350] = scene[::-1]
+    assert _place(page) == (0, 0, 400, 600)
+
+
+@pytest.mark.parametrize("kind", ["page", "chart", "map", "window"])
+def test_a_drawing_has_no_photograph_in_it(kind: str) -> None:
+    picture = PAGES[kind](np.random.default_rng(1), own_fonts())
+    height, width = picture.shape[:2]
+    assert _place(picture) == (0, 0, width, height)
+
+
+def test_a_line_across_a_photograph_does_not_cut_it(scene: Picture) -> None:
+    page = np.full((320, 400, 3), 255, np.uint8)
+    page[40:280, 50:350] = scene
+    page[150:152, 50:350] = 255
+    assert _place(page) == (50, 40, 300, 240)
+
+
+def test_a_part_reads_pixels_of_its_image(scene: Picture) -> None:
+    with open_raster(scene) as raster:
+        part = PartRaster(raster, Window(10, 20, width_px=100, height_px=50))
+        corner = part.read(Window(5, 6, width_px=7, height_px=8))
+    assert (corner == scene[26:34, 15:22]).all()
+
+
+def test_a_page_has_the_scale_of_its_photograph(scene: Picture) -> None:
+    bare = estimate_gsd(scene)
+    page = estimate_gsd(_on_page(scene, 40, 61))
+    assert page.gsd_m_per_px == bare.gsd_m_per_px
+    assert page.confidence == bare.confidence
+    assert "part_searched" in [warning.code for warning in page.warnings]
