@@ -25,7 +25,7 @@ _SET_TYPE = 7
 _MAX_SET_BYTES = 4096
 # Bits of the longest number that a parameter set may have.
 _MAX_NUMBER_BITS = 32
-_FRAMES = 3
+_FRAMES = 12
 # Least bytes of a coded frame that changes the picture before it. Frames in which nothing moves
 # have some hundreds, or, if each is coded by itself, are equal. A choice.
 _LEAST_CONTENT_BYTES = 1024
@@ -41,15 +41,16 @@ def returns_no_frames(film: cv2.VideoCapture, raw_film: cv2.VideoCapture) -> boo
         film: the film at its beginning; it is read.
         raw_film: the same film, opened without decoding (``RAW``).
     """
-    frames = []
+    first = None
     for _ in range(_FRAMES):
         is_readable, frame = film.read()
-        if is_readable:
-            frames.append(frame.copy())
-    if not frames:
-        return False
-    first, *others = frames
-    if not all(np.array_equal(first, frame) for frame in others):
+        if not is_readable:
+            continue
+        if first is None:
+            first = frame.copy()
+        elif not np.array_equal(first, frame):
+            return False
+    if first is None:
         return False
     if _allows_interlaced(_extra_data(raw_film)):
         return True
@@ -68,9 +69,8 @@ def _packets(raw_film: cv2.VideoCapture) -> list[bytes]:
 
 def _have_content(packets: Sequence[bytes]) -> bool:
     """Test whether coded frames change the picture from one to the next."""
-    if len(packets) < _FRAMES or len(set(packets)) == 1:
-        return False
-    return min(map(len, packets)) >= _LEAST_CONTENT_BYTES
+    with_content = {packet for packet in packets if len(packet) >= _LEAST_CONTENT_BYTES}
+    return len(with_content) > 1
 
 
 def _extra_data(raw_film: cv2.VideoCapture) -> bytes:

@@ -132,8 +132,7 @@ def test_damaged_parameters_of_a_film_prove_nothing(damaged: bytes) -> None:
 @pytest.mark.parametrize(
     ("packets", "have_content"),
     [
-        ([bytes(9000), b"1" * 2000, b"2" * 2000], True),
-        ([bytes(9000), bytes(9000), b"2" * 9000], True),
+        ([bytes(9000), b"1" * 2000, b"2" * 90], True),
         # Nothing moves: only the first frame holds much, or each is coded by itself.
         ([bytes(9000), b"1" * 90, b"2" * 90], False),
         ([bytes(9000), bytes(9000), bytes(9000)], False),
