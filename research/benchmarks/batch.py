@@ -82,8 +82,14 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
 
     with tempfile.TemporaryDirectory() as output:
         table = Path(output) / "table.jsonl"
+        # As on the command line, one worker has a process of its own, too.
         run_batch(
-            [str(folder)], table, engine=engine, workers=workers, runtime=Runtime(progress=tell)
+            [str(folder)],
+            table,
+            engine=engine,
+            workers=workers,
+            runtime=Runtime(progress=tell),
+            isolated=True,
         )
         rows = Counter(json.loads(line)["photograph"] for line in table.read_text().splitlines())
     images = {str(path) for path in folder.glob("*.jpg")}
@@ -91,7 +97,9 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
     # Timing starts after the first row, so rows that come with it do not count.
     warm = came[workers - 1 :]
     rate = (len(warm) - 1) / (warm[-1] - warm[0])
-    return Run(rate, len(images - rows.keys()), max(len(came), rows.total()) - len(images))
+    n_missing = len(images - rows.keys())
+    n_rows = max(len(came), rows.total())
+    return Run(rate, n_missing, n_rows - len(images))
 
 
 def compare_nodes(folder: Path, sizes: list[int]) -> None:

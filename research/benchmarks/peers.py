@@ -7,7 +7,8 @@ images with the same oriented-box file, tile by tile. The images show few, many 
 vehicles. The others run in an environment of their own, which the first call makes
 (``--environment``, 6 GB): ultralytics is under the AGPL and no part of this project; what runs
 there is ``peers_inside.py``. Every pass is a fresh process, the tools in turns, each divided by the
-mean of the bare passes before and after its round.
+mean of the bare passes before and after its round. ``--alone`` leaves the others out, and needs no
+further environment.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import time
 from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -38,6 +39,9 @@ from vehanchor.imagery.tiles import tile_grid
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Search
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 ENVIRONMENT = Path("~/.cache/vehanchor/peers").expanduser()
 _PACKAGES = (
     "ultralytics==8.4.190",
@@ -50,6 +54,7 @@ _PACKAGES = (
 _OURS = "vehanchor"
 _PEERS = ("ultralytics, tile by tile, no merge", "SAHI", "supervision")
 _BARE = "ONNX Runtime alone"
+_ALONE = "The search for vehicles beside bare ONNX Runtime, 25 tiles"
 _SIDE_PX = 4096
 _TILE_PX = 1024
 _SCENES = {"200": (0.15, 12), "2,000": (0.1, None), "15,000": (0.3, None)}
@@ -106,11 +111,11 @@ def write_work(folder: Path) -> tuple[Path, list[Path], Path]:
     )
     for number, (gsd, n_vehicles) in enumerate(_SCENES.values()):
         scene = render_scene(gsd, seed=5, layout="parking", n_vehicles=n_vehicles)
-        written.append(folder / f"scene{number}.png")
-        cv2.imwrite(
-            str(written[-1]),
-            np.tile(scene.image[:, :, ::-1], (_SIDE_PX // _TILE_PX, _SIDE_PX // _TILE_PX, 1)),
-        )
+        path = folder / f"scene{number}.png"
+        n_tiles = _SIDE_PX // _TILE_PX
+        picture = np.tile(scene.image[:, :, ::-1], (n_tiles, n_tiles, 1))
+        cv2.imwrite(str(path), picture)
+        written.append(path)
     return model, written, tiles
 
 
@@ -151,16 +156,29 @@ def run_pass(command: list[str], tool: str) -> list[Pass]:
 
 
 def passes(
-    python: Path, model: Path, images: list[Path], tiles: Path, rounds: int
+    python: Path,
+    model: Path,
+    images: list[Path],
+    tiles: Path,
+    tools: Sequence[str],
+    rounds: int,
 ) -> dict[str, list[list[Pass]]]:
-    """Search the images by all tools in turns; bare ONNX Runtime comes first and last.
+    """Search the images by tools in turns; bare ONNX Runtime comes first and last.
+
+    Args:
+        python: interpreter of the peers.
+        model: file of the detector.
+        images: files of the images.
+        tiles: file of the tiles' corners.
+        tools: the first one is bare ONNX Runtime.
+        rounds: number of passes of each tool.
 
     Returns:
         By tool the passes of each round, one per image.
     """
     here = [sys.executable, "-m", "research.benchmarks.peers", "--here", str(model)]
     inside = [str(python), str(Path(__file__).with_name("peers_inside.py"))]
-    by_tool: dict[str, list[list[Pass]]] = {tool: [] for tool in (_BARE, _OURS, *_PEERS)}
+    by_tool: dict[str, list[list[Pass]]] = {tool: [] for tool in tools}
     for tool in [*by_tool] * rounds + [_BARE]:
         command = here if tool == _OURS else [*inside, tool, str(model), str(tiles)]
         by_tool[tool].append(run_pass([*command, *map(str, images)], tool))
@@ -216,6 +234,9 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument(
+        "--alone", action="store_true", help="compare with bare ONNX Runtime, in this environment"
+    )
+    parser.add_argument(
         "--here", nargs="+", type=Path, metavar="MODEL IMAGE", help=argparse.SUPPRESS
     )
     options = add_record_option(parser).parse_args()
@@ -226,14 +247,19 @@ def main() -> None:
             del result["tool"]
             print(json.dumps(result), flush=True)
         return
-    python = make_environment(options.environment)
+    if options.alone:
+        tools: tuple[str, ...] = (_BARE, _OURS)
+        python = Path(sys.executable)
+        recorded = recording("speed", ["bare"], options.record, title=_ALONE)
+    else:
+        tools = (_BARE, _OURS, *_PEERS)
+        python = make_environment(options.environment)
+        recorded = recording("speed", ["peers"], options.record, packages=list(_PACKAGES))
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        model, images, tiles = write_work(folder)
-        with recording("speed", ["peers"], options.record, packages=list(_PACKAGES)):
-            print(
-                *table(passes(python, model, images, tiles, options.rounds)), sep="\n", flush=True
-            )
+        model, images, tiles = write_work(Path(name))
+        with recorded:
+            measured = passes(python, model, images, tiles, tools=tools, rounds=options.rounds)
+            print(*table(measured), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from research.scenes.country import farm, field, meadow, orchard, vineyard, wood
 from research.scenes.homes import flats, houses, town
 from research.scenes.site import Site, jitter, pick
 from research.scenes.sports import sports_ground
-from research.scenes.world import Material
+from research.scenes.world import Material, corners_of
 
 Filler = Callable[[Site, float, float], None]
 """Function that builds from (0, 0) to (width, depth) in the site's frame."""
@@ -60,9 +60,10 @@ def courts(site: Site, width: float, depth: float) -> float:
             break
         own = site.at(x, 0)
         long = min(long, depth)
-        own.rect((0, 0, broad, long), surface, Material.COURT)
-        own.target("sports-court", [(0, 0), (broad, 0), (broad, long), (0, long)])
-        site.kept_free.append((own.frame, (0, 0, broad, long)))
+        slab = (0, 0, broad, long)
+        own.rect(slab, surface, Material.COURT)
+        own.target("sports-court", corners_of(slab))
+        site.kept_free.append((own.frame, slab))
         court_w, court_l = (10.97, 23.77) if tennis else (15.0, 28.0)
         court_l = min(court_l, long - 1)
         cx0 = (broad - court_w) / 2

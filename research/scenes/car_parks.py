@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from research.scenes.site import Site, flat_roof_rgb, jitter
-from research.scenes.world import Material, Rect, Rgb
+from research.scenes.world import Material, Rect, Rgb, corners_of
 
 
 def car_park(site: Site, width: float, depth: float) -> None:
@@ -19,9 +19,7 @@ def car_park(site: Site, width: float, depth: float) -> None:
     site.rect((0, 0, width, depth), site.palette.lawn, Material.LAWN)
     lot = (0.6, 0.6, width - 0.6, depth - 0.6)
     site.rect(lot, rgb, Material.ASPHALT)
-    site.target(
-        "parking-lot", [(lot[0], lot[1]), (lot[2], lot[1]), (lot[2], lot[3]), (lot[0], lot[3])]
-    )
+    site.target("parking-lot", corners_of(lot))
     for _ in range(rng.poisson(width * depth / 500)):
         site.crack(
             rng.uniform(0, width),
@@ -71,11 +69,8 @@ def _rows(site: Site, width: float, depth: float) -> None:
         bays(site, start, x1=stop, head=y + module, side=-1, slant=slant, filled=filled, line=line)
         if rng.random() < 0.5:  # arrows and cars on the aisle
             for x in np.arange(start + 8, stop - 8, 30):
-                site.polygon([(x, row + y + aisle / 2 - 0.15), (x + 2, row + y + aisle / 2 - 0.15),
-                              (x + 2, row + y + aisle / 2 - 0.4), (x + 3, row + y + aisle / 2),
-                              (x + 2, row + y + aisle / 2 + 0.4),
-                              (x + 2, row + y + aisle / 2 + 0.15),
-                              (x, row + y + aisle / 2 + 0.15)], line, Material.PAINT)  # fmt: skip
+                arrow = _arrow(x, row + y + aisle / 2)
+                site.polygon(arrow, line, Material.PAINT)
         if rng.random() < 0.45 and stop - start > 24:
             model = fleet.small()
             x = rng.uniform(start + 8, stop - 8)
@@ -108,6 +103,22 @@ def _rows(site: Site, width: float, depth: float) -> None:
     if planted:
         for x in np.arange(3, width - 3, rng.uniform(7, 12)):
             site.tree(x, 0.3, rng.uniform(1.3, 2.4))
+
+
+def _arrow(x: float, y: float) -> list[tuple[float, float]]:
+    """List the corners of an arrow of 3 m along an aisle, which begins at a place."""
+    shaft = 0.15
+    head = 0.4
+    neck = x + 2
+    return [
+        (x, y - shaft),
+        (neck, y - shaft),
+        (neck, y - head),
+        (x + 3, y),
+        (neck, y + head),
+        (neck, y + shaft),
+        (x, y + shaft),
+    ]
 
 
 def bays(

@@ -8,7 +8,7 @@ import numpy as np
 
 from research.scenes.homes import garden, house
 from research.scenes.site import Site, jitter, pick
-from research.scenes.world import Material, Rect, Rgb
+from research.scenes.world import Material, Rect, Rgb, corners_of
 
 
 def field(site: Site, width: float, depth: float) -> None:
@@ -51,9 +51,8 @@ def field(site: Site, width: float, depth: float) -> None:
 
 def _field_plot(site: Site, plot: Rect, rgb: Rgb, material: Material) -> None:
     """Cover the plot of a field, and add it to the masked objects."""
-    left, top, right, bottom = plot
     site.rect(plot, rgb, material)
-    site.target("field", [(left, top), (right, top), (right, bottom), (left, bottom)])
+    site.target("field", corners_of(plot))
 
 
 def _along_rows(

@@ -8,7 +8,7 @@ import numpy as np
 
 from research.scenes.car_parks import bays
 from research.scenes.site import Site, flat_roof_rgb, jitter, pick
-from research.scenes.world import Material, Rect, Rgb
+from research.scenes.world import Material, Rect, Rgb, corners_of
 
 _SHED_RGB = (
     (128, 112, 96),
@@ -224,8 +224,7 @@ def flats(site: Site, width: float, depth: float) -> None:
         return
     apron: Rect = (0, 0, width, parking + 2)
     site.rect(apron, jitter(rng, palette.asphalt, 4, 0.08), Material.ASPHALT)
-    lot_end = parking + 2
-    site.target("parking-lot", [(0, 0), (width, 0), (width, lot_end), (0, lot_end)])
+    site.target("parking-lot", corners_of(apron))
     filled = rng.uniform(0.4, 0.95)
     bays(
         site,

@@ -26,6 +26,7 @@ from research.scenes.world import (
     Target,
     Tree,
     World,
+    corners_of,
 )
 
 if TYPE_CHECKING:
@@ -160,7 +161,7 @@ class Site:
 
     def rect(self, rect: Rect, rgb: Rgb, material: Material) -> None:
         """Add a rectangular surface x0, y0, x1, y1."""
-        self.polygon(_corners(rect), rgb, material)
+        self.polygon(corners_of(rect), rgb, material)
 
     def blob(
         self,
@@ -196,7 +197,7 @@ class Site:
 
     def stain_rect(self, rect: Rect, level: int) -> None:
         """Add a rectangular stain."""
-        self.stain(_corners(rect), level)
+        self.stain(corners_of(rect), level)
 
     def crack(
         self, x: float, y: float, length: float, angle: float, level: int = 104, width: float = 0.12
@@ -228,7 +229,7 @@ class Site:
 
     def box(self, rect: Rect, height: float, rgb: Rgb, *, leafy: bool = False) -> None:
         """Add a low upright block."""
-        outline = self.frame.points(_corners(rect))
+        outline = self.frame.points(corners_of(rect))
         self.world.boxes.append(Box(outline, height, rgb, leafy))
 
     def disc(self, x: float, y: float, radius: float, height: float, rgb: Rgb) -> None:
@@ -338,7 +339,7 @@ class Site:
             overlap_x = max(min(ax1, bx1) - max(ax0, bx0), 0)
             overlap_y = max(min(ay1, by1) - max(ay0, by0), 0)
             area -= overlap_x * overlap_y
-        self.target("building", *(_corners(part) for part in parts), area=area)
+        self.target("building", *(corners_of(part) for part in parts), area=area)
 
     def pool(self, x: float, y: float, angle: float = 0.0) -> None:
         """Add a swimming pool with its rim."""
@@ -358,7 +359,7 @@ class Site:
             )
         kind = rng.random()
         if kind < 0.7:
-            outline = np.array(_corners((-length / 2, -width / 2, length / 2, width / 2)))
+            outline = np.array(corners_of((-length / 2, -width / 2, length / 2, width / 2)))
         else:
             angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
             indent = 0.22 if kind > 0.85 else 0.0
@@ -409,11 +410,6 @@ def _within(place: NDArray[np.float64], frame: Frame, rect: Rect) -> bool:
     x = dx * cos + dy * sin
     y = dy * cos - dx * sin
     return rect[0] < x < rect[2] and rect[1] < y < rect[3]
-
-
-def _corners(rect: Rect) -> list[tuple[float, float]]:
-    x0, y0, x1, y1 = rect
-    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
 def _blob(

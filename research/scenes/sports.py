@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from research.scenes.site import WHITE, Site, jitter, pick
 from research.scenes.truth import CourtKind
-from research.scenes.world import Material, PlacedCourt, Rgb
+from research.scenes.world import Material, PlacedCourt, Rgb, corners_of
 
 # Outer lines of a tennis court (ITF).
 _TENNIS_M = (23.77, 10.97)
@@ -126,11 +126,10 @@ def _slab(site: Site, broad: float, surface: Rgb) -> None:
     rng = site.rng
     half_x = 17.5
     half_y = broad / 2
-    site.rect((-half_x, -half_y, half_x, half_y), surface, Material.COURT)
-    site.target(
-        "sports-court", [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
-    )
-    site.kept_free.append((site.frame, (-half_x, -half_y, half_x, half_y)))
+    slab = (-half_x, -half_y, half_x, half_y)
+    site.rect(slab, surface, Material.COURT)
+    site.target("sports-court", corners_of(slab))
+    site.kept_free.append((site.frame, slab))
     for _ in range(rng.integers(0, 5)):
         site.crack(
             rng.uniform(-16, 16),

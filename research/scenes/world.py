@@ -21,6 +21,12 @@ Rect = tuple[float, float, float, float]
 """x0, y0, x1, y1 in a local frame."""
 
 
+def corners_of(rect: Rect) -> list[tuple[float, float]]:
+    """List the four corners of a rectangle, in order around it."""
+    x0, y0, x1, y1 = rect
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
+
 class Material(IntEnum):
     """Materials, which decide how a surface's colour varies; the renderer holds the amplitudes."""
 
@@ -123,8 +129,7 @@ class Roof:
 
     def corners(self, part: Rect) -> Points:
         """Compute the corners [4,2] of one of its rectangles in the frame of the image."""
-        x0, y0, x1, y1 = part
-        return self.frame.points([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+        return self.frame.points(corners_of(part))
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,8 @@ def logistic(
     for _ in range(_ITERATIONS):
         chance = 1 / (1 + np.exp(-np.clip(design @ theta, -30, 30)))
         slope = design.T @ (weight * (chance - car)) + penalty * theta
-        curve = (design * (weight * chance * (1 - chance))[:, None]).T @ design + np.diag(penalty)
+        spread = weight * chance * (1 - chance)
+        curve = (design * spread[:, None]).T @ design + np.diag(penalty)
         theta = theta - np.linalg.solve(curve, slope)
     return theta
 
@@ -54,5 +55,9 @@ def weight_of_sets(sets: NDArray[np.str_]) -> Weights:
 
 def area(hits: Values, false: Values) -> float:
     """Compute the area under the ROC curve."""
-    rank = np.argsort(np.argsort(np.concatenate([hits, false]), kind="stable"), kind="stable")
-    return float((rank[: len(hits)].mean() - (len(hits) - 1) / 2) / len(false))
+    values = np.concatenate([hits, false])
+    order = np.argsort(values, kind="stable")
+    rank = np.argsort(order, kind="stable")
+    # The mean rank of the hits above the one that they have without any false value below them.
+    surplus = rank[: len(hits)].mean() - (len(hits) - 1) / 2
+    return float(surplus / len(false))

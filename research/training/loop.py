@@ -58,7 +58,9 @@ class Schedule:
             return self.peak * (step + 1) / self.warm_up
         start = max(self.warm_up, self.held * self.steps)
         progress = min(1.0, max(0.0, (step - start) / max(1.0, self.steps - start)))
-        return self.peak * (self.last + (1 - self.last) * 0.5 * (1 + math.cos(math.pi * progress)))
+        # Half a cosine, from 1 to 0.
+        remaining = 0.5 * (1 + math.cos(math.pi * progress))
+        return self.peak * (self.last + (1 - self.last) * remaining)
 
 
 @dataclass(frozen=True)

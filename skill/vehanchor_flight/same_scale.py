@@ -9,13 +9,12 @@ usable scale.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 
 from vehanchor.errors import InvalidParameterError
-from vehanchor.imagery.metadata.lens import lens
+from vehanchor.imagery.metadata.lens import lens_without_zoom
 from vehanchor.records.notices import NoticeCode
 from vehanchor.records.text import significant
 from vehanchor.rulers.camera import coarsening
@@ -95,10 +94,11 @@ def _by_lens(photograph: Photograph) -> Claim | None:
     rulers = photograph.view.options.rulers
     if image.camera is None or not rulers.metadata:
         return None
-    unzoomed = replace(image.camera, digital_zoom=1.0)
-    optics = lens(image, unzoomed, rulers.focal_35mm)
+    optics = lens_without_zoom(image, image.camera, rulers.focal_35mm)
     if optics is None:
         return None
+    # Pictures of one camera with different zooms have different scales, whether or not its maker
+    # counts the zoom into the focal length.
     pixels = optics.pixels * max(image.camera.digital_zoom, 1.0)
     coarser = 1.0
     tilt_log_sd = 0.0
@@ -130,7 +130,9 @@ def _by_overlaps(ground: Component, members: Sequence[Photograph]) -> list[Claim
     claims = []
     for k, index in enumerate(ground.members.tolist()):
         scale = math.exp(ground.offsets[k])
-        claims.append(Claim(members[index].name, scale, float(ground.log_sds[k])))
+        log_sd = float(ground.log_sds[k])
+        claim = Claim(members[index].name, scale, log_sd)
+        claims.append(claim)
     return claims
 
 
@@ -235,11 +237,18 @@ def _groups(ordered: Sequence[Claim]) -> list[list[Claim]]:
     """
     groups: list[list[Claim]] = []
     for claim in ordered:
-        if groups and math.log(claim.scale / groups[-1][0].scale) <= _MAX_LOG_RATIO:
+        if groups and _is_of_group(claim, groups[-1]):
             groups[-1].append(claim)
         else:
             groups.append([claim])
     return groups
+
+
+def _is_of_group(claim: Claim, group: Sequence[Claim]) -> bool:
+    """Test whether a claim has about the scale of the finest one of a group."""
+    finest = group[0]
+    log_ratio = math.log(claim.scale / finest.scale)
+    return log_ratio <= _MAX_LOG_RATIO
 
 
 def _described(group: Sequence[Claim], finest: Sequence[Claim], *, is_relative: bool) -> str:

@@ -6,6 +6,7 @@ import math
 import os
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,11 +15,13 @@ import numpy as np
 
 from vehanchor.errors import ImageDecodeError, ImageNotFoundError, ImageTooLargeError
 from vehanchor.imagery.limits import check_side
+from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ImageLimits
 from vehanchor.options.option import Limits
 from vehanchor.options.pixel_grid import MAX_ASPECT, PixelGrid, usable_aspect
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.interlaced import RAW, returns_no_frames
+from vehanchor_flight.spherical import stated_projection
 from vehanchor_flight.subtitles import read_film_facts
 
 if TYPE_CHECKING:
@@ -28,7 +31,9 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.subtitles import FilmFacts
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm"})
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".m2ts", ".ts", ".webm"}
+)
 _N_TRIALS = 5  # Frames that are compared for one photograph.
 _SHARPNESS_SIDE_PX = 640
 _QUARTER_TURN_DEG = 90
@@ -104,6 +109,7 @@ def sample_video(
     if not Path(path).is_file():
         raise ImageNotFoundError(f"cannot open the video {path!r}: there is no such file")
     facts = read_film_facts(path, last_s)
+    projection = stated_projection(path)
     with opened_video(path) as film:
         rate = float(film.get(cv2.CAP_PROP_FPS))
         if not 0 < rate < 1e4:
@@ -123,7 +129,7 @@ def sample_video(
             position = number % interval
             if position == 0 and sharpest is not None:
                 n_photographs += 1
-                yield _photograph(path, sharpest, rate, facts)
+                yield _photograph(path, sharpest, rate=rate, facts=facts, projection=projection)
                 sharpest = None
             if position in trials:
                 candidate = _retrieve(film, number, grid)
@@ -131,7 +137,7 @@ def sample_video(
             number += 1
         if sharpest is not None:
             n_photographs += 1
-            yield _photograph(path, sharpest, rate, facts)
+            yield _photograph(path, sharpest, rate=rate, facts=facts, projection=projection)
         if number == 0:
             raise ImageDecodeError(
                 f"the video {path!r} has no frame that can be decoded here, such as in AV1: "
@@ -176,9 +182,22 @@ def _retrieve(film: cv2.VideoCapture, number: int, grid: PixelGrid) -> _SharpFra
 
 
 def _photograph(
-    path: str, frame: _SharpFrame, rate: float, facts: FilmFacts | None
+    path: str,
+    frame: _SharpFrame,
+    *,
+    rate: float,
+    facts: FilmFacts | None,
+    projection: str,
 ) -> InputPhotograph:
-    """Make a photograph of a frame, in RGB, named by the video and its time."""
+    """Make a photograph of a frame, in RGB, named by the video and its time.
+
+    Args:
+        path: path of the video.
+        frame: the frame.
+        rate: frames per second.
+        facts: camera facts along the video; None without any.
+        projection: what states that its frames are not perspective views; empty if nothing does.
+    """
     # As many digits as give each frame another name.
     magnitude = math.log10(max(rate, 1.0))
     digits = max(2, math.ceil(magnitude))
@@ -187,6 +206,8 @@ def _photograph(
     # OpenCV gives blue first.
     rgb = np.ascontiguousarray(frame.pixels[:, :, ::-1])
     camera = None if facts is None else facts.at(seconds)
+    if projection:
+        camera = replace(camera or CameraMetadata(is_film=True), projection=projection)
     return InputPhotograph(name, rgb, film=path, camera=camera)
 
 

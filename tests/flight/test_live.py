@@ -2,10 +2,8 @@ from __future__ import annotations
 
 import math
 import os
+import queue
 import shutil
-import threading
-import time
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,13 +49,13 @@ def full_folder(tmp_path: Path) -> Path:
 
 
 def test_the_newest_image_of_a_full_folder_is_taken(full_folder: Path) -> None:
-    first = next(folder_frames(full_folder, Reading(), idle_s=5))
+    first = next(folder_frames(full_folder, Reading()))
     assert first.name == str(full_folder / "3.png")
     assert first.n_skipped == 3
 
 
 def test_an_image_that_is_replaced_is_taken_again(full_folder: Path) -> None:
-    frames = folder_frames(full_folder, Reading(), idle_s=5)
+    frames = folder_frames(full_folder, Reading())
     first = next(frames)
     _write(full_folder / "0.png", 200)
     second = next(frames)
@@ -76,33 +74,39 @@ def test_a_damaged_image_is_reported(tmp_path: Path) -> None:
     assert "a.png" in sentences[0]
 
 
-def test_a_file_counts_only_when_it_is_complete(tmp_path: Path) -> None:
-    _write(tmp_path / "whole.png", 90)
-    content = (tmp_path / "whole.png").read_bytes()
-    (tmp_path / "whole.png").unlink()
-    part_bytes = len(content) // 8
+def test_a_file_counts_only_when_it_is_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "slow.png"
+    _write(path, 90)
+    content = path.read_bytes()
+    parts = [content[start : start + 40] for start in range(0, len(content), 40)]
+    path.write_bytes(b"")
 
-    def write_slowly() -> None:
-        with (tmp_path / "slow.png").open("wb") as file:
-            for start in range(0, len(content), part_bytes):
-                file.write(content[start : start + part_bytes])
-                file.flush()
-                time.sleep(0.02)
+    def write_next_part(_: float) -> None:
+        if parts:
+            path.write_bytes(path.read_bytes() + parts.pop(0))
 
-    thread = threading.Thread(target=write_slowly)
-    thread.start()
+    # The file grows between two polls.
+    monkeypatch.setattr("vehanchor_flight.live.frames.time.sleep", write_next_part)
     sentences: list[str] = []
-    frames = list(folder_frames(tmp_path, Reading(), idle_s=1.0, tell=sentences.append))
-    thread.join()
-    assert [frame.image[0, 0, 0] for frame in frames] == [90]
+    frame = next(folder_frames(tmp_path, Reading(), tell=sentences.append))
+    assert frame.image[0, 0, 0] == 90
+    assert not parts
     assert not sentences
+
+
+def test_the_end_of_a_folder_is_not_before_its_files_were_seen(tmp_path: Path) -> None:
+    _write(tmp_path / "a.png", 1)
+    (frame,) = folder_frames(tmp_path, Reading(), idle_s=1e-9)
+    assert frame.name.endswith("a.png")
 
 
 def test_a_folder_that_vanishes_and_returns_goes_on(tmp_path: Path) -> None:
     folder = tmp_path / "card"
     folder.mkdir()
     _write(folder / "a.png", 1)
-    frames = folder_frames(folder, Reading(), idle_s=5)
+    frames = folder_frames(folder, Reading())
     assert next(frames).name.endswith("a.png")
     shutil.rmtree(folder)
     folder.mkdir()
@@ -110,50 +114,70 @@ def test_a_folder_that_vanishes_and_returns_goes_on(tmp_path: Path) -> None:
     assert next(frames).name.endswith("b.png")
 
 
-class Film:
-    """Camera of a few frames, which then fails."""
+class StagedCamera:
+    """Camera that shows what a test gives it: levels of blue, and None for its loss.
 
-    def __init__(self, levels: list[int], pause_s: float) -> None:
-        self.levels = levels
-        self.pause_s = pause_s
+    Attributes:
+        released: whether it was closed.
+    """
+
+    def __init__(self, *levels: int | None) -> None:
         self.released = False
+        self._levels: queue.Queue[int | None] = queue.Queue()
+        self._has_read = False
+        for level in levels:
+            self._levels.put(level)
+
+    def give(self, *levels: int | None) -> None:
+        """Give further levels, and wait until the reader of the camera has dealt with all."""
+        for level in levels:
+            self._levels.put(level)
+        self._levels.join()
 
     def read(self) -> tuple[bool, NDArray[np.uint8]]:
-        time.sleep(self.pause_s)
-        if not self.levels:
-            return False, np.zeros((24, 32, 3), np.uint8)
-        level = self.levels.pop(0)
-        return True, np.full((24, 32, 3), (level, 0, 0), np.uint8)
+        # Who reads again has dealt with the last frame.
+        if self._has_read:
+            self._levels.task_done()
+        self._has_read = True
+        level = self._levels.get()
+        if level is None:
+            self._levels.task_done()
+        blue = np.full((24, 32, 3), (level or 0, 0, 0), np.uint8)
+        return level is not None, blue
 
     def release(self) -> None:
         self.released = True
 
 
+def _level(frame: Frame) -> int:
+    """Return the level of a frame: blue in the camera's BGR is the last channel of RGB."""
+    return int(frame.image[0, 0, 2])
+
+
 def test_the_newest_frame_of_a_camera_wins() -> None:
-    film = Film(list(range(1, 41)), 0.01)
-    frames = camera_frames(lambda: film, "camera 0", tell=lambda _: None)
-    levels = []
-    for frame in islice(frames, 3):
-        # Blue in the camera's BGR is the last channel of RGB.
-        levels.append(int(frame.image[0, 0, 2]))
-        time.sleep(0.1)
+    camera = StagedCamera(1)
+    frames = camera_frames(lambda: camera, "camera 0", tell=lambda _: None)
+    first = next(frames)
+    camera.give(2, 3, 4)
+    newest = next(frames)
     frames.close()
-    assert levels == sorted(set(levels))
-    assert levels[-1] > 10
-    assert frame.n_skipped >= 2
+    camera.give(None)
+    assert (_level(first), first.n_skipped) == (1, 0)
+    assert (_level(newest), newest.n_skipped) == (4, 2)
 
 
 def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.05)
-    first = Film([1], 0.02)
-    cameras = [first, None, None, Film([2], 0.02)]
+    monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.01)
+    first = StagedCamera(1)
+    second = StagedCamera(2)
+    cameras = [first, None, None, second]
     sentences: list[str] = []
-
-    def open_camera() -> Film | None:
-        return cameras.pop(0) if cameras else None
-
-    frames = camera_frames(open_camera, "camera 0", idle_s=0.4, tell=sentences.append)
-    assert [int(frame.image[0, 0, 2]) for frame in frames] == [1, 2]
+    frames = camera_frames(lambda: cameras.pop(0), "camera 0", tell=sentences.append)
+    assert _level(next(frames)) == 1
+    first.give(None)
+    assert _level(next(frames)) == 2
+    frames.close()
+    second.give(None)
     assert first.released
     assert sentences[:2] == [
         "camera 0 gives no frames: it is tried again every second",
@@ -161,26 +185,32 @@ def test_a_lost_camera_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
+def test_a_camera_that_is_silent_ends_after_the_idle_time() -> None:
+    camera = StagedCamera()
+    assert not list(camera_frames(lambda: camera, "camera 0", idle_s=0.05, tell=lambda _: None))
+    camera.give(None)
+
+
 def test_a_camera_that_never_gives_a_frame_ends_with_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("vehanchor_flight.live.frames._RETRY_S", 0.01)
-    frames = camera_frames(lambda: None, "camera 7", idle_s=20, tell=lambda _: None)
+    frames = camera_frames(lambda: None, "camera 7", tell=lambda _: None)
     with pytest.raises(ImageNotFoundError, match="camera 7 gives no frames: connect it"):
         next(frames)
 
 
 def test_a_full_folder_says_that_only_the_newest_counts(full_folder: Path) -> None:
     sentences: list[str] = []
-    next(folder_frames(full_folder, Reading(), idle_s=5, tell=sentences.append))
+    next(folder_frames(full_folder, Reading(), tell=sentences.append))
     assert "'vehanchor flight " in sentences[0]
 
 
 def test_an_error_of_the_camera_reaches_the_caller() -> None:
-    def open_camera() -> Film:
+    def open_camera() -> StagedCamera:
         raise RuntimeError("the driver failed")
 
-    frames = camera_frames(open_camera, "camera 0", idle_s=5, tell=lambda _: None)
+    frames = camera_frames(open_camera, "camera 0", tell=lambda _: None)
     with pytest.raises(RuntimeError, match="the driver failed"):
         next(frames)
 

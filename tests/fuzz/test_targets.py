@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ def _hangs(data: bytes) -> None:
 def failing(tmp_path: Path) -> Checked:
     """A target that fails, after a drive."""
     checked = Checked(_fails, tmp_path)
-    drive_blindly(checked, [b"seed"], seconds=0.2, seed=1)
+    drive_blindly(checked, [b"seed"], seconds=math.inf, seed=1, n_inputs=9)
     return checked
 
 

@@ -119,4 +119,4 @@ def serving(app: ASGIApp, listener: socket.socket) -> Iterator[None]:
         yield
     finally:
         server.should_exit = True
-        thread.join(10)
+        thread.join()

@@ -31,9 +31,10 @@ _RENDERED = ("scene", "pasted")
 def measured(answers: ChipAnswers, candidate_m: NDArray[np.float64]) -> Bodies:
     """Measure the bodies of candidates whose lengths in metres are known."""
     logs = np.log(answers.sizes * candidate_m[:, None])
-    return Bodies(
-        logs.astype(np.float32), (1 / (1 + (answers.log_size_sd / _OWN_SD) ** 2)).astype(np.float32)
-    )
+    # The variance of a body over that of a measurement by its own.
+    variances = 1 + (answers.log_size_sd / _OWN_SD) ** 2
+    weight = 1 / variances
+    return Bodies(logs.astype(np.float32), weight.astype(np.float32))
 
 
 def save(bodies: Bodies, path: Path) -> None:
@@ -56,7 +57,8 @@ def main() -> None:
     save(bodies, options.readings.with_suffix(".bodies.npz"))
     for place in np.unique(read.place):
         for k, kind in enumerate(CARS):
-            here = (read.place == place) & (read.kind == k) & np.isfinite(bodies.log_metres[:, 0])
+            is_known = np.isfinite(bodies.log_metres[:, 0])
+            here = (read.place == place) & (read.kind == k) & is_known
             if here.sum() > 4:
                 sizes = np.exp(np.median(bodies.log_metres[here], axis=0))
                 print(
@@ -65,16 +67,17 @@ def main() -> None:
                 )
     for folder in options.stores:
         chips, rows = read_store(folder)
-        is_known = np.isfinite(rows.log_length_m) & np.isfinite(rows.box[:, 2]) & (rows.car == 1)
+        has_length = np.isfinite(rows.log_length_m) & np.isfinite(rows.box[:, 2])
+        is_known = has_length & (rows.car == 1)
         indices = np.flatnonzero(is_known & ~np.isin(rows.sets, _RENDERED))
         logs = np.full((len(is_known), 2), np.nan, np.float32)
         weight = np.zeros((len(is_known), 2), np.float32)
         for start in range(0, len(indices), 512):
             batch = indices[start : start + 512]
-            answers = network.answers(
-                np.stack([cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in batch]), views=2
-            )
-            candidate_m = np.exp((rows.log_length_m[batch] - rows.box[batch, 2]).astype(np.float64))
+            cuts = [cut(np.asarray(chips[k]), STORED_LENGTH_PX) for k in batch]
+            answers = network.answers(np.stack(cuts), views=2)
+            log_candidate_m = rows.log_length_m[batch] - rows.box[batch, 2]
+            candidate_m = np.exp(log_candidate_m.astype(np.float64))
             logs[batch], weight[batch] = measured(answers, candidate_m)
         save(Bodies(logs, weight), folder / "bodies.npz")
         for name in np.unique(rows.sets[indices]):

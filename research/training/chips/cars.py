@@ -83,7 +83,9 @@ def judged(folder: Path, network: ChipNetwork) -> Judged:
 
 def _design(cases: Judged, names: tuple[str, ...]) -> NDArray[np.float64]:
     """Build the columns of the regression: logits, and ones for the bias."""
-    return np.column_stack([*(cases.logits[name] for name in names), np.ones(len(cases.car))])
+    logits = [cases.logits[name] for name in names]
+    ones = np.ones(len(cases.car))
+    return np.column_stack([*logits, ones])
 
 
 def fitted(names: tuple[str, ...], *parts: Judged) -> NDArray[np.float64]:
@@ -115,7 +117,8 @@ def left_out(train: Judged, test: Judged, names: tuple[str, ...]) -> LogOdds:
     odds = np.zeros(len(test.car))
     for name in np.unique(test.rows.sets):
         here = test.rows.sets == name
-        odds[here] = _design(test.take(here), names) @ fitted(names, train, test.take(~here))
+        weights = fitted(names, train, test.take(~here))
+        odds[here] = _design(test.take(here), names) @ weights
     return odds
 
 

@@ -92,7 +92,8 @@ def scale_report(read: Read, answers: ChipAnswers) -> Iterator[str]:
     """Measure the spread of the log scale from one car, without the bias of its place."""
     eye = np.log(sizes(read.edges) * read.length_px[:, None])
     network = np.log(sizes(answers.edges) * read.length_px[:, None])
-    body = np.log([BODY_M.get(KINDS[max(kind, 0)], (np.nan, np.nan)) for kind in read.kind])
+    kinds = [KINDS[max(kind, 0)] for kind in read.kind]
+    body = np.log([BODY_M.get(kind, (np.nan, np.nan)) for kind in kinds])
     log_scales = {
         "detector's length": np.log(_BOX_M / read.length_px),
         "length alone": -network[:, 0],

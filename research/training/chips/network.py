@@ -84,7 +84,8 @@ class ChipNet(nn.Module):
         for k, stage in enumerate(self.stages):
             x = stage(x)
             _, left, right, top, bottom = _KEPT[k]
-            parts.append(self.middles[k](x[:, :, top:bottom, left:right]).flatten(1))
+            kept = x[:, :, top:bottom, left:right]
+            parts.append(self.middles[k](kept).flatten(1))
             if k:
                 parts.append(x.mean(dim=(2, 3)))
         joined = torch.cat(parts, dim=1)

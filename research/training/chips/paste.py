@@ -249,7 +249,8 @@ def _pasted_vehicle(
             rng, canvas, truth=truth, px_per_m=px_per_m, sun=sun, strength=strength, fleet=fleet
         )
     x, y = _CANVAS_PX / 2 + truth[:2] * px_per_m
-    box = np.array([x, y, truth[2] * px_per_m, truth[3] * px_per_m, truth[4]])
+    length_px, width_px = truth[2:4] * px_per_m
+    box = np.array([x, y, length_px, width_px, truth[4]])
     draw_vehicle(canvas, model, box=box, px_per_m=px_per_m, sun=sun, strength=strength)
     coarse = px_per_m * ground.gsd_m_per_px
     fits = is_car and not wrong

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -146,7 +147,8 @@ def _cars() -> list[_Car]:
         x, y, length, angle = [float(row[name]) for name in ("x", "y", "length_px", "angle")]
         box = np.array([x, y, length, 0.45 * length, angle])
         measured = boxes_by_file.get(row["file"], [])
-        if not any(np.hypot(*(other[:2] - (x, y))) < 0.3 * length for other in measured):
+        gaps = [math.dist(other[:2], (x, y)) for other in measured]
+        if not any(gap < 0.3 * length for gap in gaps):
             cars.append(_car(row, box, edges=[np.nan] * 4, width_px=np.nan))
     return cars
 

@@ -214,7 +214,8 @@ class Bodies(NamedTuple):
     def load(cls, path: Path, count: int) -> Bodies:
         """Load bodies; all are unknown without a file."""
         if not path.exists():
-            return cls(np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32))
+            unknown = np.full((count, 2), np.nan, np.float32)
+            return cls(unknown, np.zeros((count, 2), np.float32))
         with np.load(path) as stored:
             return cls(stored["log_metres"], stored["weight"])
 
@@ -235,7 +236,8 @@ def target_of_row(rows: Rows, bodies: Bodies, k: int) -> Target:
         edges = edges_of_box(rows.box[k])
         turn = float(rows.box[k][4])
         weight = _RENDERED_WEIGHT
-        metres = (length, length + float(rows.box[k][3] - rows.box[k][2]))
+        log_proportions = float(rows.box[k][3] - rows.box[k][2])
+        metres = (length, length + log_proportions)
         metres_weight = (_RENDERED_WEIGHT / 3, _RENDERED_WEIGHT / 3)
     elif bodies.weight[k].any():
         metres = (float(bodies.log_metres[k, 0]), float(bodies.log_metres[k, 1]))
@@ -348,7 +350,8 @@ class ChipStream:
         # The number is drawn for each source, so that all sources draw the same ones after it.
         candidates = self._cars if rng.random() < _CAR_SHARE else self._others
         indices, odds = (candidates, self._ends, self._kinds)[source]
-        k = int(indices[min(int(np.searchsorted(odds, rng.random())), len(odds) - 1)])
+        drawn = int(np.searchsorted(odds, rng.random()))
+        k = int(indices[min(drawn, len(odds) - 1)])
         move = draw_move(rng)
         if source == 0:
             target = target_of_row(self._rows, self._bodies, k)

@@ -113,7 +113,8 @@ def _edge_losses(answers: Answers, truth: Batch) -> dict[str, Tensor]:
 
 def _log_size(edges: Tensor, first: int, weight: Tensor) -> Tensor:
     """Compute the log of the distance of two edges; 0 where the weight is 0."""
-    size = torch.where(weight > 0, edges[:, first + 1] - edges[:, first], torch.ones_like(weight))
+    distance = edges[:, first + 1] - edges[:, first]
+    size = torch.where(weight > 0, distance, torch.ones_like(weight))
     return size.clamp(min=0.05).log()
 
 

@@ -166,7 +166,8 @@ def _crop(picture: Picture, gsd: float, rng: Generator) -> tuple[Pixels, list[Co
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     cos = math.cos(turn)
     sin = math.sin(turn)
-    linear = np.array([[cos, -sin], [sin, cos]]) @ np.diag([mirror, 1.0])
+    rotation = np.array([[cos, -sin], [sin, cos]])
+    linear = rotation @ np.diag([mirror, 1.0])
     shift = SIDE_PX / 2 - linear @ centre
     matrix = np.column_stack([linear, shift])
     pixels = cv2.warpAffine(reduced, matrix, (SIDE_PX, SIDE_PX), borderMode=cv2.BORDER_CONSTANT)
@@ -174,7 +175,8 @@ def _crop(picture: Picture, gsd: float, rng: Generator) -> tuple[Pixels, list[Co
     for court in picture.courts:
         x, y = linear @ (np.array([court.x, court.y]) * factor) + shift
         dx, dy = linear @ (math.cos(court.angle), math.sin(court.angle))
-        courts.append(Court(float(x), float(y), math.atan2(dy, dx), court.which))
+        angle = math.atan2(dy, dx)
+        courts.append(Court(float(x), float(y), angle, court.which))
     return np.asarray(pixels, np.uint8), courts
 
 

@@ -44,7 +44,9 @@ def losses(
     n_peaks = peaks.sum().clamp(min=1)
     focal = -(torch.where(peaks, hit, miss) * weights).sum() / n_peaks
     near = (heats.amax(dim=1, keepdim=True) > 0.5).float()
-    pose = ((outputs[:, 2:] - targets[:, 2:]).abs() * near).sum() / near.sum().clamp(min=1)
+    n_near = near.sum().clamp(min=1)
+    pose_errors = (outputs[:, 2:] - targets[:, 2:]).abs()
+    pose = (pose_errors * near).sum() / n_near
     return {"heat": focal, "pose": _POSE_WEIGHT * pose}
 
 
@@ -58,7 +60,9 @@ class Exported(nn.Module):
     def forward(self, tiles: Tensor) -> Tensor:
         """Compute ``[n, 5, h / 8, w / 8]`` from ``[n, 3, h, w]`` uint8."""
         seen = self.network(tiles.float() / 255.0)
-        return torch.cat([torch.sigmoid(seen[:, :2]), seen[:, 2:]], dim=1)
+        shares = torch.sigmoid(seen[:, :2])
+        poses = seen[:, 2:]
+        return torch.cat([shares, poses], dim=1)
 
 
 def export(network: CourtNet, out: Path) -> None:

@@ -163,9 +163,11 @@ def corrected(sample: TrainImage, corrections: Sequence[Correction]) -> TrainIma
     unseen = of("unseen")
     offsets = sample.boxes[:, None, :2] - unseen[None, :, :2]
     gap = np.linalg.norm(offsets, axis=2)
+    is_unseen = (gap < 1.0).any(axis=1)
+    unclear = box_corners(of("ignore", "unseen"))
     return sample._replace(
-        boxes=np.concatenate([sample.boxes[~(gap < 1.0).any(axis=1)], of("car")]),
-        ignore=np.concatenate([sample.ignore, box_corners(of("ignore", "unseen"))]),
+        boxes=np.concatenate([sample.boxes[~is_unseen], of("car")]),
+        ignore=np.concatenate([sample.ignore, unclear]),
         clutter=of("clutter")[:, :2],
     )
 
@@ -370,7 +372,8 @@ def photometric(rng: Generator, image: Picture) -> Picture:
         grey = x.mean(axis=2, keepdims=True)
         x = grey + (x - grey) * np.float32(rng.uniform(0.4, 1.5))
         x = x * rng.uniform(0.85, 1.15, 3).astype(np.float32)
-    x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
+    gamma = np.float32(np.exp(rng.uniform(-0.4, 0.4)))
+    x = np.clip(x, 0, 1) ** gamma
     contrast = np.float32(rng.uniform(0.6, 1.45))
     brightness = np.float32(rng.uniform(-0.15, 0.15))
     x = (x - x.mean()) * contrast + x.mean() + brightness
@@ -473,7 +476,8 @@ class CropStream:
         self._share = share / share.sum()
         self._pick = {}
         for name, samples in self._by_set.items():
-            weight = np.array([1.0 + np.sqrt(len(s.boxes) + len(s.clutter)) for s in samples])
+            counts = np.array([len(sample.boxes) + len(sample.clutter) for sample in samples])
+            weight = 1.0 + np.sqrt(counts)
             self._pick[name] = weight / weight.sum()
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, Target]:
@@ -486,10 +490,11 @@ class CropStream:
         rng = np.random.default_rng([self.seed, index])
         name = self._names[rng.choice(len(self._names), p=self._share)]
 
+        samples = self._by_set[name]
+
         def draw() -> Crop:
-            return draw_crop(
-                rng, self._by_set[name][rng.choice(len(self._by_set[name]), p=self._pick[name])]
-            )
+            number = rng.choice(len(samples), p=self._pick[name])
+            return draw_crop(rng, samples[number])
 
         crop = draw()
         for _ in range(2):

@@ -203,10 +203,12 @@ def _crowns(rng: Generator, image: Picture) -> _Layer:
     for y in np.arange(0, height, pitch[1]):
         for x in np.arange(0, width, pitch[0]):
             r = radius * rng.uniform(0.7, 1.15)
+            along_x = r * np.cos(sun)
+            along_y = r * np.sin(sun)
             for dx, dy, tone, strength in (
-                (0.7 * r * np.cos(sun), 0.7 * r * np.sin(sun), _SHADOW, 0.8),
+                (0.7 * along_x, 0.7 * along_y, _SHADOW, 0.8),
                 (0.0, 0.0, paint, 1.0),
-                (-0.3 * r * np.cos(sun), -0.3 * r * np.sin(sun), paint * 1.35, 1.0),
+                (-0.3 * along_x, -0.3 * along_y, paint * 1.35, 1.0),
             ):
                 small = 0.55 * r if tone is not paint and strength == 1.0 else r
                 centre = (round((x + dx) * 2**_SHIFT), round((y + dy) * 2**_SHIFT))

@@ -40,7 +40,8 @@ class LengthCorrection(nn.Module):
         """Add the correction."""
         out = log_length + (self.knots[0][1] if self.knots else 0.0)
         for (start, before), (end, after) in pairwise(self.knots):
-            out = out + (after - before) * ((log_length - start) / (end - start)).clamp(0.0, 1.0)
+            share = ((log_length - start) / (end - start)).clamp(0.0, 1.0)
+            out = out + (after - before) * share
         return out
 
 
@@ -77,7 +78,9 @@ class UltralyticsLayout(nn.Module):
         total = functional.avg_pool2d(trust, 3, 1, 1).clamp(1e-6)
         steady = functional.avg_pool2d(shape[:, 2:] * trust, 3, 1, 1) / total
         logs = steady[:, 0:2].clamp(0.0, 7.0)
-        sides = torch.cat([self.correction(logs[:, 0:1]), logs[:, 1:2]], dim=1).exp()
+        log_length = self.correction(logs[:, 0:1])
+        log_width = logs[:, 1:2]
+        sides = torch.cat([log_length, log_width], dim=1).exp()
         angle = 0.5 * torch.atan2(steady[:, 3:4], steady[:, 2:3])
         return torch.cat([x, y, sides, score, angle], dim=1).flatten(2)
 

@@ -71,5 +71,7 @@ def looked_at() -> dict[str, list[tuple[float, float, str]]]:
     out: dict[str, list[tuple[float, float, str]]] = {}
     with _LOOKED_AT.open(newline="") as handle:
         for row in csv.DictReader(handle):
-            out.setdefault(row["file"], []).append((float(row["x"]), float(row["y"]), row["kind"]))
+            of_file = out.setdefault(row["file"], [])
+            judged = (float(row["x"]), float(row["y"]), row["kind"])
+            of_file.append(judged)
     return out

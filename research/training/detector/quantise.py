@@ -51,11 +51,8 @@ def crops(vehicles: Path, count: int, seed: int = 0) -> Iterator[NDArray[np.floa
             image = np.asarray(
                 cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
             )
-        image = np.pad(
-            image,
-            [(0, max(0, _CROP_PX - side)) for side in image.shape[:2]] + [(0, 0)],
-            "symmetric",
-        )
+        down, right = (max(0, _CROP_PX - side) for side in image.shape[:2])
+        image = np.pad(image, [(0, down), (0, right), (0, 0)], "symmetric")
         top, left = (int(rng.integers(side - _CROP_PX + 1)) for side in image.shape[:2])
         pixels = image[top : top + _CROP_PX, left : left + _CROP_PX, ::-1]
         yield np.ascontiguousarray(pixels.transpose(2, 0, 1)[None], np.float32) / np.float32(255)

@@ -136,7 +136,9 @@ def windows(whole: Picture, split: str, folder: Path) -> Iterator[Picture]:
             is_inside = ((centres > corner) & (centres < corner + side)).all(axis=1)
             cars = int(is_inside.sum())
             if 1 <= cars <= _MAX_CARS:
-                cut = pixels[corner[1] : corner[1] + side[1], corner[0] : corner[0] + side[0]]
+                left, top = corner
+                right, bottom = corner + side
+                cut = pixels[top:bottom, left:right]
                 file = folder / f"{whole.set}_{whole.file.stem}_{number}.png"
                 yield reduced(cut, factor, Picture(file, whole.set, whole.gsd_m_per_px, cars))
                 break

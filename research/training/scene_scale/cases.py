@@ -100,7 +100,9 @@ def load(path: Path) -> list[Case]:
         )
     parts = np.split(log_probs, np.cumsum(levels[:, 2])[:-1])
     out = []
-    for k, ((set_name, name), (gsd, reduced)) in enumerate(zip(text, numbers, strict=True)):
+    for k in range(len(text)):
+        set_name, name = text[k]
+        gsd, reduced = numbers[k]
         mine = np.flatnonzero(levels[:, 0] == k)
         factors = tuple(int(levels[i, 1]) for i in mine)
         out.append(

@@ -287,8 +287,10 @@ def draw_crop(rng: Generator, image: ScaledImage, gsd_m_per_px: float) -> Pictur
     part = np.asarray(cv2.resize(part, (outer, outer), interpolation=how), np.uint8)
     if angle:
         middle = (outer - 1) / 2
-        shift = np.array([[0, 0, 1], [0, 0, 1]]) * (middle - (TILE_PX - 1) / 2)
-        matrix = cv2.getRotationMatrix2D((middle, middle), angle, 1.0) - shift
+        matrix = cv2.getRotationMatrix2D((middle, middle), angle, 1.0)
+        # The middle of the part becomes that of the tile.
+        shift = middle - (TILE_PX - 1) / 2
+        matrix[:, 2] = matrix[:, 2] - shift
         part = np.asarray(
             cv2.warpAffine(part, matrix, (TILE_PX, TILE_PX), borderMode=cv2.BORDER_REFLECT),
             np.uint8,
@@ -303,7 +305,8 @@ def retouched(rng: Generator, crop: Picture) -> Picture:
     grey = x.mean(axis=2, keepdims=True)
     x = grey + (x - grey) * np.float32(rng.uniform(0.3, 1.4))
     x = x * rng.uniform(0.9, 1.1, 3).astype(np.float32)
-    x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.uniform(-0.35, 0.35)))
+    gamma = np.float32(np.exp(rng.uniform(-0.35, 0.35)))
+    x = np.clip(x, 0, 1) ** gamma
     x = (
         (x - x.mean()) * np.float32(rng.uniform(0.65, 1.35))
         + x.mean()
@@ -327,7 +330,8 @@ def featureless(rng: Generator) -> Picture:
     colour = rng.uniform(20, 220, 3)
     contrast = np.exp(rng.uniform(np.log(1.0), np.log(40.0)))
     tint = contrast * rng.uniform(0.7, 1.3, 3)
-    return np.asarray(np.clip(colour + field[:, :, None] * tint, 0, 255), np.uint8)
+    coloured = colour + field[:, :, None] * tint
+    return np.asarray(np.clip(coloured, 0, 255), np.uint8)
 
 
 @dataclass
@@ -343,11 +347,11 @@ class CropStream:
 
     def __post_init__(self) -> None:
         """Sort the images by their sets."""
-        self._range = np.array(
-            [(image.finest_m_per_px, coarsest_m_per_px(image)) for image in self.images]
-        )
+        finest = [image.finest_m_per_px for image in self.images]
+        coarsest = [coarsest_m_per_px(image) for image in self.images]
+        self._range = np.column_stack([finest, coarsest])
         self._set = np.array([image.set for image in self.images])
-        self._within = np.log([self._range[:, 0].min(), self._range[:, 1].max()])
+        self._within = np.log([min(finest), max(coarsest)])
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Draw a crop.

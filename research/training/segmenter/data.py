@@ -83,7 +83,9 @@ class MaskImage(NamedTuple):
 
 def group_of(name: str) -> str:
     """Return the group of an image: neighbours stay on one side of the train/dev line."""
-    parts = name.rsplit("/", 1)[-1].rsplit(".", 1)[0].split("_")
+    file = name.rsplit("/", 1)[-1]
+    stem = file.rsplit(".", 1)[0]
+    parts = stem.split("_")
     if parts[0] == "cannes":
         tile = int(parts[1])
         return f"cannes_{tile // 49 // 2}_{tile % 49 // 7}"
@@ -126,7 +128,8 @@ def load_scenes(folder: Path) -> list[MaskImage]:
     """Load rendered scenes: ``NAME.jpg`` with ``NAME_CATEGORY.png`` instance masks beside it."""
     out = []
     for path in sorted(folder.glob("*.jpg")):
-        image = np.ascontiguousarray(_read(path, cv2.IMREAD_COLOR)[:, :, ::-1]).astype(np.uint8)
+        rgb = _read(path, cv2.IMREAD_COLOR)[:, :, ::-1]
+        image = np.ascontiguousarray(rgb).astype(np.uint8)
         for mask in sorted(folder.glob(f"{path.stem}_*.png")):
             category = mask.stem.removeprefix(f"{path.stem}_")
             ids = _read(mask, cv2.IMREAD_UNCHANGED).astype(np.uint16)
@@ -142,7 +145,8 @@ def objects_of(images: Sequence[MaskImage], least_side_px: int = LEAST_SIDE_PX) 
         for number in np.unique(sample.mask)[1:]:
             x, y, w, h = cv2.boundingRect((sample.mask == number).astype(np.uint8))
             if min(w, h) >= least_side_px:
-                out.append(MaskObject(index, int(number), x0=x, y0=y, x1=x + w, y1=y + h))
+                item = MaskObject(index, int(number), x0=x, y0=y, x1=x + w, y1=y + h)
+                out.append(item)
     return out
 
 
@@ -353,7 +357,8 @@ class BatchStream:
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         shares = np.array([size.share for size in CROP_SIZES])
-        return self.batch(rng, CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())])
+        number = rng.choice(len(CROP_SIZES), p=shares / shares.sum())
+        return self.batch(rng, CROP_SIZES[number])
 
     def batch(self, rng: Generator, size: CropSize) -> Batch:
         """Make one batch."""

@@ -29,7 +29,9 @@ def overlap_of(logits: Tensor, target: Tensor) -> Tensor:
     """IoU ``[b]`` of the masks at their thresholds (logit 0, coverage one half)."""
     ours = logits > 0
     true = target > 0.5
-    return (ours & true).sum(dim=(1, 2, 3)) / (ours | true).sum(dim=(1, 2, 3)).clamp(min=1)
+    both = (ours & true).sum(dim=(1, 2, 3))
+    either = (ours | true).sum(dim=(1, 2, 3))
+    return both / either.clamp(min=1)
 
 
 def segmentation_loss(prediction: Segmentation, target: Tensor) -> SegmentationLoss:
@@ -38,9 +40,11 @@ def segmentation_loss(prediction: Segmentation, target: Tensor) -> SegmentationL
     wide = functional.max_pool2d(target, _NEAR_CELLS, 1, _NEAR_CELLS // 2)
     outer = functional.max_pool2d(target, _EDGE_CELLS, 1, _EDGE_CELLS // 2)
     inner = -functional.max_pool2d(-target, _EDGE_CELLS, 1, _EDGE_CELLS // 2)
-    weight = _FAR_WEIGHT + (1 - _FAR_WEIGHT) * wide + (_EDGE_WEIGHT - 1) * (outer - inner)
-    entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
-    entropy = ((entropy * weight).sum(dim=(1, 2, 3)) / weight.sum(dim=(1, 2, 3))).mean()
+    edge = outer - inner
+    weight = _FAR_WEIGHT + (1 - _FAR_WEIGHT) * wide + (_EDGE_WEIGHT - 1) * edge
+    by_cell = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
+    weighted = (by_cell * weight).sum(dim=(1, 2, 3))
+    entropy = (weighted / weight.sum(dim=(1, 2, 3))).mean()
     chance = logits.sigmoid()
     both = (chance * target).sum(dim=(1, 2, 3))
     either = (chance + target).sum(dim=(1, 2, 3))

@@ -112,19 +112,19 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
     """
     points = prompt.points
     labels = prompt.labels
-    rows = (
-        torch.arange(height, dtype=torch.float32, device=points.device).view(1, 1, -1, 1) + 0.5
-    ) * STRIDE_PX
-    cols = (
-        torch.arange(width, dtype=torch.float32, device=points.device).view(1, 1, 1, -1) + 0.5
-    ) * STRIDE_PX
+    row_numbers = torch.arange(height, dtype=torch.float32, device=points.device)
+    col_numbers = torch.arange(width, dtype=torch.float32, device=points.device)
+    rows = (row_numbers.view(1, 1, -1, 1) + 0.5) * STRIDE_PX
+    cols = (col_numbers.view(1, 1, 1, -1) + 0.5) * STRIDE_PX
 
     def corner(label: float) -> tuple[Tensor, Tensor]:
         chosen = (labels == label).to(points.dtype)
         place = (points * chosen.unsqueeze(2)).sum(dim=1)
-        return place[:, 0].view(-1, 1, 1, 1), place[:, 1].view(-1, 1, 1, 1)
+        x, y = place.unbind(dim=1)
+        return x.view(-1, 1, 1, 1), y.view(-1, 1, 1, 1)
 
-    has_box = (labels == TOP_LEFT).to(points.dtype).sum(dim=1).clamp(max=1.0).view(-1, 1, 1, 1)
+    n_boxes = (labels == TOP_LEFT).to(points.dtype).sum(dim=1)
+    has_box = n_boxes.clamp(max=1.0).view(-1, 1, 1, 1)
     # Corners change places in a mirrored image.
     (xa, ya) = corner(TOP_LEFT)
     (xb, yb) = corner(BOTTOM_RIGHT)
@@ -138,10 +138,11 @@ def prompt_maps(prompt: Prompt, height: int, width: int) -> Tensor:
     inside_x = torch.minimum(cols - x0, x1 - cols)
     inside_y = torch.minimum(rows - y0, y1 - rows)
     inside = torch.minimum(inside_x, inside_y)
+    from_centre = torch.maximum(across.abs(), down.abs())
     plane = has_box * torch.ones_like(inside)
     boxed = [
         has_box * (inside / _NEAR_PX).clamp(-1.0, 1.0),
-        has_box * (1.0 - torch.maximum(across.abs(), down.abs())).clamp(-1.0, 1.0),
+        has_box * (1.0 - from_centre).clamp(-1.0, 1.0),
         has_box * torch.exp(-inside.abs() / _EDGE_PX),
         (has_box * across).clamp(-1.5, 1.5) * torch.ones_like(inside),
         (has_box * down).clamp(-1.5, 1.5) * torch.ones_like(inside),
@@ -211,13 +212,14 @@ class Decoder(nn.Module):
         chosen = (mask > 0).to(mask.dtype)
         hit = (chance * chosen).sum(dim=(2, 3))
         size = chosen.sum(dim=(2, 3)) + 1.0
+        missed = (chance * (1 - chosen)).sum(dim=(2, 3))
         # The expected IoU, if the mask's chances are true.
-        calibrated = hit / (size + (chance * (1 - chosen)).sum(dim=(2, 3)))
+        calibrated = hit / (size + missed)
         unsure = (chance * (1 - chance)).sum(dim=(2, 3)) / size
-        pooled = (fine * chance).sum(dim=(2, 3)) / (chance.sum(dim=(2, 3)) + 1.0)
-        features = torch.cat(
-            [coarse.mean(dim=(2, 3)), pooled, calibrated, unsure.clamp(max=4.0)], dim=1
-        )
+        expected_size = chance.sum(dim=(2, 3)) + 1.0
+        pooled = (fine * chance).sum(dim=(2, 3)) / expected_size
+        context = coarse.mean(dim=(2, 3))
+        features = torch.cat([context, pooled, calibrated, unsure.clamp(max=4.0)], dim=1)
         out: Tensor = self.iou(features).sigmoid()
         return out
 

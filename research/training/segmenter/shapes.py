@@ -56,7 +56,9 @@ def _turned(points: Polygon, rng: Generator) -> Polygon:
 
 
 def _rectangle(wide: float, high: float) -> Polygon:
-    return np.array([[-wide, -high], [wide, -high], [wide, high], [-wide, high]])
+    x = [-wide, wide, wide, -wide]
+    y = [-high, -high, high, high]
+    return np.column_stack([x, y])
 
 
 def _ellipse(wide: float, high: float, power: float = 2.0) -> Polygon:

@@ -75,7 +75,8 @@ def read_targets(
             x, y, w, h = cv2.boundingRect(mask.astype(np.uint8))
             if min(w, h) < LEAST_SIDE_PX:
                 continue
-            moved = np.array([x, y, x + w, y + h]) + rng.uniform(-JITTER, JITTER, 4) * (w, h, w, h)
+            box = np.array([x, y, x + w, y + h])
+            moved = box + rng.uniform(-JITTER, JITTER, 4) * (w, h, w, h)
             x1, y1, x2, y2 = np.clip(moved, 0, (width, height, width, height)).tolist()
             yield Target(row["category"], row["image"], rgb, mask, (x1, y1, x2, y2))
 

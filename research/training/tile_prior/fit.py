@@ -58,7 +58,8 @@ def fit(logs: NDArray[np.float64], cars: NDArray[np.bool_]) -> tuple[float, floa
     mean = logs.mean()
     spread = logs.std()
     design = np.column_stack([(logs - mean) / spread, np.ones(len(logs))])
-    slope, constant = logistic(design, cars, weight=np.full(len(logs), 1 / len(logs)), ridge=_RIDGE)
+    weight = np.full(len(logs), 1 / len(logs))
+    slope, constant = logistic(design, cars, weight=weight, ridge=_RIDGE)
     return float(constant - slope * mean / spread), float(slope / spread)
 
 

@@ -83,7 +83,8 @@ def truth_of(boxes: Boxes, labels: Boxes, ignore: Polygons) -> NDArray[np.int8]:
     """
     truth = np.zeros(len(boxes), np.int8)
     if len(labels):
-        gap = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2) / labels[None, :, 2]
+        offsets = boxes[:, None, :2] - labels[None, :, :2]
+        gap = np.linalg.norm(offsets, axis=2) / labels[None, :, 2]
         nearest = gap.argmin(axis=1)
         ratio = np.abs(np.log(boxes[:, 2] / labels[nearest, 2]))
         truth[gap.min(axis=1) < _NEAR] = -1
@@ -184,13 +185,13 @@ class ChipStream:
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         car = int(rng.random() < 0.5)
-        indices = min(
-            int(np.searchsorted(self._weight[car], rng.random())), len(self.candidates.car) - 1
-        )
-        cut = photometric(rng, shaded(rng, varied(rng, self.candidates.chips[indices]), _CANDIDATE))
-        return torch.from_numpy(np.ascontiguousarray(cut.transpose(2, 0, 1))), torch.tensor(
-            float(car)
-        )
+        drawn = int(np.searchsorted(self._weight[car], rng.random()))
+        last = len(self.candidates.car) - 1
+        chip = varied(rng, self.candidates.chips[min(drawn, last)])
+        chip = shaded(rng, chip, _CANDIDATE)
+        chip = photometric(rng, chip)
+        channels = np.ascontiguousarray(chip.transpose(2, 0, 1))
+        return torch.from_numpy(channels), torch.tensor(float(car))
 
 
 def varied(rng: Generator, stored: Chips) -> Chips:
@@ -198,9 +199,10 @@ def varied(rng: Generator, stored: Chips) -> Chips:
     scale = np.exp(rng.normal(0, _JITTER))
     turn = rng.normal(0, _TURN)
     flip = rng.choice((-1.0, 1.0), 2)
-    matrix = (
-        np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * scale * flip[None]
-    )
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    rotation = np.array([[cos, -sin], [sin, cos]])
+    matrix = rotation * scale * flip[None]
     off = rng.normal(0, _JITTER * CHIP_LENGTH_PX, 2)
     origin = STORED_PX / 2 + off - matrix @ [CHIP_PX / 2, CHIP_PX / 2]
     full = np.column_stack([matrix, origin])

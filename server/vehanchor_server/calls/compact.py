@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _DIGITS = 3
-_LONG_CHARS = 100  # a longer sentence is cut to its first clause
+_LONG_CHARS = 100  # a longer sentence loses its last clauses
 
 
 def short_record(records: Sequence[BaseModel], warnings: Sequence[str] = ()) -> dict[str, Any]:
@@ -41,10 +41,10 @@ def short_record(records: Sequence[BaseModel], warnings: Sequence[str] = ()) -> 
 
 
 def brief(message: str) -> str:
-    """Return the first sentence of a message; of a long one, the clause that states the fact."""
+    """Return the first sentence of a message; of a long one, as many clauses as are short."""
     sentence = message.partition(". ")[0].rstrip(".")
-    if len(sentence) > _LONG_CHARS:
-        sentence = sentence.partition(": ")[0]
+    while len(sentence) > _LONG_CHARS and ": " in sentence:
+        sentence, _, _ = sentence.rpartition(": ")
     return f"{sentence}."
 
 
@@ -117,10 +117,12 @@ def _drop_superfluous_box(short: dict[str, Any], area: AreaMeasurement) -> None:
 def _drop_sizes(short: dict[str, Any]) -> None:
     """Drop what a caller who asks whether a shape fits does not need: other sizes and boxes.
 
-    Places are given once: in the caller's pixels.
+    The largest circle stays: it is what may be asked next. Places are given once: in the caller's
+    pixels.
     """
+    superfluous = ("inscribed_center", "inscribed_diameter_ci95", "length_", "width_", "bounding_")
     for name in list(short):
-        if name.startswith(("inscribed_", "length_", "width_", "bounding_")):
+        if name.startswith(superfluous):
             del short[name]
     frame = short.get("frame", {})
     frame.pop("bounding_box", None)

@@ -7,6 +7,9 @@ target: below the link's directory, or from a root that the target names. A targ
 ends the walk, even if it returns. The library gets the checked descriptor, so the file cannot
 change between check and use.
 
+Names in calls are Unicode, and files are named by bytes of UTF-8, whatever the server's locale.
+Between both, names have the form that Python opens.
+
 On Linux the library gets the name of the descriptor (``/proc/self/fd/N``). The name refers to the
 same file whatever happens to its path, and supports windowed reading of large TIFFs. Elsewhere it
 gets the file object and reads it whole.
@@ -49,6 +52,7 @@ _WINDOWS_PLACES = r"|[a-z]://|[a-z]:[\\/]|\\\\"
 _FOREIGN_PATH = re.compile(
     _FOREIGN_PLACES + (_WINDOWS_PLACES if os.name == "posix" else ""), re.IGNORECASE
 )
+_CALLS_ENCODING = "utf-8"
 _MAX_LINKS = 40  # the limit of Linux
 _MAX_NAMED = 4  # roots, or similar names, in an error
 _MAX_LISTED = 100_000  # visited names per list of images
@@ -133,7 +137,9 @@ class PathAccess:
             CallError: ``source_disabled``.
         """
         self._check_enabled()
-        paths = [str(path) for root in self.roots for path in _images_below(root, check_stop)]
+        paths = [
+            _as_sent(str(path)) for root in self.roots for path in _images_below(root, check_stop)
+        ]
         return paths[first : first + count], len(paths)
 
     def first(self) -> str | None:
@@ -144,7 +150,7 @@ class PathAccess:
         """List the images below all roots, relative to their root."""
         for root in self.roots:
             for path in _images_below(root):
-                yield path.relative_to(root).as_posix()
+                yield _as_sent(path.relative_to(root).as_posix())
 
     def _nearest(self, name: str) -> list[str]:
         """Return the images below the roots with the nearest names."""
@@ -181,10 +187,19 @@ class PathAccess:
             named = self._path_in_url(named)
         if "\0" in named or len(named) > MAX_PATH_CHARS:
             raise self._refused()
-        path = Path(named)
+        path = Path(self._as_stored(named))
         if ".." in path.parts:
             raise CallError("path_not_allowed", "the path contains '..'. Give the path without it.")
         return path
+
+    def _as_stored(self, named: str) -> str:
+        """Convert a name of a call to the one by which Python opens the file in this locale."""
+        if sys.getfilesystemencoding() == _CALLS_ENCODING:
+            return named
+        try:
+            return os.fsdecode(named.encode(_CALLS_ENCODING))
+        except UnicodeEncodeError:  # half a character
+            raise self._refused() from None
 
     def _path_in_url(self, url: str) -> str:
         """Return the path that a file:// URL names on this machine."""
@@ -207,7 +222,7 @@ class PathAccess:
     def _refused(self) -> CallError:
         # The operator's own spellings, if there are any: callers know them.
         spellings = [name for name, _ in self._spellings[-len(self.roots) :]]
-        roots = " or ".join(shortened(str(name)) for name in spellings[:_MAX_NAMED])
+        roots = " or ".join(shortened(_as_sent(str(name))) for name in spellings[:_MAX_NAMED])
         return CallError(
             "path_not_allowed",
             f"the path is not below an allowed directory of this server: {roots}. Use a path "
@@ -229,7 +244,7 @@ class PathAccess:
                 return self._opened(root, below)
             except (FileNotFoundError, NotADirectoryError):
                 nearest = self._nearest(path.name) if suggest else ()
-                missing = _no_image(str(path), nearest)
+                missing = _no_image(_as_sent(str(path)), nearest)
             except CallError as error:
                 if error.code != "image_not_found":
                     raise
@@ -293,7 +308,7 @@ class PathAccess:
                     return _regular(_open_part(part, _FILE_FLAGS, directory), part)
                 else:
                     break
-            named = shortened(str(root.joinpath(*below)))
+            named = shortened(_as_sent(str(root.joinpath(*below))))
             if not pending and stat.S_ISDIR(os.fstat(walked[-1]).st_mode):
                 raise CallError(
                     "image_not_found",
@@ -313,7 +328,7 @@ class PathAccess:
         if not any(resolved.is_relative_to(root) for root in self.roots):
             raise self._refused()
         if not stat.S_ISREG(resolved.stat().st_mode):
-            raise _no_image(str(path))
+            raise _no_image(_as_sent(str(path)))
         descriptor = os.open(resolved, _FILE_FLAGS)
         try:
             # The file may be gone: then this raises.
@@ -342,7 +357,7 @@ def _images_below(root: Path, check_stop: Callable[[], None] | None = None) -> I
             check_stop()
         # The walk enters the folders that remain in this list, in its order.
         subfolders[:] = sorted(
-            name for name in subfolders if holds_photographs(name) and name.isprintable()
+            name for name in subfolders if holds_photographs(name) and _as_sent(name).isprintable()
         )
         n_visited += len(subfolders) + len(names)
         if n_visited > _MAX_LISTED:
@@ -351,11 +366,18 @@ def _images_below(root: Path, check_stop: Callable[[], None] | None = None) -> I
             path = Path(folder, name)
             if path.suffix.lower() not in SUFFIXES:
                 continue
-            if not holds_photographs(name) or not name.isprintable():
+            if not holds_photographs(name) or not _as_sent(name).isprintable():
                 continue
             with suppress(OSError):  # the file is gone
                 if stat.S_ISREG(path.lstat().st_mode):
                     yield path
+
+
+def _as_sent(name: str) -> str:
+    """Convert a name of the file system to Unicode; bytes that are not UTF-8 become surrogates."""
+    if sys.getfilesystemencoding() == _CALLS_ENCODING:
+        return name
+    return os.fsencode(name).decode(_CALLS_ENCODING, "surrogateescape")
 
 
 def _no_image(named: str, nearest: Sequence[str] = ()) -> CallError:

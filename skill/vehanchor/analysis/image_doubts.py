@@ -13,6 +13,7 @@ from vehanchor.imagery.drawing import (
 from vehanchor.imagery.horizon import find_horizon
 from vehanchor.imagery.raster import RasterNote, Window
 from vehanchor.imagery.seams import find_seam
+from vehanchor.imagery.sphere import is_sphere
 from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 
@@ -42,15 +43,12 @@ def with_image_doubts(
     if (raster.width_px, raster.height_px) != (facts.width_px, facts.height_px):
         notes.append(RasterNote(NoticeCode.PART_SEARCHED.value, _part_searched(raster)))
     camera = facts.camera if metadata else None
-    if camera is not None and camera.projection:
-        message = (
-            f"The file states {camera.projection}: the image is not one perspective view, and no "
-            "scale holds for all of it. Give a photograph that was taken straight down, or a "
-            "perspective view made from this image."
-        )
-        notes.append(RasterNote(NoticeCode.NOT_PERSPECTIVE.value, message))
     # A map is often assembled from pictures of one scale.
     is_map = facts.georeference_gsd_m_per_px is not None
+    if camera is not None and camera.projection:
+        notes.append(_not_perspective(f"The file states {camera.projection}"))
+    elif check_seams and not is_map and is_sphere(raster):
+        notes.append(_not_perspective("The image shows all directions, by its borders"))
     if check_seams and not is_map:
         seam = find_seam(raster)
         if seam is not None and not _is_beside_drawing(raster, seam):
@@ -118,6 +116,19 @@ def shows_horizon(view: View) -> bool:
     """Test whether a view has the horizon in it, and no single scale."""
     codes = [notice.code for notice in view.image.notices]
     return view.tilt is None and NoticeCode.HORIZON_VISIBLE in codes
+
+
+def _not_perspective(cause: str) -> RasterNote:
+    """Warn that no scale holds for the image.
+
+    Args:
+        cause: what shows it, as the beginning of a sentence.
+    """
+    message = (
+        f"{cause}: the image is not one perspective view, and no scale holds for all of it. Give a "
+        "photograph that was taken straight down, or a perspective view made from this image."
+    )
+    return RasterNote(NoticeCode.NOT_PERSPECTIVE.value, message)
 
 
 def _part_searched(part: Raster) -> str:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     """``[side, side, 3]`` RGB around a vehicle."""
 
     Body: TypeAlias = NDArray[np.float32]
-    """``[336]`` grey values of a body, with mean 0 and length 1."""
+    """``[336]`` grey values of a body, with mean 0 and length 1; all 0 without contrast."""
 
 # Least correlation of a copy, and the share of vehicles that must repeat another one. In 28 images
 # of a car that was pasted nine times with other brightness, contrast, direction, size, noise or
@@ -47,6 +47,12 @@ _LENGTH = 0.84
 _WIDTH = 0.36
 # A vehicle can be turned by half and mirrored: signs along and across it.
 _ORIENTATIONS = ((1, 1), (-1, 1), (1, -1), (-1, -1))
+# Place of each pixel of a body: lengths along and across from its middle, and 1.
+_ALONG, _ACROSS = np.meshgrid(
+    _LENGTH * (np.arange(_COLUMNS) - (_COLUMNS - 1) / 2) / _COLUMNS,
+    _WIDTH * (np.arange(_ROWS) - (_ROWS - 1) / 2) / _ROWS,
+)
+_PLACES = np.stack([_ALONG.ravel(), _ACROSS.ravel(), np.ones(_ROWS * _COLUMNS)])
 # First steps of the alignment: of the place in lengths, the direction, and the size; each round
 # halves them.
 _PLACE_STEP = 0.03
@@ -77,7 +83,7 @@ class _Vehicle:
 
     Attributes:
         log_length: log of the box's length.
-        body: the body as the box shows it; None without contrast.
+        body: the body as the box shows it.
     """
 
     def __init__(self, box: Box, square: Square) -> None:
@@ -98,28 +104,27 @@ class _Vehicle:
 
     def aligned(
         self, alignment: _Alignment, orientation: tuple[int, int], *, min_contrast: float = 0.0
-    ) -> Body | None:
-        """Cut out the body with a corrected box; None without contrast."""
+    ) -> Body:
+        """Cut out the body with a corrected box."""
         along, across = orientation
         length = self._length * alignment.size
-        u = ((np.arange(_COLUMNS) + 0.5) / _COLUMNS - 0.5) * (_LENGTH * length * along)
-        v = ((np.arange(_ROWS) + 0.5) / _ROWS - 0.5) * (_WIDTH * length * across)
         angle = self._angle + alignment.turn
-        cosine = math.cos(angle)
-        sine = math.sin(angle)
-        x = self._x + alignment.x + u * cosine - v[:, None] * sine
-        y = self._y + alignment.y + u * sine + v[:, None] * cosine
-        greys = cv2.remap(
-            self._grey,
-            x.astype(np.float32),
-            y.astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
+        cosine = length * math.cos(angle)
+        sine = length * math.sin(angle)
+        # From lengths in the body to pixels of the square.
+        to_square = np.array(
+            [
+                [along * cosine, -across * sine, self._x + alignment.x],
+                [along * sine, across * cosine, self._y + alignment.y],
+            ]
         )
-        deviations = np.asarray(greys, np.float32).ravel() - np.float32(greys.mean())
-        size = float(np.linalg.norm(deviations))
+        x, y = (to_square @ _PLACES).astype(np.float32).reshape(2, _ROWS, _COLUMNS)
+        greys = cv2.remap(self._grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        deviations = np.asarray(greys, np.float32).ravel()
+        deviations -= deviations.mean()
+        size = math.sqrt(deviations @ deviations)
         if size <= min_contrast * math.sqrt(deviations.size):
-            return None
+            return np.zeros_like(deviations)
         return np.asarray(deviations / size, np.float32)
 
     def first_steps(self) -> _Alignment:
@@ -138,67 +143,88 @@ def altered_copies(boxes: Sequence[Box], squares: Sequence[Square]) -> NDArray[n
     Returns:
         ``[n]``; none is marked in an image in which only some vehicles look equal.
     """
-    is_copy = np.zeros(len(boxes), np.bool_)
+    n = len(boxes)
+    nothing = np.zeros(n, np.bool_)
+    is_copy = nothing.copy()
     distinct: list[_Vehicle] = []
     for k, (box, square) in enumerate(zip(boxes, squares, strict=True)):
-        if k == _N_DECIDING and not _are_most(is_copy[:k]):
-            return np.zeros(len(boxes), np.bool_)
+        # The first vehicles decide, then all; it ends when too few of them can still be copies.
+        n_deciding = _N_DECIDING if k <= _N_DECIDING < n else n
+        n_at_most = int(is_copy.sum()) + n_deciding - k
+        if not _are_most(n_at_most, n_deciding):
+            return nothing
         vehicle = _Vehicle(box, square)
-        if vehicle.body is None:
+        if not vehicle.body.any():
             continue
         if _repeats_one(vehicle, distinct):
             is_copy[k] = True
         else:
             distinct.append(vehicle)
-    return is_copy if _are_most(is_copy) else np.zeros(len(boxes), np.bool_)
+    return is_copy if _are_most(int(is_copy.sum()), n) else nothing
 
 
-def _are_most(is_copy: NDArray[np.bool_]) -> bool:
-    """Test whether most of the vehicles behind the first one are copies."""
-    return len(is_copy) > 1 and int(is_copy.sum()) >= _MIN_SHARE * (len(is_copy) - 1)
+def _are_most(n_copies: int, n: int) -> bool:
+    """Test whether most of ``n`` vehicles behind the first one are copies."""
+    return n > 1 and n_copies >= _MIN_SHARE * (n - 1)
 
 
 def _repeats_one(vehicle: _Vehicle, others: Sequence[_Vehicle]) -> bool:
     """Test whether a vehicle repeats one of the others, in any of four orientations."""
-    candidates: list[tuple[float, int, _Vehicle, tuple[int, int]]] = []
-    for other in others:
-        if abs(other.log_length - vehicle.log_length) > _MAX_LOG_LENGTH:
-            continue
-        for orientation in _ORIENTATIONS:
-            correlation = _correlation(vehicle, other, _Alignment(), orientation)
-            if correlation >= _MIN_ROUGH_CORRELATION:
-                candidates.append((correlation, len(candidates), other, orientation))
-    best_first = sorted(candidates, key=lambda candidate: candidate[:2], reverse=True)
-    for correlation, _, other, orientation in best_first[:_N_COMPARED]:
-        if _best_correlation(vehicle, other, orientation, correlation) >= _MIN_CORRELATION:
+    near = [other for other in others if _have_similar_lengths(vehicle, other)]
+    if not near:
+        return False
+    rough = _rough_correlations(vehicle, near)
+    candidates = np.flatnonzero(rough >= _MIN_ROUGH_CORRELATION)
+    best_first = candidates[np.argsort(rough[candidates], kind="stable")[::-1]]
+    for candidate in best_first[:_N_COMPARED]:
+        k, number = divmod(int(candidate), len(_ORIENTATIONS))
+        orientation = _ORIENTATIONS[number]
+        if _is_alignable(vehicle, near[k], orientation, correlation=float(rough[candidate])):
             return True
     return False
 
 
-def _correlation(
-    vehicle: _Vehicle, other: _Vehicle, alignment: _Alignment, orientation: tuple[int, int]
-) -> float:
-    """Correlate a vehicle with another one, whose box is corrected."""
-    body = other.aligned(alignment, orientation)
-    if body is None or vehicle.body is None:
-        return 0.0
-    return float(body @ vehicle.body)
+def _have_similar_lengths(vehicle: _Vehicle, other: _Vehicle) -> bool:
+    return abs(other.log_length - vehicle.log_length) <= _MAX_LOG_LENGTH
 
 
-def _best_correlation(
+def _rough_correlations(vehicle: _Vehicle, others: Sequence[_Vehicle]) -> NDArray[np.float32]:
+    """Correlate a vehicle with others as their boxes show them.
+
+    Returns:
+        ``[n * 4]``: the orientations of the first one, then those of the next one.
+    """
+    body = vehicle.body.reshape(_ROWS, _COLUMNS)
+    # A body that is turned or mirrored has the same pixels in another order.
+    turned = [body[::across, ::along].ravel() for along, across in _ORIENTATIONS]
+    bodies = np.stack([other.body for other in others])
+    return np.asarray(bodies @ np.stack(turned, axis=1), np.float32).ravel()
+
+
+def _is_alignable(
     vehicle: _Vehicle, other: _Vehicle, orientation: tuple[int, int], correlation: float
-) -> float:
-    """Correlate a vehicle with another one after aligning their boxes, which differ slightly."""
+) -> bool:
+    """Test whether a vehicle equals another one after aligning their boxes, which differ slightly.
+
+    Args:
+        vehicle: the vehicle.
+        other: another one, whose box is corrected.
+        orientation: of the other one.
+        correlation: of both without correction.
+    """
     best = _Alignment()
     steps = other.first_steps()
     for _ in range(_ROUNDS):
         for field in _Alignment._fields:
             for direction in (-1, 1):
+                if correlation >= _MIN_CORRELATION:
+                    return True
                 value = getattr(best, field) + direction * getattr(steps, field)
                 trial = best._replace(**{field: value})
-                trial_correlation = _correlation(vehicle, other, trial, orientation)
+                body = other.aligned(trial, orientation)
+                trial_correlation = float(body @ vehicle.body)
                 if trial_correlation > correlation:
                     correlation = trial_correlation
                     best = trial
         steps = _Alignment(*(0.5 * step for step in steps))
-    return correlation
+    return correlation >= _MIN_CORRELATION

@@ -46,8 +46,8 @@ _MIN_CONTRAST = 8.0
 # Vehicles that are compared, best first, in an image in memory and in one that is read by windows.
 _MAX_COMPARED = 400
 _MAX_READ = 128
-# Pixels of a body that are compared first. They suffice to tell most pairs apart.
-_SAMPLE_PIXELS = 40
+# Pixels of a body that are compared first, then those that tell the remaining pairs apart.
+_SAMPLE_PIXELS = (24, 120)
 # Two boxes of one copied vehicle differ by at most this much: in log length, angle, place and mean
 # colour.
 _MAX_LOG_LENGTH = 0.10
@@ -142,19 +142,25 @@ class _Picture:
         return _Body.of(self.box, self.square, _half_side(self.box[2]))
 
     @cached_property
-    def sample(self) -> _Sample:
-        """Some pixels of the body, inside the smallest square to which another one may limit it."""
+    def samples(self) -> list[_Sample]:
+        """Growing samples of the body.
+
+        They lie inside the smallest square to which another vehicle may limit the body.
+        """
         half = _half_side(self.box[2])
         least_half = _half_side(self.box[2] * math.exp(-_MAX_LOG_LENGTH)) + 1
         cut = max(0, half - least_half)
         mask = self.body.mask
         inner = mask[cut : len(mask) - cut, cut : len(mask) - cut]
         rows, columns = np.nonzero(inner)
-        step = max(1, len(rows) // _SAMPLE_PIXELS)
-        y = rows[::step] + cut - half
-        x = columns[::step] + cut - half
         middle = len(self.square) // 2
-        return _Sample(x, y, self.grey[middle + y, middle + x])
+        samples = []
+        for n_pixels in _SAMPLE_PIXELS:
+            step = max(1, len(rows) // n_pixels)
+            y = rows[::step] + cut - half
+            x = columns[::step] + cut - half
+            samples.append(_Sample(x, y, self.grey[middle + y, middle + x]))
+        return samples
 
 
 class _Pictures:
@@ -296,8 +302,12 @@ def _is_copy(picture: _Picture, others: Sequence[_Picture]) -> bool:
             continue
         rows = np.flatnonzero(is_parallel)
         # The sum over all pixels is never less than the sum over some.
-        squares = _least_sample_squares(picture, greys[rows], orientation)
-        for k in rows[squares <= picture.body.max_squares]:
+        for sample in picture.samples:
+            squares = _least_sample_squares(picture, sample, greys[rows], orientation)
+            rows = rows[squares <= picture.body.max_squares]
+            if not len(rows):
+                break
+        for k in rows.tolist():
             if _repeats(picture, orientation.square_after(others[k].square)):
                 return True
     return False
@@ -314,12 +324,13 @@ def _stacked(squares: Sequence[Grey]) -> Grey:
 
 
 def _least_sample_squares(
-    picture: _Picture, greys: Grey, orientation: _Orientation
+    picture: _Picture, sample: _Sample, greys: Grey, orientation: _Orientation
 ) -> NDArray[np.float32]:
     """Sum the squared differences of some pixels, at the shift where the sum is least.
 
     Args:
         picture: the vehicle.
+        sample: some of its pixels.
         greys: ``[n, side, side]`` grey values of others.
         orientation: of the vehicle as a copy of the others.
 
@@ -327,13 +338,13 @@ def _least_sample_squares(
         ``[n]`` sums.
     """
     n_others, side, _ = greys.shape
-    x, y = orientation.places_before(picture.sample.x, picture.sample.y)
+    x, y = orientation.places_before(sample.x, sample.y)
     most_shift = _most_shift(picture, side)
     shifts = np.arange(-most_shift, most_shift + 1) + side // 2
     shifted = side * shifts[:, None] + shifts
     places = shifted.reshape(-1, 1) + (side * y + x)
     pixels = greys.reshape(n_others, -1).take(places, axis=1)
-    difference = pixels - picture.sample.greys
+    difference = pixels - sample.greys
     squares = np.einsum("osn,osn->os", difference, difference)
     return np.asarray(squares.min(axis=1))
 

@@ -30,6 +30,12 @@ _MAX_BYTES = 64 << 20
 # A choice above what spreadsheets of measurements have.
 _MAX_COLUMNS = 1_000
 _DELIMITERS = (",", ";", "\t", "|")
+# First bytes of files that spreadsheets and archivers write in place of text.
+_NO_TEXT = {
+    b"PK\3\4": "a workbook of a spreadsheet: save it as CSV",
+    b"\xd0\xcf\x11\xe0": "a workbook of a spreadsheet: save it as CSV",
+    b"\x1f\x8b": "compressed: unpack it",
+}
 _STATED_DELIMITER = re.compile(r"sep=.\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 # Beside commas as delimiters, as in English tables, a comma can separate thousands.
@@ -125,12 +131,15 @@ def read_table(content: bytes, needed: Sequence[str]) -> Table:
 
     Raises:
         UnicodeDecodeError: the encoding is unknown.
-        csv.Error: it is not a CSV, has too many columns or one column twice, or a line has more
-            cells than columns.
+        csv.Error: it is a workbook or not a CSV, has too many columns or one column twice, or a
+            line has more cells than columns.
     """
+    for signature, reason in _NO_TEXT.items():
+        if content.startswith(signature):
+            raise csv.Error(f"it is {reason}")
     with io.StringIO(decoded(content), newline="") as handle:
-        delimiter = _delimiter(handle, needed)
-        reader = csv.DictReader(handle, delimiter=delimiter)
+        start = _start_of_table(handle, needed)
+        reader = csv.DictReader(handle, delimiter=start.delimiter)
         columns = _with_current_name(reader.fieldnames or ())
         # A row is completed by an empty cell for each column that it lacks.
         if len(columns) > _MAX_COLUMNS:
@@ -141,37 +150,52 @@ def read_table(content: bytes, needed: Sequence[str]) -> Table:
                 raise csv.Error(f"the column {name} has two places")
         lines: list[tuple[int, Cells]] = []
         for row in reader:
+            number = start.n_lines + reader.line_num
             surplus = row.pop(None, ())
             if any(surplus):
                 raise csv.Error(
-                    f"line {reader.line_num} has more cells than the first line; a number with a "
+                    f"line {number} has more cells than the first line; a number with a "
                     "decimal comma needs quotes or another delimiter"
                 )
             cells: Cells = {name: text and text.strip() for name, text in row.items()}
             if not any(cells.values()):
                 continue  # spreadsheets write rows of empty cells
-            cells = _with_decimal_points(cells, delimiter)
-            lines.append((reader.line_num, cells))
+            cells = _with_decimal_points(cells, start.delimiter)
+            lines.append((number, cells))
     return Table(columns, lines)
 
 
-def _delimiter(handle: io.StringIO, needed: Sequence[str]) -> str:
-    """Find the delimiter at which the first line has most of the needed columns.
+class _Start(NamedTuple):
+    """Start of a table, after which its first line follows.
 
-    A line before it that states the delimiter, as Excel writes it, is passed over.
+    Attributes:
+        n_lines: number of lines before the first one.
+        delimiter: the delimiter of its cells.
     """
+
+    n_lines: int
+    delimiter: str
+
+
+def _start_of_table(handle: io.StringIO, needed: Sequence[str]) -> _Start:
+    """Find the first line of a table, and the delimiter at which it has most of the needed columns.
+
+    Empty lines before it are passed over, and one that states the delimiter, as Excel writes it.
+    """
+    n_lines = 0
+    place = 0
     first_line = handle.readline()
-    start = 0
-    if _STATED_DELIMITER.fullmatch(first_line):
-        start = handle.tell()
+    while first_line and (not first_line.strip() or _STATED_DELIMITER.fullmatch(first_line)):
+        n_lines += 1
+        place = handle.tell()
         first_line = handle.readline()
-    handle.seek(start)
+    handle.seek(place)
 
     def n_found(delimiter: str) -> int:
         names = next(csv.reader([first_line], delimiter=delimiter), [])
         return len(set(needed).intersection(_with_current_name(names)))
 
-    return max(_DELIMITERS, key=n_found)
+    return _Start(n_lines, max(_DELIMITERS, key=n_found))
 
 
 def _with_current_name(columns: Sequence[str]) -> list[str]:

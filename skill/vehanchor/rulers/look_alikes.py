@@ -3,9 +3,14 @@
 Cars of one image differ in length, in appearance and in paint; things of one model hardly do. The
 evidence is a likelihood ratio for each of the three: how probable the measured spread is for n
 equal things, over how probable it is for n cars. Few vehicles can be alike by chance, so that they
-give little evidence; four cars of one model are possible. In addition, look-alikes look less like
-cars, by the chip network. There is no limit anywhere: the chance is a smooth function of all
-measurements.
+give little evidence; four cars of one model are possible.
+
+More signs do not ask for equal things. Look-alikes look less like cars, by the chip network. Boxes
+around a low thing and its shadow are longer along the shadow, whereas the length of a car does not
+depend on its direction; and they all have the shadow's tone at one end. Karts and carts are wider
+for their length than cars.
+
+There is no limit anywhere: the chance is a smooth function of all measurements.
 """
 
 from __future__ import annotations
@@ -15,45 +20,79 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.scale.reliability import normal_density
+
 if TYPE_CHECKING:
     from typing import TypeAlias
 
     from numpy.typing import NDArray
 
     from vehanchor.detection.detections import Appearance
-    from vehanchor.detection.detector_errors import LookAlikeErrors, SpreadErrors
+    from vehanchor.detection.detector_errors import (
+        DetectorErrors,
+        EndErrors,
+        HeadingErrors,
+        LookAlikeErrors,
+        ProportionErrors,
+        SpreadErrors,
+    )
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
 
     Values: TypeAlias = NDArray[np.float64]
     """``[n]`` or ``[n, 3]`` measurements of vehicles."""
+
+    EndTones: TypeAlias = NDArray[np.float64]
+    """``[n, 2, 3]`` colours near both ends in CIELAB."""
 
 # Standard normal deviates at which the distribution of a spread is integrated, and their weights.
 _DEVIATES = np.linspace(-3.0, 3.0, 25)
 _DEVIATE_WEIGHTS = np.exp(-(_DEVIATES**2) / 2)
 # Number of vehicles that no larger number exceeds as evidence by itself. A choice.
 _SATURATION = 20.0
+# Fewest vehicles whose lengths can show a trend over their directions, or whose ends are compared.
+_MIN_OF_TREND = 3
+# A standard deviation over the median deviation, for normal errors.
+_SD_PER_DEVIATION = 1.48
+# Spread of one colour by noise and compression, in CIELAB from 0 to 255. A choice.
+_TONE_NOISE = 2.0
 # Largest absolute log odds: no doubt is certain, and none is excluded.
 _MAX_LOG_ODDS = 20.0
 
 
 def chance_of_look_alikes(
-    log_lengths: Values, appearance: Appearance | None, errors: LookAlikeErrors
+    boxes: Boxes, appearance: Appearance | None, detector_errors: DetectorErrors, *, at_nadir: bool
 ) -> float:
     """Compute the chance, 0..1, that vehicles are look-alikes.
 
     Args:
-        log_lengths: ``[n]`` logs of the vehicles' lengths in pixels.
+        boxes: ``[n, 5]`` the vehicles, those with an appearance first.
         appearance: appearance of the vehicles that have any; None without a chip network.
-        errors: the detector's errors about look-alikes.
+        detector_errors: the detector's errors.
+        at_nadir: whether the boxes have lengths and proportions of their own; those of a tilted
+            view were rectified, and depend on their directions.
     """
+    errors = detector_errors.look_alikes
+    log_lengths = np.log(boxes[:, 2])
     log_odds = errors.log_odds
     evidence = spread_evidence(log_lengths, errors.lengths)
+    if at_nadir:
+        evidence += heading_evidence(log_lengths, boxes[:, 4], errors.headings)
     if appearance is not None:
         evidence += spread_evidence(appearance.log_lengths, errors.appearance)
+        if at_nadir:
+            bodies = boxes[: len(appearance)]
+            usual = detector_errors.appearance.length_over_width
+            evidence += proportion_evidence(bodies, errors.proportions, usual)
         log_odds += _logit_evidence(appearance.logits, errors)
+        if appearance.end_tones is not None:
+            headings = boxes[: len(appearance), 4]
+            evidence += end_evidence(appearance.end_tones, headings, errors.ends)
         if appearance.tones is not None:
             evidence += spread_evidence(appearance.tones, errors.tones)
             # Only if all three spreads are known, their evidence for cars balances this rise.
-            log_odds += errors.log_odds_per_log_n * _log_telling_number(len(log_lengths))
+            log_odds += errors.log_odds_per_log_n * _log_telling_number(len(boxes))
     log_odds += errors.spread_power * evidence
     bounded = min(max(log_odds, -_MAX_LOG_ODDS), _MAX_LOG_ODDS)
     return 1.0 / (1.0 + math.exp(-bounded))
@@ -96,10 +135,122 @@ def _log_likelihood(variance: float, n_free: int, typical: float, log_sd: float)
     log_spreads = math.log(typical) + log_sd * _DEVIATES
     variances = np.exp(2.0 * log_spreads)
     logs = -n_free * (log_spreads + variance / (2.0 * variances))
+    return _log_mean(logs)
+
+
+def _log_mean(logs: Values) -> float:
+    """Compute the log of the mean likelihood over the distribution of a spread."""
     # The largest term becomes 1 before the exponential, so that no sum underflows.
     peak = float(logs.max())
     mean = np.average(np.exp(logs - peak), weights=_DEVIATE_WEIGHTS)
     return peak + math.log(float(mean))
+
+
+def heading_evidence(log_lengths: Values, headings: Values, errors: HeadingErrors) -> float:
+    """Compute the log likelihood ratio of things over cars from lengths by direction.
+
+    One half of the things has boxes with shadows, the other half is as cars are: a choice.
+
+    Args:
+        log_lengths: ``[n]`` logs of lengths.
+        headings: ``[n]`` directions, radians.
+        errors: usual dependence of lengths on directions.
+    """
+    if len(log_lengths) < _MIN_OF_TREND:
+        return 0.0
+    with_shadows = _log_likelihood_of_trend(log_lengths, headings, errors.things, errors)
+    of_cars = _log_likelihood_of_trend(log_lengths, headings, errors.cars, errors)
+    return float(np.logaddexp(with_shadows - of_cars, 0.0)) - math.log(2.0)
+
+
+def _log_likelihood_of_trend(
+    log_lengths: Values, headings: Values, amplitude: float, errors: HeadingErrors
+) -> float:
+    """Compute the log likelihood of lengths that depend on directions, up to a constant.
+
+    Amplitudes along both axes of the trend are normal; the spread around it is not known.
+
+    Args:
+        log_lengths: ``[n]``.
+        headings: ``[n]`` directions, radians.
+        amplitude: standard deviation of the amplitudes.
+        errors: the spread around the trend.
+    """
+    # A box has the same length when it is turned by half a turn: the angles are doubled.
+    axes = np.column_stack([np.cos(2.0 * headings), np.sin(2.0 * headings)])
+    axes -= axes.mean(axis=0)
+    deviations = log_lengths - log_lengths.mean()
+    n_free = len(log_lengths) - 1
+
+    # Along its principal axes, the trend has independent parts: their information and their sums.
+    information, directions = np.linalg.eigh(axes.T @ axes)
+    sums = directions.T @ (axes.T @ deviations)
+    log_spreads = math.log(errors.spread) + errors.spread_log_sd * _DEVIATES
+    variances = np.exp(2.0 * log_spreads)[:, None]
+    of_trend = variances + amplitude**2 * np.maximum(information, 0.0)
+    explained = (amplitude**2 * sums**2 / of_trend).sum(axis=1)
+    residual = (float(deviations @ deviations) - explained) / variances[:, 0]
+    log_determinant = np.log(of_trend / variances).sum(axis=1)
+    logs = -n_free * log_spreads - (log_determinant + residual) / 2.0
+    return _log_mean(logs)
+
+
+def proportion_evidence(bodies: Boxes, errors: ProportionErrors, usual: float) -> float:
+    """Compute the log likelihood ratio of things over cars from length over width.
+
+    One half of the things has the proportions of cars: a choice.
+
+    Args:
+        bodies: ``[n, 5]`` at least one.
+        errors: proportions of images of cars and of things.
+        usual: length over width of cars.
+    """
+    mean = float(np.log(bodies[:, 2] / bodies[:, 3]).mean())
+    own_sd = errors.vehicle_sd / math.sqrt(len(bodies))
+    from_cars = mean - math.log(usual)
+    from_things = mean - math.log(errors.things)
+    of_usual_cars = normal_density(from_cars, math.hypot(errors.image_sd, own_sd))
+    of_others = normal_density(from_cars, errors.outlier_sd)
+    of_cars = (1.0 - errors.outliers) * of_usual_cars + errors.outliers * of_others
+    of_things = normal_density(from_things, math.hypot(errors.things_log_sd, own_sd))
+    return math.log((of_cars + of_things) / 2.0) - math.log(of_cars)
+
+
+def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> float:
+    """Compute the evidence for things from the colours near the ends.
+
+    If the spread near one end is that of a shadow, whatever the one near the other end is, the
+    boxes include shadows. If none is, nothing follows: the evidence is the log of one plus the
+    likelihood ratio, so that it never speaks for cars.
+
+    Args:
+        end_tones: ``[n, 2, 3]`` colours, in the order of ``Appearance.end_tones``.
+        headings: ``[n]`` directions of the boxes, radians.
+        errors: usual spreads.
+    """
+    n = len(end_tones)
+    if n < _MIN_OF_TREND:
+        return 0.0
+    # In the image, the same end comes first: that on one side of the common axis.
+    axis = np.angle(np.exp(2j * headings).mean()) / 2.0
+    is_turned = np.cos(headings - axis) < 0
+    aligned = np.where(is_turned[:, None, None], end_tones[:, ::-1], end_tones)
+    deviations = np.abs(aligned - np.median(aligned, axis=0))
+    per_axis = _SD_PER_DEVIATION * np.median(deviations, axis=0)
+    log_spreads = np.log(np.linalg.norm(per_axis, axis=-1) + _TONE_NOISE)
+
+    car_sd = math.hypot(errors.log_sd, errors.vehicle_log_sd / math.sqrt(n))
+    shadow_sd = math.hypot(errors.things_log_sd, errors.things_vehicle_log_sd / math.sqrt(n))
+    log_usual = math.log(errors.cars)
+    ratios = []
+    for one, other in (log_spreads, log_spreads[::-1]):
+        from_cars = one - log_usual - errors.shared * (other - log_usual)
+        of_usual_cars = normal_density(from_cars, car_sd)
+        of_others = normal_density(from_cars, errors.outlier_log_sd)
+        of_cars = (1.0 - errors.outliers) * of_usual_cars + errors.outliers * of_others
+        ratios.append(normal_density(one - math.log(errors.things), shadow_sd) / of_cars)
+    # Either end can be the shadow's.
+    return math.log1p((ratios[0] + ratios[1]) / 2.0)
 
 
 def _logit_evidence(logits: Values, errors: LookAlikeErrors) -> float:

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from vehanchor.errors import InvalidParameterError
 from vehanchor.records import Notice
 from vehanchor.records.notices import NoticeCode
-from vehanchor.scale.countries import COUNTRIES, country_code, country_length
+from vehanchor.scale.countries import (
+    COUNTRIES,
+    COUNTRY_REGIONS,
+    country_code,
+    country_length,
+    uses_published_mean,
+)
 from vehanchor.scale.reliability import KNOWN_REGION
 
 if TYPE_CHECKING:
@@ -212,6 +218,35 @@ def unmeasured_region(card: DetectorCard, reference: Reference) -> tuple[Notice,
     return (Notice(code=NoticeCode.REGION_UNMEASURED, message=message),)
 
 
+def country_in_words(card: DetectorCard, reference: Reference) -> str | None:
+    """State where the usual length of a country's cars is from, in a sentence.
+
+    Returns:
+        None without a country, and for one whose cars nobody has measured.
+    """
+    region = reference.region
+    lengths_m = _box_lengths_m(card)
+    if region is None or _own_region_length(region, lengths_m) is not None:
+        return None
+    code = country_code(region)
+    if code is None or country_length(code, lengths_m) is None:
+        return None
+    if uses_published_mean(code, lengths_m):
+        return f"The usual length of cars in {code} is from a published mean."
+    return f"Cars in {code} are taken to be as long as those measured in {COUNTRY_REGIONS[code]}."
+
+
+def _own_region_length(name: str, lengths_m: Mapping[str, float]) -> float | None:
+    """Look up the length of a region of the model, by its name in any spelling."""
+    words = _spaced(name).split()
+    return lengths_m.get("_".join(words))
+
+
+def _spaced(name: str) -> str:
+    """Write the name of a place in lower case, with blanks between its words."""
+    return name.lower().replace("_", " ").replace("-", " ")
+
+
 def _region_length(name: str, lengths_m: Mapping[str, float]) -> float | None:
     """Look up the reference length of a region or country.
 
@@ -225,15 +260,13 @@ def _region_length(name: str, lengths_m: Mapping[str, float]) -> float | None:
     Raises:
         InvalidParameterError: there is no such place; the message names the nearest ones.
     """
-    spaced = name.lower().replace("_", " ").replace("-", " ")
-    words = spaced.split()
-    length_m = lengths_m.get("_".join(words))
-    if length_m:
+    length_m = _own_region_length(name, lengths_m)
+    if length_m is not None:
         return length_m
     code = country_code(name)
     if code is not None:
         return country_length(code, lengths_m)
-    nearest = get_close_matches(spaced, _place_names(lengths_m))
+    nearest = get_close_matches(_spaced(name), _place_names(lengths_m))
     hint = f" (nearest: {', '.join(nearest)})" if nearest else ""
     regions = ", ".join(sorted(lengths_m))
     raise InvalidParameterError(

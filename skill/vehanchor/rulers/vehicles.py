@@ -26,7 +26,7 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.camera_tilt import rectified
 from vehanchor.rulers.fleet import select
 from vehanchor.rulers.look_alikes import chance_of_look_alikes
-from vehanchor.rulers.reference import reference_length, unmeasured_region
+from vehanchor.rulers.reference import country_in_words, reference_length, unmeasured_region
 from vehanchor.rulers.ruler import Ruler, as_assumed
 from vehanchor.rulers.vehicle_notices import (
     DOUBT_CODES,
@@ -71,12 +71,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vehanchor.detection.card import DetectorCard
+    from vehanchor.detection.detections import Appearance
     from vehanchor.rulers.fleet import Fleet
     from vehanchor.rulers.reference import ReferenceLength
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
     from vehanchor.scale.density import Density, Votes
     from vehanchor.scale.paper import PaperScale
+
+    Boxes: TypeAlias = NDArray[np.float64]
+    """``[n, 5]`` rows ``(x, y, length, width, angle)``, pixels and radians."""
 
     Scores: TypeAlias = NDArray[np.float64]
     """``[n]`` scores of all detections."""
@@ -102,6 +106,7 @@ class VehicleWitness(Witness):
         detail_share: share of the pixels' resolution at which there is detail.
         only_kept: whether the fleet alone votes: in a tilted view, the other boxes are parts of
             cars.
+        is_at_nadir: whether the view is, as far as is known: a tilted one is rectified.
         stretch_log_odds: as in ``vehanchor.detection.detections.Detections``; None in a tilted
             view, which foreshortens the vehicles.
     """
@@ -113,6 +118,7 @@ class VehicleWitness(Witness):
     aggregation: Aggregation
     detail_share: float
     only_kept: bool
+    is_at_nadir: bool = True
     stretch_log_odds: float | None = None
 
     @property
@@ -173,14 +179,22 @@ class VehicleWitness(Witness):
         fleet = self.fleet
         if fleet.detections.reductions is None or fleet.is_stated or not self.n:
             return 0.0
-        errors = self.card.errors.look_alikes
-        chance = chance_of_look_alikes(np.log(fleet.lengths), fleet.appearance, errors)
+        chance = self._chance_of_look_alikes(fleet.detections.boxes[fleet.kept], fleet.appearance)
         repeating = fleet.detections.with_copies
         if repeating is None:
             return chance
         # What few distinct vehicles do not show, their copies do.
-        log_lengths = np.log(repeating.boxes[:, 2])
-        return max(chance, chance_of_look_alikes(log_lengths, repeating.appearance, errors))
+        with_copies = self._chance_of_look_alikes(repeating.boxes, repeating.appearance)
+        return max(chance, with_copies)
+
+    def _chance_of_look_alikes(self, boxes: Boxes, appearance: Appearance | None) -> float:
+        """Compute the chance of look-alikes for boxes ``[n, 5]``, with an appearance of the first.
+
+        Args:
+            boxes: the vehicles.
+            appearance: of those that have any.
+        """
+        return chance_of_look_alikes(boxes, appearance, self.card.errors, at_nadir=self.is_at_nadir)
 
     @property
     def doubted(self) -> bool:
@@ -454,10 +468,14 @@ class Vehicles(Ruler):
             aggregation=aggregation,
             detail_share=view.measure_detail_share(fleet.centres, reduction),
             only_kept=fleet.is_stated or others_identify_cars,
+            is_at_nadir=plane is None,
         )
         if mode_px is None:
             return replace(vehicles, notices=(*vehicles.notices, *nothing_detailed(view)))
         unmeasured = unmeasured_region(card, view.options.reference)
+        statement = None
+        if reference.source == "region":
+            statement = country_in_words(card, view.options.reference)
         # A tilted view foreshortens the vehicles, so that their proportions prove no stretch.
         stretch = detections.stretch if plane is None else None
         log_odds = None
@@ -473,6 +491,7 @@ class Vehicles(Ruler):
             voting,
             stretch_log_odds=log_odds,
             gsd_m_per_px=reference.stated_m / mode_px,
+            statement=statement,
             notices=(*voting.notices, *unmeasured, *_notices(voting, stretch)),
         )
 

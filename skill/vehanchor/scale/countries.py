@@ -112,13 +112,24 @@ def country_length(country: str, region_lengths_m: Mapping[str, float]) -> float
         country's region; None if neither is known.
     """
     code = country.upper()
+    if not uses_published_mean(code, region_lengths_m):
+        return region_lengths_m.get(COUNTRY_REGIONS.get(code, ""))
     # A detector's boxes differ from bodies by one ratio, the geometric mean over the regions.
     log_ratios = [
         math.log(region_lengths_m[region] / COUNTRY_LENGTHS_M[measured_country])
         for region, measured_country in _MEASURED_IN.items()
         if region in region_lengths_m
     ]
-    if code in COUNTRY_LENGTHS_M and log_ratios:
-        ratio = math.exp(math.fsum(log_ratios) / len(log_ratios))
-        return COUNTRY_LENGTHS_M[code] * ratio
-    return region_lengths_m.get(COUNTRY_REGIONS.get(code, ""))
+    ratio = math.exp(math.fsum(log_ratios) / len(log_ratios))
+    return COUNTRY_LENGTHS_M[code] * ratio
+
+
+def uses_published_mean(code: str, region_lengths_m: Mapping[str, float]) -> bool:
+    """Test whether the length of a country is from its published mean, not from its region.
+
+    Args:
+        code: ISO 3166-1 alpha-2 code in capitals.
+        region_lengths_m: as in ``country_length``.
+    """
+    is_ratio_known = any(region in region_lengths_m for region in _MEASURED_IN)
+    return code in COUNTRY_LENGTHS_M and is_ratio_known

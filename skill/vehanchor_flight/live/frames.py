@@ -146,15 +146,17 @@ def folder_frames(
     Args:
         folder: the folder; its own files count, those of its folders do not.
         reading: how to read the images.
-        idle_s: seconds without a new image that end the source; None for never.
+        idle_s: seconds without a new image that end the source; None for never. A file that is
+            still being written is waited for.
         tell: receives a sentence about each image that cannot be read, and about those that lie
             there before the first frame.
     """
     yielded: dict[str, _FileState] = {}
     before: dict[str, _FileState] = {}
     last_s = time.monotonic()
-    while idle_s is None or time.monotonic() - last_s < idle_s:
+    while True:
         now = _listing(folder)
+        has_changed = now != before
         new = {
             name: state
             for name, state in now.items()
@@ -164,6 +166,10 @@ def folder_frames(
         yielded = {name: state for name, state in yielded.items() if name in now}
         before = now
         if not new:
+            # On a busy machine the idle time can pass before two polls have seen a file.
+            is_idle = idle_s is not None and time.monotonic() - last_s >= idle_s
+            if is_idle and not has_changed:
+                return
             time.sleep(_POLL_S)
             continue
         if not yielded and len(new) > 1:

@@ -33,7 +33,7 @@ def no_wait(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_wait")
 async def test_a_slot_is_taken_until_the_thread_has_ended() -> None:
-    capacity = Capacity(1, 5)
+    capacity = Capacity(1, 60)
     began = threading.Event()
     release = threading.Event()
 
@@ -72,7 +72,7 @@ async def test_whatever_stopped_work_raises_ends_in_the_cancellation() -> None:
 
 
 async def test_closing_refuses_running_calls_like_later_ones() -> None:
-    capacity = Capacity(2, 5)
+    capacity = Capacity(2, 60)
     codes: list[str] = []
 
     async def call() -> None:

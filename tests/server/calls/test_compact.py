@@ -11,7 +11,7 @@ from pydantic import Field
 from tests.analyses import make_analysis
 from vehanchor.records import EstimateDetails, GsdEstimate
 from vehanchor.records.record import Record, Short
-from vehanchor_server.calls.compact import short_record
+from vehanchor_server.calls.compact import brief, short_record
 
 
 class Shadow(Record):
@@ -85,3 +85,16 @@ def test_a_field_for_usable_results_is_left_out_of_others(status: str, is_there:
     estimate = make_analysis(np.zeros((0, 5)), 1000, 1000).estimate
     changed = OnlyIfOk(**{**dict(estimate), "status": status})
     assert ("extent_m" in short_record([changed])) is is_there
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ("It is short: use it. Then more.", "It is short: use it."),
+        (f"The file is not usable: {'a' * 60} is missing: give it.", f"is not usable: {'a' * 60}"),
+        (f"The file is not usable: {'a' * 90}: give it.", "The file is not usable."),
+    ],
+)
+def test_a_long_warning_loses_its_last_clauses(message: str, words: str) -> None:
+    assert words in brief(message)
+    assert len(brief(message)) < 101

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from multiprocessing.process import BaseProcess
@@ -77,9 +78,29 @@ def georeferenced(images: Path) -> Iterator[Path]:
 
 
 @work(Value)
-def a_while(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
-    time.sleep(1.0)
+def wait_for(resources: Resources, job: Job, source: Any, mark: Path) -> Reply[Value]:
+    """Report something, then wait until a file exists; answer with the process id."""
+    job.segmenting()
+    while not mark.exists():
+        time.sleep(0.01)
     return answered(os.getpid())
+
+
+@contextmanager
+def waiting_worker(services: Services, mark: Path, stop: Stop | None = None) -> Iterator[Any]:
+    """The future process id of a worker that waits until a file exists."""
+    assert services.workers is not None
+    begun = threading.Event()
+
+    def report(*_: object) -> None:
+        begun.set()
+
+    task = Task(wait_for, mark, ((IMAGE, None),))
+    with ThreadPoolExecutor() as threads:
+        reply = threads.submit(services.workers.run, task, stop or Stop(), report)
+        reply.add_done_callback(report)
+        begun.wait()
+        yield reply
 
 
 @work(Value)
@@ -91,12 +112,6 @@ def crash(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
 @work(Value)
 def fill(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
     return answered(float(np.ones(1 << 29).sum()))  # 4 GiB
-
-
-@work(Value)
-def spin(resources: Resources, job: Job, source: Any, _: None) -> Reply[Value]:
-    while True:
-        pass
 
 
 @work(Value)
@@ -157,20 +172,14 @@ def test_a_worker_is_replaced_before_the_next_call(isolated: Services) -> None:
     assert done(isolated, number) == successor
 
 
-def test_a_stop_kills_the_worker(isolated: Services) -> None:
+def test_a_stop_kills_the_worker(isolated: Services, tmp_path: Path) -> None:
     stop = Stop()
     before = done(isolated, number)
-    started = time.monotonic()
-    with anyio.from_thread.start_blocking_portal() as portal:
-        future = portal.start_task_soon(
-            anyio.to_thread.run_sync, partial(done, isolated, spin, None, stop)
-        )
-        time.sleep(0.3)
+    with waiting_worker(isolated, tmp_path / "never", stop) as reply:
         stop.cancel()
         with pytest.raises(CallStoppedError):
-            future.result(5)
-    assert time.monotonic() - started < 1.5
-    assert not Path(f"/proc/{before}").exists()
+            reply.result()
+    _until_dead(before)
     assert done(isolated, number) != before
 
 
@@ -208,12 +217,13 @@ async def test_the_deadline_is_kept_by_a_worker_that_does_not_listen(
         deadline_s=1.0,
     )
     services = ready(create_services(settings))
+    assert services.workers is not None
+    (deaf,) = services.workers.processes
     try:
         async with Client(create_server(services)) as client:
-            started = time.monotonic()
             result = await client.call_tool("estimate_gsd", by_path(images / "cars.png"))
             assert error_of(result) == "deadline_exceeded"
-            assert 1.0 <= time.monotonic() - started < 1.5
+            assert services.workers.processes != [deaf]
             assert services.capacity.running == 0
             await anyio.to_thread.run_sync(ready, services)
             result = await client.call_tool("estimate_gsd", by_path(images / "notes.txt"))
@@ -245,6 +255,11 @@ def _lives(pid: int) -> bool:
         return False
 
 
+def _until_dead(*processes: int) -> None:
+    while any(map(_lives, processes)):
+        time.sleep(0.02)
+
+
 @pytest.fixture
 def roomy(settings: Settings) -> Iterator[Services]:
     """A server with room for three calls, and one worker so far."""
@@ -262,29 +277,26 @@ def test_calls_one_after_the_other_share_a_worker(roomy: Services) -> None:
     assert len(roomy.workers.processes) == 1
 
 
-def test_calls_at_the_same_time_have_workers_of_their_own(roomy: Services) -> None:
+def test_calls_at_the_same_time_have_workers_of_their_own(roomy: Services, tmp_path: Path) -> None:
     assert roomy.workers is not None
-    with ThreadPoolExecutor() as threads:
-        first = threads.submit(done, roomy, a_while)
-        time.sleep(0.1)
-        assert done(roomy, number) != first.result()
+    mark = tmp_path / "mark"
+    with waiting_worker(roomy, mark) as reply:
+        second = done(roomy, number)
+        mark.touch()
+    assert second != reply.result().record.value
     assert len(roomy.workers.processes) == 2
 
 
-def test_closing_ends_all_workers(roomy: Services) -> None:
+def test_closing_ends_all_workers(roomy: Services, tmp_path: Path) -> None:
     assert roomy.workers is not None
-    with ThreadPoolExecutor() as threads:
-        first = threads.submit(done, roomy, a_while)
-        time.sleep(0.1)
+    mark = tmp_path / "mark"
+    with waiting_worker(roomy, mark):
         done(roomy, number)
-        first.result()
+        mark.touch()
     processes = roomy.workers.processes
     assert len(processes) == 2
     roomy.close()
-    deadline = time.monotonic() + 5
-    while any(map(_lives, processes)):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    _until_dead(*processes)
 
 
 def not_there() -> Resources:

@@ -91,7 +91,7 @@ def fetcher(web_server: WebServer) -> Fetcher:
     return Fetcher(
         hosts=(f"images.test:{web_server.port}",),
         max_bytes=10_000,
-        timeout_s=5,
+        timeout_s=60,
         ssl_context=web_server.trust,
         resolve=resolve,
         is_public=lambda address: address == "127.0.0.1",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -312,3 +313,32 @@ def test_a_file_beside_an_image_is_read_under_the_same_checks(root: Path, outsid
         assert Sidecars(str_of(opened)).mask(100) == b"mask"
     with PathAccess([root]).open("deep/b.png") as opened:
         assert Sidecars(str_of(opened)).mask(100) is None
+
+
+_IN_ANOTHER_LOCALE = """
+import os, sys
+from pathlib import Path
+from vehanchor_server.images.path_access import PathAccess
+assert sys.getfilesystemencoding() != "utf-8"
+access = PathAccess([Path(sys.argv[1])])
+names, _ = access.listed(0, 9)
+for name in names:
+    with access.open(name) as opened:
+        content = Path(opened).read_bytes() if isinstance(opened, str) else opened.read()
+        print(ascii(name), len(content))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names are Unicode there")
+def test_names_are_unicode_in_every_locale(tmp_path: Path) -> None:
+    name = "\N{LATIN SMALL LETTER E WITH ACUTE}\N{CJK UNIFIED IDEOGRAPH-65E5}.png"
+    (tmp_path / name).write_bytes(b"four")
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    finished = subprocess.run(
+        [sys.executable, "-c", _IN_ANOTHER_LOCALE, tmp_path],
+        env={**os.environ, **locale},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert finished.stdout == f"{str(tmp_path / name)!a} 4\n"

@@ -351,10 +351,13 @@ async def test_a_fit_is_stated_in_words_and_fields(server: MCPServer[object], im
     assert (fit["center"]["x_px"], fit["center"]["y_px"]) == pytest.approx((324, 378), abs=1)
     assert len(fit["corners"]) == 4
     assert fit["n_fits_at_least"] >= 2
-    # Other sizes are left out.
-    assert "inscribed_diameter_m" not in record
+    # Of other sizes only the largest circle is stated.
+    assert record["inscribed_diameter_m"] > 5
+    assert "length_m" not in record
+    assert "inscribed_center" not in record
     assert "5 x 3 m fits with probability 0.9" in text_of(result)
     assert "centre x 324, y 378 in your image, heading" in text_of(result)
+    assert "; the largest circle inside is 7.55 m across." in text_of(result)
 
 
 async def test_a_fit_lies_in_the_callers_copy(server: MCPServer[object], images: Path) -> None:

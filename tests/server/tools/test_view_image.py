@@ -317,32 +317,54 @@ async def test_names_that_are_no_text_are_left_out(tmp_path: Path) -> None:
     assert facts_in(result)["images"] == [str(tmp_path / "good.png")]
 
 
-async def test_a_listing_counts_as_a_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    listing = threading.Event()
-    goes_on = threading.Event()
+class SlowListing:
+    """A listing of a folder that goes on when the test lets it.
 
-    def slow_walk(root: Path, check_stop: Callable[[], None]) -> Iterator[Path]:
-        listing.set()
-        while not goes_on.wait(0.01):
+    Attributes:
+        begun: set when a listing begins.
+        may_end: lets it end.
+    """
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+        self.may_end = threading.Event()
+
+    def walk(self, root: Path, check_stop: Callable[[], None]) -> Iterator[Path]:
+        self.begun.set()
+        while not self.may_end.wait(0.01):
             check_stop()
         yield root / "a.png"
 
-    monkeypatch.setattr(path_access, "_images_below", slow_walk)
-    monkeypatch.setattr("vehanchor_server.calls.capacity.MAX_WAIT_S", 0.1)
+
+@pytest.fixture
+def slow_listing(monkeypatch: pytest.MonkeyPatch) -> SlowListing:
+    listing = SlowListing()
+    monkeypatch.setattr(path_access, "_images_below", listing.walk)
+    return listing
+
+
+def _listing_server(root: Path, *, deadline_s: float) -> MCPServer[object]:
     settings = Settings(
-        roots=(tmp_path,), isolation="in-process", max_concurrency=1, deadline_s=1.0
+        roots=(root,), isolation="in-process", max_concurrency=1, deadline_s=deadline_s
     )
-    async with (
-        Client(create_server(create_services(settings))) as client,
-        anyio.create_task_group() as group,
-    ):
-        results: list[Any] = []
+    return create_server(create_services(settings))
 
-        async def listed() -> None:
-            results.append(await client.call_tool("view_image", {}))
 
-        group.start_soon(listed)
-        await anyio.to_thread.run_sync(listing.wait, 20)
+async def test_a_listing_has_a_slot(
+    tmp_path: Path, slow_listing: SlowListing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vehanchor_server.calls.capacity.MAX_WAIT_S", 0.1)
+    server = _listing_server(tmp_path, deadline_s=100)
+    async with Client(server) as client, anyio.create_task_group() as group:
+        group.start_soon(client.call_tool, "view_image", {})
+        await anyio.to_thread.run_sync(slow_listing.begun.wait)
         refused = await client.call_tool("view_image", {})
+        slow_listing.may_end.set()
     assert error_of(refused) == "busy"
-    assert error_of(results[0]) == "deadline_exceeded"
+
+
+@pytest.mark.usefixtures("slow_listing")
+async def test_a_listing_ends_at_the_deadline(tmp_path: Path) -> None:
+    async with Client(_listing_server(tmp_path, deadline_s=0.3)) as client:
+        result = await client.call_tool("view_image", {})
+    assert error_of(result) == "deadline_exceeded"

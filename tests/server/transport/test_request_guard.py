@@ -6,7 +6,6 @@ import contextlib
 import json
 import select
 import socket
-import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -66,31 +65,15 @@ def with_unknown(unknown: bytes, *, modern: bool, nested: bool) -> dict[str, Any
 
 @pytest.mark.promise("requests")
 @pytest.mark.parametrize("modern", [True, False])
-def test_very_many_unknown_arguments_freeze_nothing(
+def test_very_many_unknown_arguments_are_refused_before_they_are_parsed(
     base: str, unknown: bytes, modern: bool
 ) -> None:
     request = with_unknown(unknown, modern=modern, nested=modern)
-    slowest = [0.0]
-    stop = threading.Event()
-
-    def probe() -> None:
-        with httpx.Client(timeout=60) as client:
-            while not stop.is_set():
-                started = time.monotonic()
-                assert client.get(f"{base}/healthz", timeout=30).status_code == 200
-                slowest[0] = max(slowest[0], time.monotonic() - started)
-
-    thread = threading.Thread(target=probe)
-    thread.start()
-    try:
-        with httpx.Client(timeout=60) as client:
-            answer = client.post(f"{base}/mcp", **request)
-        assert answer.status_code == 400
-        assert answer.json()["error"]["message"].startswith("invalid_arguments: ")
-    finally:
-        stop.set()
-        thread.join()
-    assert slowest[0] < 1.0
+    with httpx.Client(timeout=60) as client:
+        answer = client.post(f"{base}/mcp", **request)
+    assert answer.status_code == 400
+    message = answer.json()["error"]["message"]
+    assert message.startswith("invalid_arguments: the request has more than")
 
 
 @pytest.mark.anyio

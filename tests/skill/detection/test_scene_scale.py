@@ -68,6 +68,14 @@ def test_only_a_density_wider_than_that_of_fields_falls_to_flat(
     assert flat_mass == pytest.approx(flat_share, rel=0.1)
 
 
+def test_no_density_is_more_certain_than_places_differ() -> None:
+    """All tiles of a place can agree, and have the same error."""
+    density = _prior(0.3, 0.001).density
+    log_high = np.log(quantile(density, 0.84))
+    log_low = np.log(quantile(density, 0.16))
+    assert (log_high - log_low) / 2 > 0.12
+
+
 def test_a_length_that_fits_the_scene_has_the_better_odds() -> None:
     gsds = np.array([0.1, 0.07, 0.01])
     fits, long, longer = _prior(0.1, 0.15).size_odds(CAR_LENGTH_M / gsds)

@@ -105,6 +105,13 @@ def test_the_edge_of_a_shadow_is_no_seam(dark: float) -> None:
     assert _seam(image) is None
 
 
+def test_a_kerb_with_one_ground_on_both_sides_is_no_seam() -> None:
+    sides = np.random.default_rng(3).choice((-1, 1), 400)
+    image = LEFT.astype(np.int64) // 2 + 64
+    image[:, 200:203] += np.multiply.outer(sides, (60, 40, 20))[:, :, None]
+    assert _seam(np.clip(image, 0, 255).astype(np.uint8)) is None
+
+
 def test_plain_ground_between_things_is_no_seam() -> None:
     image = np.full((300, 400, 3), 110, np.uint8)
     for left, top in ((20, 10), (20, 160), (200, 10), (330, 160)):

@@ -35,6 +35,11 @@ def _metres(content: bytes, tmp_path: Path) -> float | str | None:
         SEMICOLONS.encode("utf-16-be"),
         SEMICOLONS.encode("utf-16"),
         SEMICOLONS.encode("utf-8-sig"),
+        SEMICOLONS.encode("utf-32"),
+        SEMICOLONS.encode("utf-32-le"),
+        SEMICOLONS.encode("utf-32-be"),
+        f"\n\n{SEMICOLONS}".encode(),
+        COMMAS.replace("\n", "\r").encode(),
         COMMAS.replace("what", "\N{LATIN SMALL LETTER E WITH ACUTE}").encode("cp1252"),
         f"{COMMAS},,,,,,\n\n".encode(),
         f"{SEMICOLONS};;;;;\n".encode(),
@@ -52,6 +57,25 @@ def test_images_of_known_scale_have_the_same_tables(tmp_path: Path) -> None:
     table.write_text("file;gsd_m_per_px\nphoto.jpg;0,25\n;\n", encoding="utf-16")
     (image,) = survey_table(table).images
     assert image.gsd_m_per_px == 0.25
+
+
+@pytest.mark.parametrize(
+    ("start", "reason"),
+    [
+        (b"PK\3\4", "save it as CSV"),
+        (b"\xd0\xcf\x11\xe0", "save it as CSV"),
+        (b"\x1f\x8b", "unpack it"),
+    ],
+)
+def test_files_that_are_no_text_say_what_to_do(start: bytes, reason: str, tmp_path: Path) -> None:
+    with pytest.raises(KnownLengthError, match=reason):
+        _metres(start + bytes(40), tmp_path)
+
+
+def test_lines_before_the_table_count_in_messages(tmp_path: Path) -> None:
+    table = f"\nsep=;\n{SEMICOLONS.replace('36,5', 'x')}"
+    with pytest.raises(KnownLengthError, match="line 4"):
+        _metres(table.encode(), tmp_path)
 
 
 def test_a_missing_column_is_named(tmp_path: Path) -> None:

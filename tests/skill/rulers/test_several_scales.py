@@ -69,6 +69,14 @@ def test_lorries_among_cars_are_no_second_scale() -> None:
     assert _ratio(cars) is None
 
 
+def test_cars_that_the_border_cuts_are_no_second_scale() -> None:
+    cars = _cars(12, 6, ratio=0.5)
+    assert "several_scales" in _codes(_record(cars))
+    # Their boxes reach beyond the right border.
+    cars.boxes[12:, 0] = SIDE_PX - 2
+    assert "several_scales" not in _codes(_record(cars))
+
+
 def test_two_scales_are_not_usable() -> None:
     one = _record(_cars(12, 6, ratio=1.0))
     two = _record(_cars(12, 6, ratio=0.5))

@@ -18,7 +18,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.models.zoo import resolve_model
 from vehanchor.options import Reference, ScaleOptions
-from vehanchor.rulers.reference import reference_length, unmeasured_region
+from vehanchor.rulers.reference import country_in_words, reference_length, unmeasured_region
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.vehicles import Vehicles, VehicleWitness
 from vehanchor.scale.countries import (
@@ -260,6 +260,22 @@ def test_a_published_length_is_converted_to_the_boxes_of_a_detector() -> None:
     assert country_length("ES", loose) == loose["europe"]
     assert country_length("NP", loose) is None
     assert country_length("DE", {}) is None
+
+
+@pytest.mark.parametrize(
+    ("region", "words"),
+    [
+        ("Mexico", "Cars in MX are taken to be as long as those measured in south_america."),
+        ("ch", "The usual length of cars in CH is from a published mean."),
+        ("South America", None),
+        ("JP", None),
+        (None, None),
+    ],
+)
+def test_the_answer_states_whose_cars_stand_for_those_of_a_country(
+    card: DetectorCard, region: str | None, words: str | None
+) -> None:
+    assert country_in_words(card, Reference(region=region)) == words
 
 
 def test_a_region_is_found_in_any_case(card: DetectorCard) -> None:

@@ -16,6 +16,7 @@ from vehanchor.imagery.formats.heif import (
     ItemLimits,
     item_pieces,
     largest_size,
+    metadata_in,
     property_values,
     read_image_properties,
     read_meta,
@@ -99,10 +100,12 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
     properties = _read_properties(read_at, parts[b"iprp"])
     decoded_px = properties.width_px * properties.height_px
     complete = True
+    metadata = []
     spans = _item_spans(read_at, parts[b"iloc"], parts.get(b"idat"))
     for start, end in spans:
         has_last_byte = len(read_at(end - 1, 1)) == 1
         complete = complete and has_last_byte
+        metadata += metadata_in(read_at, start, end - start)
         decoded_px = max(decoded_px, _largest_frame_px(read_at, start, end))
     pixel_bytes = _DECODING_BYTES[properties.has_high_depth, properties.has_alpha]
     return ImageHeader(
@@ -112,6 +115,7 @@ def read_avif(read_at: ReadAt) -> ImageHeader:
         orientation=properties.orientation,
         complete=complete,
         decoding_bytes=pixel_bytes * decoded_px,
+        metadata=tuple(metadata),
     )
 
 

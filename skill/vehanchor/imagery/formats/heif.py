@@ -87,7 +87,7 @@ def read_heic(read_at: ReadAt) -> ImageHeader:
         if piece.in_file and piece.length > 0:
             last_byte = read_at(piece.start + piece.length - 1, 1)
             complete = complete and len(last_byte) == 1
-            metadata += _metadata_in(read_at, piece)
+            metadata += metadata_in(read_at, piece.start, piece.length)
     return ImageHeader(
         "HEIC",
         width,
@@ -98,18 +98,26 @@ def read_heic(read_at: ReadAt) -> ImageHeader:
     )
 
 
-def _metadata_in(read_at: ReadAt, piece: Piece) -> list[tuple[int, int]]:
+def metadata_in(read_at: ReadAt, start: int, length: int) -> list[tuple[int, int]]:
     """Find EXIF or XMP in a piece of an item; empty for pixels.
 
     EXIF begins after an offset of four bytes, which counts from its own end (ISO/IEC 23008-12,
     A.2.1).
+
+    Args:
+        read_at: reads the file.
+        start: offset of the piece.
+        length: its bytes.
+
+    Returns:
+        Offset and length of the block.
     """
-    head = read_at(piece.start, _EXIF_HEAD_BYTES)
+    head = read_at(start, _EXIF_HEAD_BYTES)
     if head.startswith((b"<?xpacket", b"<x:xmpmeta")):
-        return [(piece.start, piece.length)]
+        return [(start, length)]
     first = 4 + int.from_bytes(head[:4])
-    if head[first : first + 4] in TIFF_SIGNATURES and piece.length > first:
-        return [(piece.start + first, piece.length - first)]
+    if head[first : first + 4] in TIFF_SIGNATURES and length > first:
+        return [(start + first, length - first)]
     return []
 
 

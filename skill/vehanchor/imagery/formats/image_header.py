@@ -22,6 +22,7 @@ class TiffLayout:
         photometric: 0 white is zero, 1 black is zero, 2 RGB, 3 palette, 5 CMYK, 6 YCbCr, 8 Lab.
         planar: whether bands are stored one after the other.
         compression: TIFF's code, such as 1 for none and 50001 for WebP.
+        tiled: whether its blocks are tiles.
         georeferenced: whether it has GeoTIFF tags.
         alpha: whether a band is declared to be alpha.
         block_px: pixels of a strip or tile, which is decoded whole.
@@ -42,12 +43,16 @@ class TiffLayout:
     has_no_data_value: bool = False
     other_pages: tuple[tuple[int, int], ...] = ()
     compression: int = 1
+    tiled: bool = False
 
     @property
     def pixel_bytes(self) -> int:
         """Bytes of a decoded pixel with all bands."""
-        sample_bytes = next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
-        return self.bands * sample_bytes
+        most_bits = max(self.bits)
+        for sample_bytes in (1, 2, 4):
+            if most_bits <= 8 * sample_bytes:
+                return self.bands * sample_bytes
+        return self.bands * 8
 
 
 @dataclass(frozen=True)

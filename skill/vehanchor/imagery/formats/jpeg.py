@@ -11,7 +11,7 @@ import struct
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
-from vehanchor.errors import ImageDecodeError, ImageTooLargeError
+from vehanchor.errors import ImageDecodeError, ImageFormatError, ImageTooLargeError
 from vehanchor.imagery.formats.ifd import ReadAt, exif_orientation
 from vehanchor.imagery.formats.image_format import ImageFormat, starts_with
 from vehanchor.imagery.formats.image_header import COPIES, ImageHeader
@@ -42,6 +42,11 @@ _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 _SOS = 0xDA
 _EOI = 0xD9
 _APP1 = 0xE1
+_APP14 = 0xEE
+_ADOBE = b"Adobe"
+_JPEG_LS = 0xF7
+_SAMPLE_BITS = 8
+_INKS = 4
 _STUFFING = 0x00
 _FILL = 0xFF
 
@@ -56,12 +61,14 @@ class _Frame(NamedTuple):
 
     Attributes:
         marker: kind of the JPEG, one of ``_SOF``.
+        sample_bits: bits of each sample.
         height_px: rows.
         width_px: columns.
         n_components: bands as stored.
     """
 
     marker: int
+    sample_bits: int
     height_px: int
     width_px: int
     n_components: int
@@ -73,6 +80,7 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
     Raises:
         ImageDecodeError: the file has no frame header, or more than one.
         ImageTooLargeError: the file has more segments or scans than an image needs.
+        ImageFormatError: it has 12 bits per sample, inks of unknown meaning, or is a JPEG-LS.
         struct.error: the file ends within the frame header.
     """
     data = read_at(0, sys.maxsize)
@@ -81,14 +89,19 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
     complete = False
     metadata: list[tuple[int, int]] = []
     n_scans = 0
+    is_of_adobe = False
     for marker, start, end in _segments(data):
         if marker == _EOI:
             complete = True
         elif marker in _SOF:
             if frame is not None:
                 raise ImageDecodeError("the JPEG has two frame headers: damaged")
-            height, width, n_components = struct.unpack_from(">HHB", data, start + 1)
-            frame = _Frame(marker, height, width_px=width, n_components=n_components)
+            bits, height, width, n_components = struct.unpack_from(">BHHB", data, start)
+            frame = _Frame(marker, bits, height, width_px=width, n_components=n_components)
+        elif marker == _APP14:
+            is_of_adobe = is_of_adobe or data.startswith(_ADOBE, start)
+        elif marker == _JPEG_LS:
+            raise ImageFormatError("this is a JPEG-LS: convert it to JPEG or PNG")
         elif marker == _APP1:
             metadata.append((start, end - start))
             if data.startswith(EXIF_PREFIX, start):
@@ -103,6 +116,7 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
                 )
     if frame is None:
         raise ImageDecodeError("the JPEG has no frame header: truncated or damaged")
+    _check_samples(frame, is_of_adobe=is_of_adobe)
     return ImageHeader(
         "JPEG",
         frame.width_px,
@@ -112,6 +126,22 @@ def read_jpeg(read_at: ReadAt) -> ImageHeader:
         decoding_bytes=_decoding_bytes(frame, n_scans),
         metadata=tuple(metadata),
     )
+
+
+def _check_samples(frame: _Frame, *, is_of_adobe: bool) -> None:
+    """Check that OpenCV decodes the samples of a JPEG rightly.
+
+    Raises:
+        ImageFormatError: it does not.
+    """
+    if frame.sample_bits != _SAMPLE_BITS:
+        raise ImageFormatError(
+            f"the JPEG has {frame.sample_bits} bits per sample: save it with 8, or as TIFF or PNG "
+            "with 16"
+        )
+    # Adobe stores inks inverted, and OpenCV takes all for such.
+    if frame.n_components == _INKS and not is_of_adobe:
+        raise ImageFormatError("the JPEG has four inks (CMYK) without Adobe's mark: convert to RGB")
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:

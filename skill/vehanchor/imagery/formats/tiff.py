@@ -88,6 +88,10 @@ _OPENCV_COMPRESSIONS = frozenset({1, 2, 3, 4, 5, 7, 8, 32773, 32946})
 GDAL reads others, such as WebP, Zstandard and LERC.
 """
 
+_UNCOMPRESSED = 1
+_PLAIN_TILE_PX = 1024
+"""OpenCV 5 refuses uncompressed tiles whose number of pixels is no multiple of this (measured)."""
+
 _MIN_BLOCK_PIXEL_BYTES = 4
 """Bytes per pixel of a strip or tile: OpenCV decodes one of up to 8 bits to four bands."""
 
@@ -138,6 +142,9 @@ def decoded_by_opencv(layout: TiffLayout) -> bool:
         return False
     if layout.compression not in _OPENCV_COMPRESSIONS:
         return False
+    is_plain = layout.tiled and layout.compression == _UNCOMPRESSED
+    if is_plain and layout.block_px % _PLAIN_TILE_PX:
+        return False
     # OpenCV reads pixels without data like all others.
     if layout.mask_block_px or layout.has_no_data_value:
         return False
@@ -179,6 +186,7 @@ def _layout(read_at: ReadAt, tags: _Tags, *, width: int, height: int) -> TiffLay
         block_px=_block_px(tags, width, height),
         mask_block_px=_mask_block_px(read_at),
         has_no_data_value=_TAG_NO_DATA in tags,
+        tiled=_TAG_TILE_WIDTH in tags,
         other_pages=_other_pages(read_at),
     )
 

@@ -213,7 +213,7 @@ def _combine(
         latitude_deg=latitude,
         longitude_deg=longitude,
         taken_at=statements.text("DateTimeOriginal"),
-        projection=stated_projection(statements),
+        projection=stated_projection(statements, header),
         crop=stated_crop(statements, header),
         refused="; ".join(dict.fromkeys(statements.refused)),
     )

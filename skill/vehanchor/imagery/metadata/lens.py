@@ -168,9 +168,22 @@ def lens(
     Returns:
         None without a focal length, for a crop, and with a digital zoom.
     """
+    if focal_35mm is None and zoom_problem(camera):
+        return None
+    return lens_without_zoom(image, camera, focal_35mm)
+
+
+def lens_without_zoom(
+    image: ImageFacts, camera: CameraMetadata | None, focal_35mm: float | None = None
+) -> Lens | None:
+    """Compute the field of view as ``lens`` does, as if there were no digital zoom.
+
+    Returns:
+        None without a focal length, and for a crop.
+    """
     if focal_35mm is not None:
         return equivalent_lens(image.width_px, image.height_px, focal_35mm)
-    if camera is None or zoom_problem(camera):
+    if camera is None:
         return None
     ratio = taken_ratio(image, camera)
     if ratio is None:

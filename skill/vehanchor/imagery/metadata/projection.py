@@ -9,6 +9,7 @@ of one of their parts. Names and values:
 * ``LensModel``: the name of a fisheye lens.
 * ``Make``: GoPro's wide fields of view are those of a fisheye lens; its linear ones have a longer
   35 mm equivalent.
+* ``Make`` and ``Model`` of a camera for all directions, whose pictures are twice as wide as high.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from vehanchor.imagery.formats.image_header import ImageHeader
     from vehanchor.imagery.metadata.statements import Statements
 
 _PERSPECTIVE = ("perspective", "rectilinear", "planar", "frame")
@@ -24,16 +26,21 @@ _PERSPECTIVE = ("perspective", "rectilinear", "planar", "frame")
 
 _APPLE_PANORAMA = 6
 _FISHEYE = re.compile(r"fish.?eye", re.IGNORECASE)
+_ALL_DIRECTIONS = re.compile(
+    r"insta360|arashi vision|\btheta\b|gopro max|osmo 360|qoocam|kandao|gear 360|labpano|pilot era",
+    re.IGNORECASE,
+)
 _SHOWN_CHARS = 32
 _GOPRO_LINEAR_FROM_35MM = 18.0
 """Shortest 35 mm equivalent of linear fields of view, a choice: wide ones state 14 to 16."""
 
 
-def stated_projection(statements: Statements) -> str:
+def stated_projection(statements: Statements, header: ImageHeader) -> str:
     """Name the projection of a picture that is not one perspective view.
 
     Args:
         statements: statements of the file.
+        header: size of the image.
 
     Returns:
         The property and its value, such as "ProjectionType equirectangular"; empty for a
@@ -59,4 +66,8 @@ def stated_projection(statements: Statements) -> str:
     is_gopro = statements.text("Make").casefold().startswith("gopro")
     if is_gopro and focal_35mm is not None and focal_35mm < _GOPRO_LINEAR_FROM_35MM:
         return f"a wide field of view of GoPro, {focal_35mm:g} mm"
+    camera = f"{statements.text('Make')} {statements.text('Model')}"[: 2 * _SHOWN_CHARS]
+    is_twice_as_wide = header.width_px == 2 * header.height_px
+    if is_twice_as_wide and not is_stated_perspective and _ALL_DIRECTIONS.search(camera):
+        return f"all directions, by the size of a picture of {camera}"
     return ""

@@ -57,6 +57,7 @@ from vehanchor.imagery.sources.pillow import (
 from vehanchor.imagery.sources.rasterio_file import Dataset, is_dataset, open_dataset, open_file
 from vehanchor.imagery.sources.sidecars import Sidecars, unreadable_mask, unusable_coordinates
 from vehanchor.imagery.square_raster import in_square_pixels
+from vehanchor.imagery.thumbnail import with_crop_by_thumbnail
 from vehanchor.options import Reading
 
 if TYPE_CHECKING:
@@ -87,6 +88,8 @@ ImageSource: TypeAlias = (
 """
 
 _MIB = 1 << 20
+# Start of an image in a data: address, in messages.
+_SHOWN_CHARS = 32
 _DEFAULT_READING = Reading()
 DECODERS_OF_EXTRAS = {HEIC.name: open_heic}
 """Functions that decode the formats with an ``extra``, by name of the format."""
@@ -247,7 +250,8 @@ def _open_bytes(
     )
     raster.orientation = header.orientation
     raster.warnings = (*raster.warnings, *notes)
-    raster.camera = read_camera(read_at, header)
+    camera = read_camera(read_at, header)
+    raster.camera = with_crop_by_thumbnail(camera, raster, read_at, header)
     _georeference_by_sidecars(raster, sidecars)
     _read_density(raster, read_at, header)
     return raster
@@ -405,8 +409,17 @@ def _open_regular_file(path: str) -> BinaryIO:
 
 def _cannot_open(path: str, reason: str | None) -> ImageNotFoundError:
     """Make the error for a path that the system cannot open; for an address, name the remedy."""
+    address = path.lower()
+    if address.startswith("data:"):
+        start = path[:_SHOWN_CHARS]
+        return ImageNotFoundError(
+            f"cannot open the image '{start}...': this is no path; decode its base64, and save it "
+            "or pass the bytes"
+        )
     message = f"cannot open the image {path!r}: {reason}"
-    if "://" in path:
+    if address.startswith("file:"):
+        message += "; give the path alone, without file://"
+    elif "://" in path:
         message += "; download it, or pass rasterio.open(...) of it"
     return ImageNotFoundError(message)
 

@@ -46,6 +46,17 @@ def read(data: bytes, limits: ImageLimits | None = None) -> np.ndarray:
         return raster.read()
 
 
+def test_its_camera_metadata_are_read() -> None:
+    exif = Image.Exif()
+    exif[0x010F] = "DJI"
+    exif.get_ifd(0x8769)[0xA405] = 24
+    file = io.BytesIO()
+    Image.new("RGB", (WIDTH, HEIGHT)).save(file, "AVIF", exif=exif)
+    with open_raster(file.getvalue()) as raster:
+        assert raster.camera is not None
+        assert raster.camera.focal_35mm == 24.0
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_it_is_turned_upright(orientation: int) -> None:
     data = encoded(orientation=orientation)

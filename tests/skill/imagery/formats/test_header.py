@@ -170,6 +170,51 @@ def test_raw_files_of_other_forms_are_named(start: bytes) -> None:
         open_raster(start + bytes(40))
 
 
+@pytest.mark.parametrize(
+    ("start", "advice"),
+    [
+        (b"\xff\x0a", "JPEG XL"),
+        (b"PK\3\4", "unpack"),
+        (b"<!DOCTYPE html>", "page of the web"),
+        (b"version https://git-lfs.github.com/spec/v1", "git lfs pull"),
+    ],
+)
+def test_other_files_say_what_to_do(start: bytes, advice: str) -> None:
+    with pytest.raises(ImageDecodeError, match=advice):
+        open_raster(start + bytes(40))
+
+
+_SIZE_OF_SAMPLES = JPEG.index(b"\xff\xc0") + 4
+_INKS = pillow("JPEG", "CMYK")
+_ADOBE = _INKS.index(b"\xff\xee")
+
+
+@pytest.mark.parametrize(
+    ("data", "advice"),
+    [
+        (JPEG[:_SIZE_OF_SAMPLES] + b"\x0c" + JPEG[_SIZE_OF_SAMPLES + 1 :], "12 bits"),
+        (_INKS[:_ADOBE] + _INKS[_ADOBE + 16 :], "CMYK"),
+        (JPEG[:2] + b"\xff\xf7\0\x0b\x08" + bytes(60), "JPEG-LS"),
+    ],
+    ids=["12 bits", "inks", "JPEG-LS"],
+)
+def test_a_jpeg_of_samples_that_are_not_decoded_says_what_to_do(data: bytes, advice: str) -> None:
+    with pytest.raises(ImageFormatError, match=advice):
+        header_of(data)
+
+
+def test_the_inks_of_adobe_are_read() -> None:
+    difference = read_all(_INKS).astype(int) - RGB
+    assert np.abs(difference).mean() < 8
+
+
+def test_a_tiff_of_plain_tiles_of_any_size_is_read(tmp_path: Path) -> None:
+    noise = np.random.default_rng(2).integers(0, 256, (90, 130, 3), dtype=np.uint8)
+    tiles: dict[str, Any] = {"tiled": True, "blockxsize": 48, "blockysize": 48}
+    path = geotiff(tmp_path / "a.tif", noise, crs=None, transform=None, **tiles)
+    np.testing.assert_array_equal(read_all(path), noise)
+
+
 def test_a_directory_whose_values_exceed_the_file_is_refused() -> None:
     shared = [(tag, 1, 1000, 0) for tag in range(60_000, 60_010)]
     data = bombs.tiff_of_directory([WIDTH, HEIGHT, *shared], after=bytes(9000))

@@ -53,6 +53,22 @@ def test_a_wide_field_of_view_of_gopro_is_that_of_a_fisheye(
     assert bool(_projection(jpeg(exif=block))) == is_fisheye
 
 
+@pytest.mark.parametrize(
+    ("model", "size", "is_sphere"),
+    [
+        ("RICOH THETA Z1", (120, 60), True),
+        ("RICOH THETA Z1", (80, 60), False),
+        ("RICOH GR III", (120, 60), False),
+    ],
+)
+def test_the_whole_picture_of_a_camera_for_all_directions_is_a_sphere(
+    model: str, size: tuple[int, int], is_sphere: bool
+) -> None:
+    block = exif({"Make": "RICOH", "Model": model})
+    data = jpeg(exif=block, width_px=size[0], height_px=size[1])
+    assert bool(_projection(data)) == is_sphere
+
+
 def test_a_plain_photograph_states_no_projection() -> None:
     assert _projection(jpeg(exif=exif({"Make": "DJI"}))) == ""
 

@@ -140,6 +140,17 @@ def test_a_path_without_a_regular_file_is_not_found(
     assert repr(bad_paths[name]) in str(caught.value)
 
 
+def test_an_address_of_a_local_file_says_to_give_its_path() -> None:
+    with pytest.raises(ImageNotFoundError, match="give the path alone"):
+        open_raster("file:///photos/a.jpg")
+
+
+def test_an_image_in_an_address_is_not_repeated() -> None:
+    with pytest.raises(ImageNotFoundError, match="pass the bytes") as caught:
+        open_raster("data:image/jpeg;base64," + "A" * 3000)
+    assert len(str(caught.value)) < 200
+
+
 @pytest.mark.parametrize("image", [None, 7, ["a.png"], object()])
 def test_an_unknown_type_is_a_wrong_parameter(image: Any) -> None:
     with pytest.raises(InvalidParameterError, match=type(image).__name__) as caught:
@@ -342,6 +353,16 @@ def test_an_image_is_opened_by_either_unicode_form(
     stored_path: Path, other_name: str, tmp_path: Path
 ) -> None:
     open_raster(tmp_path / other_name).close()
+
+
+def test_a_relative_path_without_a_working_directory_is_not_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def gone() -> str:
+        raise FileNotFoundError
+
+    monkeypatch.setattr("os.getcwd", gone)
+    assert canonical_path("a.jpg") == "a.jpg"
 
 
 def test_both_unicode_forms_have_one_canonical_path(
