@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from vehanchor.analysis.scale_analysis import ScaleAnalysis
 from vehanchor.detection.card import DetectorCard
 from vehanchor.detection.detections import Detections
 from vehanchor.imagery.facts import ImageFacts
+from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.rulers.camera_tilt import metadata_tilt
 from vehanchor.rulers.ruler import Ruler, View
@@ -101,6 +103,22 @@ def found_witness(witness: Witness | None) -> Witness:
     """Return a witness; fail for a ruler that has nothing to report."""
     assert witness is not None
     return witness
+
+
+def empty_view(
+    camera: CameraMetadata | None = None,
+    width_px: int = 4000,
+    height_px: int = 3000,
+    **options: Any,
+) -> View:
+    """Make the view of an image in which the search found nothing."""
+    return View(
+        ImageFacts(width_px, height_px, camera=camera),
+        Detections(np.zeros((0, 5)), np.zeros(0)),
+        card=made_card(5.0),
+        options=ScaleOptions.of(options),
+        measure_detail_share=lambda *_: 1.0,
+    )
 
 
 def measured(ruler: Ruler, view: View) -> Witness:

@@ -97,7 +97,9 @@ def run_rows(folder: Path, engine: str, workers: int) -> Run:
     # Timing starts after the first row, so rows that come with it do not count.
     warm = came[workers - 1 :]
     rate = (len(warm) - 1) / (warm[-1] - warm[0])
-    return Run(rate, len(images - rows.keys()), max(len(came), rows.total()) - len(images))
+    n_missing = len(images - rows.keys())
+    n_rows = max(len(came), rows.total())
+    return Run(rate, n_missing, n_rows - len(images))
 
 
 def compare_nodes(folder: Path, sizes: list[int]) -> None:

@@ -64,7 +64,8 @@ def tiles(data: Path, name: str, split: str) -> list[tuple[Path, float]]:
             rows += [
                 row for row in csv.DictReader(file) if row["set"] == name and row["split"] == split
             ]
-    return [((data / "gsd" / row["file"]).resolve(), float(row["gsd_m_per_px"])) for row in rows]
+    folder = (data / "gsd").resolve()
+    return [(folder / row["file"], float(row["gsd_m_per_px"])) for row in rows]
 
 
 def read(path: Path) -> Picture:
@@ -146,10 +147,11 @@ def _pooled_estimates(
     for seed in range(flights):
         rng = np.random.default_rng([seed, 20261121])
         indices = rng.choice(len(files), min(_PHOTOGRAPHS, len(files)), replace=False)
-        inputs = [
-            InputPhotograph(str(k), spoiled(turned(read(files[k][0]), rng), rng)[:, :, ::-1])
-            for k in indices
-        ]
+        inputs = []
+        for k in indices:
+            path, _ = files[k]
+            picture = spoiled(turned(read(path), rng), rng)
+            inputs.append(InputPhotograph(str(k), picture[:, :, ::-1]))
         photographs = searched_photographs(inputs, detector)
         estimates["unknown"].append(pooled_flight(photographs, detector))
         if region in detector.card.region_lengths_m:

@@ -72,9 +72,8 @@ def layout(cells: int, share: float, rng: Generator) -> NDArray[Any]:
 
 def _cell(pictures: list[Picture], rng: Generator) -> Picture:
     image = pictures[rng.integers(len(pictures))]
-    image = np.pad(
-        image, [(0, max(0, CELL_PX - side)) for side in image.shape[:2]] + [(0, 0)], "symmetric"
-    )
+    down, right = (max(0, CELL_PX - side) for side in image.shape[:2])
+    image = np.pad(image, [(0, down), (0, right), (0, 0)], "symmetric")
     top, left = (int(rng.integers(side - CELL_PX + 1)) for side in image.shape[:2])
     image = image[top : top + CELL_PX, left : left + CELL_PX]
     image = np.rot90(image, int(rng.integers(4)))
@@ -109,7 +108,8 @@ def make(data: Path, out: Path, side: int, share: float, town: str, seed: int) -
                     (row * CELL_PX, (row + 1) * CELL_PX),
                     (column * CELL_PX, (column + 1) * CELL_PX),
                 )
-                file.write(np.ascontiguousarray(cell[:, :, ::-1].transpose(2, 0, 1)), window=window)
+                bands = cell[:, :, ::-1].transpose(2, 0, 1)
+                file.write(np.ascontiguousarray(bands), window=window)
 
 
 def search(image: Path, effort: str, threads: int | None) -> str:

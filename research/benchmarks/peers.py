@@ -111,11 +111,11 @@ def write_work(folder: Path) -> tuple[Path, list[Path], Path]:
     )
     for number, (gsd, n_vehicles) in enumerate(_SCENES.values()):
         scene = render_scene(gsd, seed=5, layout="parking", n_vehicles=n_vehicles)
-        written.append(folder / f"scene{number}.png")
-        cv2.imwrite(
-            str(written[-1]),
-            np.tile(scene.image[:, :, ::-1], (_SIDE_PX // _TILE_PX, _SIDE_PX // _TILE_PX, 1)),
-        )
+        path = folder / f"scene{number}.png"
+        n_tiles = _SIDE_PX // _TILE_PX
+        picture = np.tile(scene.image[:, :, ::-1], (n_tiles, n_tiles, 1))
+        cv2.imwrite(str(path), picture)
+        written.append(path)
     return model, written, tiles
 
 

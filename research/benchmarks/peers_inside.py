@@ -33,13 +33,11 @@ def _bare(model: str, image: Any, tiles: list[tuple[int, int]]) -> Callable[[], 
     import onnxruntime
 
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
-    inputs = [
-        np.ascontiguousarray(
-            image[y : y + TILE_PX, x : x + TILE_PX, ::-1].transpose(2, 0, 1)[None], np.float32
-        )
-        / 255
-        for x, y in tiles
-    ]
+    inputs = []
+    for x, y in tiles:
+        tile = image[y : y + TILE_PX, x : x + TILE_PX, ::-1]
+        channels = tile.transpose(2, 0, 1)[None]
+        inputs.append(np.ascontiguousarray(channels, np.float32) / 255)
     session.run(None, {"images": inputs[0]})
 
     def run() -> Counts:

@@ -68,7 +68,8 @@ def oriented_images(folder: Path) -> Iterator[tuple[str, Path, float]]:
             "small-vehicle"
         )
         if len(cars) >= _MIN_CARS:
-            yield row["set"], folder / row["file"], float(np.median(boxes_from_corners(cars)[:, 2]))
+            lengths_px = boxes_from_corners(cars)[:, 2]
+            yield row["set"], folder / row["file"], float(np.median(lengths_px))
 
 
 def upright_images(folder: Path) -> Iterator[tuple[str, Path, float]]:

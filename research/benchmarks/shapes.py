@@ -221,7 +221,8 @@ def _print_rooms(rooms: list[Room]) -> None:
     print("| mask | scale | sizes | fit in truth | median size over the largest |")
     print("|---|---|---|---|---|")
     for mask, scale in itertools.product(("given", "segmenter"), ("true", "cars")):
-        ratios = np.array([r.ratio for r in rooms if (r.mask, r.scale) == (mask, scale)])
+        kind = (mask, scale)
+        ratios = np.array([room.ratio for room in rooms if (room.mask, room.scale) == kind])
         if not len(ratios):
             continue
         right = f"{(ratios <= 1).mean() * 100:.1f} %"

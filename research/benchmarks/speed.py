@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -131,7 +132,7 @@ def pipeline(rounds: int, others: list[str]) -> list[str]:
     lines = []
     for k, detector in enumerate(detectors):
         name = detector.path.stem
-        ratio = statistics.median(w / b for w, b in zip(whole[k], bare[k], strict=True))
+        ratio = _median_ratio(whole[k], bare[k])
         lines += [
             f"| {name}: pipeline, 4096 x 4096, s | {statistics.median(whole[k]):.2f} |",
             f"| {name}: vehicles found | {n_boxes} |",
@@ -142,9 +143,14 @@ def pipeline(rounds: int, others: list[str]) -> list[str]:
         ]
         if k:
             for what, times in (("pipeline", whole), ("bare", bare)):
-                share = statistics.median(a / b for a, b in zip(times[k], times[0], strict=True))
+                share = _median_ratio(times[k], times[0])
                 lines.append(f"| {what}, {name} / {detectors[0].path.stem} | {share:.3f} |")
     return lines
+
+
+def _median_ratio(times: Sequence[float], others: Sequence[float]) -> float:
+    """Compute the median ratio of two runs that took turns."""
+    return statistics.median(time / other for time, other in zip(times, others, strict=True))
 
 
 def peak_memory() -> str:

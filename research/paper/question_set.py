@@ -169,11 +169,8 @@ def task_of(question: SetQuestion, kind: TaskKind) -> Task:
     if kind == "fit":
         return Task(question, kind, _FIT_ENDS, _FIT_SHARES[number % len(_FIT_SHARES)])
     angle = 2 * math.pi * (number % _DIRECTIONS + 0.4) / _DIRECTIONS
-    return Task(
-        question,
-        kind,
-        ((0.5, 0.5), (0.5 + _REACH * math.sin(angle), 0.5 - _REACH * math.cos(angle))),
-    )
+    end = (0.5 + _REACH * math.sin(angle), 0.5 - _REACH * math.cos(angle))
+    return Task(question, kind, ((0.5, 0.5), end))
 
 
 @dataclass(frozen=True)
@@ -243,10 +240,14 @@ def _ask(
     tasks: Sequence[Task], tools: ToolCaller, path: Path, *, catalogue: bool
 ) -> list[Answered]:
     question = tasks[0].question
+    lines = []
+    for task in tasks:
+        points = [{"x": x, "y": y} for x, y in task.ends]
+        lines.append({"points": points})
     arguments: dict[str, Any] = {
         "image": {"kind": "path", "path": str(checked_file(question, path).resolve())},
         "coordinates": "fraction",
-        "lines": [{"points": [{"x": x, "y": y} for x, y in task.ends]} for task in tasks],
+        "lines": lines,
         "detail": "full",
     }
     if catalogue and question.facts:

@@ -115,7 +115,8 @@ def questions_of_photographs(images: Sequence[KnownScaleImage], limit: int) -> l
         with open_raster(image.path, DATASET_READING) as raster:
             width = raster.width_px
             height = raster.height_px
-        stretch_m = round((STRETCH[1][0] - STRETCH[0][0]) * width * image.gsd_m_per_px, 1)
+        (start_x, _), (end_x, _) = STRETCH
+        stretch_m = round((end_x - start_x) * width * image.gsd_m_per_px, 1)
         about = _distances(
             image.path, (width, height), image.gsd_m_per_px, both_fits=number % 2 == 1
         )
@@ -188,11 +189,11 @@ class _Dialogue:
 
     def _measure(self, question: Question) -> tuple[Outcome, str | None]:
         """Measure the line of a question; return the outcome and the status, None for an error."""
-        (x1, y1), (x2, y2) = question.places
+        points = [{"x": x, "y": y} for x, y in question.places]
         arguments: dict[str, Any] = {
             "image": {"kind": "path", "path": str(question.image.resolve())},
             "coordinates": "fraction",
-            "lines": [{"points": [{"x": x1, "y": y1}, {"x": x2, "y": y2}]}],
+            "lines": [{"points": points}],
         }
         if question.image in self.measured:
             arguments["known_lengths"] = [self.measured[question.image]]
@@ -226,9 +227,9 @@ def ask_blindly(questions: Iterable[Question]) -> list[Outcome]:
     outcomes = []
     for question in questions:
         (x1, y1), (x2, y2) = question.places
-        across, down = (
-            (b - a) * side for a, b, side in zip((x1, y1), (x2, y2), question.size_px, strict=True)
-        )
+        width_px, height_px = question.size_px
+        across = (x2 - x1) * width_px
+        down = (y2 - y1) * height_px
         value = math.hypot(across, down) * USUAL_GSD_M
         spread = 1 + USUAL_ERROR
         outcomes.append(

@@ -231,9 +231,9 @@ def _read_candidates(image: AnnotatedImage, categories: Sequence[str]) -> _Image
 
 
 def _png(mask: NDArray[np.bool_]) -> bytes:
-    return bytes(
-        cv2.imencode(".png", mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])[1].tobytes()
-    )
+    grey = mask.astype(np.uint8) * 255
+    _, encoded = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_BILEVEL, 1])
+    return bytes(encoded.tobytes())
 
 
 def _sample(

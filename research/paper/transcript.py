@@ -115,10 +115,11 @@ def score(turns: Iterable[Turn], key: dict[str, Truth]) -> dict[str, int]:
     """
     every = list(turns)
     names = [turn.question for turn in every]
-    wrong = sorted({name for name in (*names, *key) if names.count(name) != 1 or name not in key})
+    all_names = {*names, *key}
+    wrong = [name for name in all_names if names.count(name) != 1 or name not in key]
     if wrong:
         raise InvalidParameterError(
-            f"the questions of transcript and key differ: {', '.join(wrong)}"
+            f"the questions of transcript and key differ: {', '.join(sorted(wrong))}"
         )
     deeds = [deed(turn.answer, key[turn.question]) for turn in every]
     counts = {each: deeds.count(each) for each in DEEDS}

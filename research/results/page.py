@@ -57,7 +57,8 @@ def _rounding(table: Table, column: str) -> str:
         return ","
     cells = [row[table.columns.index(column)] for row in table.rows]
     floats = [cell for cell in cells if isinstance(cell, float)]
-    decimals = max((len(repr(number).partition(".")[2]) for number in floats), default=0)
+    fractions = [repr(number).partition(".")[2] for number in floats]
+    decimals = max(map(len, fractions), default=0)
     has_negative = any(isinstance(cell, float | int) and cell < 0 for cell in cells)
     sign = "+" if has_negative else ""
     return f"{sign},.{decimals}f"

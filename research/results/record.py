@@ -76,7 +76,8 @@ class Table(NamedTuple):
 
 def names_of(cells: Sequence[Cell]) -> list[str]:
     """List the names of a row: its first one, two or three cells."""
-    return [" / ".join(str(cell) for cell in cells[:count]) for count in (1, 2, 3)]
+    words = [str(cell) for cell in cells]
+    return [" / ".join(words[:count]) for count in (1, 2, 3)]
 
 
 def tables_of(markdown: str) -> list[Table]:
@@ -89,7 +90,9 @@ def tables_of(markdown: str) -> list[Table]:
             end = k + 2
             while end < len(lines) and lines[end].startswith("|"):
                 end += 1
-            tables.append(_table(_cells(lines[k]), [_cells(line) for line in lines[k + 2 : end]]))
+            columns = _cells(lines[k])
+            texts = [_cells(line) for line in lines[k + 2 : end]]
+            tables.append(_table(columns, texts))
             k = end
         else:
             k += 1
@@ -97,7 +100,8 @@ def tables_of(markdown: str) -> list[Table]:
 
 
 def _cells(line: str) -> list[str]:
-    return [cell.strip().replace("**", "") for cell in line.strip("|").split("|")]
+    cells = line.strip("|").split("|")
+    return [cell.strip().replace("**", "") for cell in cells]
 
 
 def _table(columns: list[str], texts: list[list[str]]) -> Table:

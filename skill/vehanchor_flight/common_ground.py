@@ -96,7 +96,9 @@ def corners_from_above(photograph: Photograph) -> Points:
     image = photograph.view.image
     width = float(image.width_px)
     height = float(image.height_px)
-    corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+    x = [0.0, width, width, 0.0]
+    y = [0.0, 0.0, height, height]
+    corners = np.column_stack([x, y])
     return seen_from_above(photograph, corners)
 
 
@@ -281,7 +283,9 @@ def _same_car(boxes: _Boxes) -> Indices:
     for box in range(n_boxes):
         near = by_x[starts[box] : ends[box]]
         member = int(boxes.members[box])
-        for number in numbers[_same_place(boxes, box, near[near < box])].tolist():
+        earlier = near[near < box]
+        same = _same_place(boxes, box, earlier)
+        for number in numbers[same].tolist():
             # A photograph finds a car once.
             if member not in photographs_of[number]:
                 numbers[box] = number
@@ -297,7 +301,9 @@ def _same_place(boxes: _Boxes, box: int, others: Indices) -> Indices:
     """Select the boxes at the place of a box and of about its size, the nearest first."""
     distances = np.abs(boxes.centres[others] - boxes.centres[box])
     shorter = np.minimum(boxes.lengths[others], boxes.lengths[box])
-    log_ratios = np.abs(np.log(boxes.lengths[others] / boxes.lengths[box]))
-    is_same = (distances <= _SAME_PLACE * shorter) & (log_ratios <= GROUP_LOG_REACH)
+    log_ratios = np.log(boxes.lengths[others] / boxes.lengths[box])
+    is_near = distances <= _SAME_PLACE * shorter
+    is_alike = np.abs(log_ratios) <= GROUP_LOG_REACH
+    is_same = is_near & is_alike
     order = np.argsort(distances[is_same], kind="stable")
     return np.asarray(others[is_same][order])

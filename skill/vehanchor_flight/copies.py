@@ -181,12 +181,15 @@ def shift_of_copy(first: Photograph, second: Photograph) -> Point | None:
         return None
     shift: Point = np.zeros(2)
     if len(boxes) > 1:
-        shift = np.asarray(others[:, :2].mean(axis=0) - boxes[:, :2].mean(axis=0))
+        centre = boxes[:, :2].mean(axis=0)
+        other_centre = others[:, :2].mean(axis=0)
+        shift = np.asarray(other_centre - centre)
     steps = boxes[:, None, :2] + shift - others[None, :, :2]
     distances = np.hypot(steps[..., 0], steps[..., 1])
     nearest = distances.argmin(axis=1)
     is_near = distances.min(axis=1) <= _MAX_SHIFT * boxes[:, 2]
-    log_lengths = np.abs(np.log(boxes[:, 2] / others[nearest, 2]))
-    if is_near.all() and log_lengths.mean() <= _MAX_LOG_LENGTH:
+    ratios = boxes[:, 2] / others[nearest, 2]
+    log_ratios = np.abs(np.log(ratios))
+    if is_near.all() and log_ratios.mean() <= _MAX_LOG_LENGTH:
         return shift
     return None

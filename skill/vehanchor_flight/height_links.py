@@ -213,11 +213,12 @@ def _overlap(station: _Station, neighbour: _Station, photographs: Sequence[Photo
     first_centre = _centre(photographs[first.photograph])
     second_centre = _centre(photographs[second.photograph])
     shift = second_centre - ratio * first_centre
+    turn = np.column_stack([ratio * np.eye(2), shift])
     matched = Match(
         math.log(ratio),
         math.hypot(first.log_sd, second.log_sd),
         n=0,
-        turn=np.array([[ratio, 0.0, shift[0]], [0.0, ratio, shift[1]]]),
+        turn=turn,
         first_at=first_centre,
         second_at=second_centre,
     )

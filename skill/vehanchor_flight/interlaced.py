@@ -1,16 +1,23 @@
-"""Interlaced H.264: films whose frames OpenCV reports as decoded, but cannot convert to pixels.
+"""Interlaced films: frames that OpenCV reports as decoded, but cannot convert to pixels.
 
 FFmpeg's converter refuses interlaced frames since version 8, and OpenCV 5 ignores that: it returns
-what was in memory before, black or an older picture, the same for all frames. Only both signs
-together prove it, because the flag allows interlaced frames and does not require them.
+what was in memory before, black or another picture, the same for all frames. Equal frames alone
+prove nothing, because nothing may move. Either of two more signs proves it: the parameters of H.264
+allow interlaced frames; or the coded frames hold much, and not the same. This was seen with MPEG-2,
+MPEG-4 and DV, too.
 
 The flag ``frame_mbs_only_flag`` stands in the sequence parameter set, ITU-T H.264, 7.3.2.1.1.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 # Profiles whose parameter set describes colours, too.
 _PROFILES_WITH_COLOURS = frozenset({44, 83, 86, 100, 110, 118, 122, 128, 138, 244})
@@ -18,7 +25,10 @@ _SET_TYPE = 7
 _MAX_SET_BYTES = 4096
 # Bits of the longest number that a parameter set may have.
 _MAX_NUMBER_BITS = 32
-_FRAMES = 3
+_FRAMES = 12
+# Least bytes of a coded frame that changes the picture before it. Frames in which nothing moves
+# have some hundreds, or, if each is coded by itself, are equal. A choice.
+_LEAST_CONTENT_BYTES = 1024
 
 RAW = (int(cv2.CAP_PROP_FORMAT), -1)
 """Parameters of ``cv2.VideoCapture`` that open a film without decoding."""
@@ -31,14 +41,36 @@ def returns_no_frames(film: cv2.VideoCapture, raw_film: cv2.VideoCapture) -> boo
         film: the film at its beginning; it is read.
         raw_film: the same film, opened without decoding (``RAW``).
     """
-    frames = []
+    first = None
     for _ in range(_FRAMES):
         is_readable, frame = film.read()
-        if is_readable:
-            frames.append(frame.copy())
-    if not frames or any(not np.array_equal(frames[0], frame) for frame in frames[1:]):
+        if not is_readable:
+            continue
+        if first is None:
+            first = frame.copy()
+        elif not np.array_equal(first, frame):
+            return False
+    if first is None:
         return False
-    return _allows_interlaced(_extra_data(raw_film))
+    if _allows_interlaced(_extra_data(raw_film)):
+        return True
+    return _have_content(_packets(raw_film))
+
+
+def _packets(raw_film: cv2.VideoCapture) -> list[bytes]:
+    """Read the first coded frames of a film."""
+    packets = []
+    for _ in range(_FRAMES):
+        is_readable, packet = raw_film.read()
+        if is_readable and packet is not None:
+            packets.append(np.asarray(packet, np.uint8).tobytes())
+    return packets
+
+
+def _have_content(packets: Sequence[bytes]) -> bool:
+    """Test whether coded frames change the picture from one to the next."""
+    with_content = {packet for packet in packets if len(packet) >= _LEAST_CONTENT_BYTES}
+    return len(with_content) > 1
 
 
 def _extra_data(raw_film: cv2.VideoCapture) -> bytes:

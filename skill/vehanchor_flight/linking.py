@@ -308,7 +308,8 @@ def _component(
     if positions is not None:
         # A link by heights places a photograph where its neighbour is, which is no measurement.
         is_matched = _is_matched(len(members), member_overlaps)
-        own_positions = np.where(is_matched[:, None], positions[subgraph.members], math.nan)
+        own_positions = positions[subgraph.members]
+        own_positions[~is_matched] = math.nan
         extra = _positions_witness(layout, own_positions, members[reference])
     links = [_link(overlap, photographs) for overlap in own_overlaps.values()]
     tilt_sds = _sds_by_tilt(members, offsets, links)

@@ -86,7 +86,7 @@ def shifted(centre: Point, shift: Point) -> Match:
         centre: ``[2]`` of both, pixels.
         shift: ``[2]`` from the first to the second, pixels.
     """
-    turn = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    turn = np.column_stack([np.eye(2), shift])
     return Match(
         0.0,
         _LOG_SD,

@@ -130,7 +130,9 @@ def _by_overlaps(ground: Component, members: Sequence[Photograph]) -> list[Claim
     claims = []
     for k, index in enumerate(ground.members.tolist()):
         scale = math.exp(ground.offsets[k])
-        claims.append(Claim(members[index].name, scale, float(ground.log_sds[k])))
+        log_sd = float(ground.log_sds[k])
+        claim = Claim(members[index].name, scale, log_sd)
+        claims.append(claim)
     return claims
 
 
@@ -235,11 +237,18 @@ def _groups(ordered: Sequence[Claim]) -> list[list[Claim]]:
     """
     groups: list[list[Claim]] = []
     for claim in ordered:
-        if groups and math.log(claim.scale / groups[-1][0].scale) <= _MAX_LOG_RATIO:
+        if groups and _is_of_group(claim, groups[-1]):
             groups[-1].append(claim)
         else:
             groups.append([claim])
     return groups
+
+
+def _is_of_group(claim: Claim, group: Sequence[Claim]) -> bool:
+    """Test whether a claim has about the scale of the finest one of a group."""
+    finest = group[0]
+    log_ratio = math.log(claim.scale / finest.scale)
+    return log_ratio <= _MAX_LOG_RATIO
 
 
 def _described(group: Sequence[Claim], finest: Sequence[Claim], *, is_relative: bool) -> str:

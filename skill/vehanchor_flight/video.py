@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 
     from vehanchor_flight.subtitles import FilmFacts
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm"})
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".m2ts", ".ts", ".webm"}
+)
 _N_TRIALS = 5  # Frames that are compared for one photograph.
 _SHARPNESS_SIDE_PX = 640
 _QUARTER_TURN_DEG = 90

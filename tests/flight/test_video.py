@@ -16,7 +16,7 @@ from vehanchor.errors import (
     InvalidParameterError,
 )
 from vehanchor.options import ImageLimits
-from vehanchor_flight.interlaced import _allows_interlaced
+from vehanchor_flight.interlaced import _allows_interlaced, _have_content
 from vehanchor_flight.video import is_video, sample_video, sharpness
 
 
@@ -64,6 +64,7 @@ def test_an_interval_of_no_seconds_is_refused(tmp_path: Path) -> None:
 
 def test_the_suffix_names_a_video() -> None:
     assert is_video("flight.MP4")
+    assert is_video("flight.m2ts")
     assert not is_video("flight.jpg")
 
 
@@ -126,6 +127,22 @@ def test_the_parameters_of_a_film_say_whether_it_may_be_interlaced() -> None:
 @pytest.mark.parametrize("damaged", [b"", b"\1", INTERLACED[:12], b"\0\0\1\x67" + bytes(40)])
 def test_damaged_parameters_of_a_film_prove_nothing(damaged: bytes) -> None:
     assert not _allows_interlaced(damaged)
+
+
+@pytest.mark.parametrize(
+    ("packets", "have_content"),
+    [
+        ([bytes(9000), b"1" * 2000, b"2" * 90], True),
+        # Nothing moves: only the first frame holds much, or each is coded by itself.
+        ([bytes(9000), b"1" * 90, b"2" * 90], False),
+        ([bytes(9000), bytes(9000), bytes(9000)], False),
+        ([bytes(9000)], False),
+    ],
+)
+def test_coded_frames_show_whether_the_picture_changes(
+    packets: list[bytes], have_content: bool
+) -> None:
+    assert _have_content(packets) == have_content
 
 
 def test_a_film_of_frames_of_one_colour_is_refused(tmp_path: Path) -> None:

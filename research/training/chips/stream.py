@@ -236,7 +236,8 @@ def target_of_row(rows: Rows, bodies: Bodies, k: int) -> Target:
         edges = edges_of_box(rows.box[k])
         turn = float(rows.box[k][4])
         weight = _RENDERED_WEIGHT
-        metres = (length, length + float(rows.box[k][3] - rows.box[k][2]))
+        log_proportions = float(rows.box[k][3] - rows.box[k][2])
+        metres = (length, length + log_proportions)
         metres_weight = (_RENDERED_WEIGHT / 3, _RENDERED_WEIGHT / 3)
     elif bodies.weight[k].any():
         metres = (float(bodies.log_metres[k, 0]), float(bodies.log_metres[k, 1]))

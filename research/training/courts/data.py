@@ -175,7 +175,8 @@ def _crop(picture: Picture, gsd: float, rng: Generator) -> tuple[Pixels, list[Co
     for court in picture.courts:
         x, y = linear @ (np.array([court.x, court.y]) * factor) + shift
         dx, dy = linear @ (math.cos(court.angle), math.sin(court.angle))
-        courts.append(Court(float(x), float(y), math.atan2(dy, dx), court.which))
+        angle = math.atan2(dy, dx)
+        courts.append(Court(float(x), float(y), angle, court.which))
     return np.asarray(pixels, np.uint8), courts
 
 

@@ -111,8 +111,11 @@ def mean_error(searched: list[SearchedImage], min_score: float) -> float:
         mode, _ = modal_length(length[is_inlier], score[is_inlier], _AGGREGATION)
         modes.append((image.set, mode * image.gsd_m_per_px))
     own = region_lengths(modes)
-    errors = [min(1.0, abs(own[REGION_OF_SET[name]] / length - 1)) for name, length in modes]
-    return float(np.mean(errors + [1.0] * n_without))
+    errors = [1.0] * n_without
+    for name, length in modes:
+        error = abs(own[REGION_OF_SET[name]] / length - 1)
+        errors.append(min(1.0, error))
+    return float(np.mean(errors))
 
 
 def matched_lengths(boxes: Boxes, labels: Boxes) -> tuple[Boxes, Boxes]:
@@ -183,8 +186,9 @@ def length_bias(pairs: LengthPairs) -> dict[int, tuple[int, float]]:
     for low, high in pairwise(_LENGTH_BINS_PX):
         inside = (pairs.labelled >= low) & (pairs.labelled < high)
         if inside.sum() >= 20:
-            ratio = pairs.detected[inside] / pairs.labelled[inside]
-            out[low] = (int(inside.sum()), float(np.median(np.log(ratio))))
+            log_ratios = np.log(pairs.detected[inside] / pairs.labelled[inside])
+            bias = float(np.median(log_ratios))
+            out[low] = (int(inside.sum()), bias)
     return out
 
 

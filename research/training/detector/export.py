@@ -40,7 +40,8 @@ class LengthCorrection(nn.Module):
         """Add the correction."""
         out = log_length + (self.knots[0][1] if self.knots else 0.0)
         for (start, before), (end, after) in pairwise(self.knots):
-            out = out + (after - before) * ((log_length - start) / (end - start)).clamp(0.0, 1.0)
+            share = ((log_length - start) / (end - start)).clamp(0.0, 1.0)
+            out = out + (after - before) * share
         return out
 
 

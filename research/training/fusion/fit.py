@@ -127,7 +127,8 @@ def fit_votes(boxes: Boxes) -> Votes:
     ``vehanchor.scale.density.vehicle_likelihood``.
     """
     deviations = boxes.log_errors / boxes.log_sds
-    of_cars = np.exp(-0.5 * deviations**2) / (boxes.log_sds * math.sqrt(2 * math.pi))
+    norm = boxes.log_sds * math.sqrt(2 * math.pi)
+    of_cars = np.exp(-0.5 * deviations**2) / norm
 
     def loss(parameters: NDArray[np.float64]) -> float:
         log_odds = parameters[0] + parameters[1] * boxes.scores

@@ -59,7 +59,8 @@ def log_score(cases: Sequence[Case], calibration: SceneCalibration) -> float:
     for case in cases:
         density = density_of(case, calibration)
         truth_bin = int(np.argmin(np.abs(GRID - np.log(case.gsd_m_per_px))))
-        scores.setdefault(case.set, []).append(float(np.log(density[truth_bin] / GRID_STEP)))
+        score = float(np.log(density[truth_bin] / GRID_STEP))
+        scores.setdefault(case.set, []).append(score)
     return float(np.mean([np.mean(of_set) for of_set in scores.values()]))
 
 
@@ -84,7 +85,8 @@ def fit(cases: Sequence[Case]) -> SceneCalibration:
 
     best = BEGIN
     for _, (name, values) in itertools.product(range(_ROUNDS), _CHOICES.items()):
-        best = max((replace(best, **{name: float(value)}) for value in values), key=worth)
+        options = [replace(best, **{name: float(value)}) for value in values]
+        best = max(options, key=worth)
     return best
 
 

@@ -83,7 +83,9 @@ class MaskImage(NamedTuple):
 
 def group_of(name: str) -> str:
     """Return the group of an image: neighbours stay on one side of the train/dev line."""
-    parts = name.rsplit("/", 1)[-1].rsplit(".", 1)[0].split("_")
+    file = name.rsplit("/", 1)[-1]
+    stem = file.rsplit(".", 1)[0]
+    parts = stem.split("_")
     if parts[0] == "cannes":
         tile = int(parts[1])
         return f"cannes_{tile // 49 // 2}_{tile % 49 // 7}"
@@ -355,7 +357,8 @@ class BatchStream:
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self.seed, index])
         shares = np.array([size.share for size in CROP_SIZES])
-        return self.batch(rng, CROP_SIZES[rng.choice(len(CROP_SIZES), p=shares / shares.sum())])
+        number = rng.choice(len(CROP_SIZES), p=shares / shares.sum())
+        return self.batch(rng, CROP_SIZES[number])
 
     def batch(self, rng: Generator, size: CropSize) -> Batch:
         """Make one batch."""

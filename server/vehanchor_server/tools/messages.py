@@ -259,6 +259,9 @@ def _fit_sentence(area: AreaMeasurement) -> str:
         sentence += f", centre x {centre.x_px:.0f}, y {centre.y_px:.0f} in your {place}"
     if fit.heading_deg is not None:
         sentence += f", heading {fit.heading_deg:.0f} degrees"
+    if area.inscribed_diameter_m:
+        diameter = significant(area.inscribed_diameter_m)
+        sentence += f"; the largest circle inside is {diameter} m across"
     return f"{sentence}."
 
 

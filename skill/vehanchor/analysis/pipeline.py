@@ -25,6 +25,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
+from vehanchor.imagery.lettering import paint_over_lettering
 from vehanchor.imagery.photograph import find_photograph
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.reading import CoordinateFrame
@@ -42,7 +43,7 @@ from vehanchor.records import (
 )
 from vehanchor.records.notices import NoticeCode
 from vehanchor.rulers.active import active_rulers, check_rulers, ruler_class, unused_facts
-from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_notice, unknown_tilt_chance
+from vehanchor.rulers.camera_tilt import metadata_tilt, tilt_doubt
 from vehanchor.rulers.reference import reference_length
 from vehanchor.rulers.ruler import View
 from vehanchor.rulers.scene_scale import SceneScale
@@ -150,7 +151,9 @@ def search_raster(
     )
     uses_prior = any(ruler.kind == SceneScale.kind for ruler in rulers)
     if prior is None and uses_prior:
-        prior = load_scene_scale(detector.runtime).predict(photograph)
+        # Letters look like things on the ground; vehicles under them are not painted over.
+        ground = paint_over_lettering(photograph)
+        prior = load_scene_scale(detector.runtime).predict(ground)
     view = View(
         facts,
         NOT_SEARCHED,
@@ -212,11 +215,9 @@ def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleA
     # The vehicles may show a tilt, or several scales, only if no tilt is known.
     if view.tilt is None and vehicles is not None and vehicles.found:
         log_size_sd = view.card.errors.boxes.log_size_sd
-        notices = tilt_notice(view.image, view.options, view.detections, log_size_sd=log_size_sd)
-        tilt_chance = unknown_tilt_chance(
-            view.image, view.options, view.detections, log_size_sd=log_size_sd
-        )
-        notices += several_scales_notice(
+        doubt = tilt_doubt(view.image, view.options, view.detections, log_size_sd=log_size_sd)
+        tilt_chance = doubt.chance
+        notices = doubt.notices + several_scales_notice(
             view.image,
             view.detections,
             length_m=vehicles.reference.length_m,

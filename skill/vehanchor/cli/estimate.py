@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     """Records with the names of their images."""
 
 _STEM = "{stem}"
+_MAX_NAMES = 3  # of images, in an error
 _SHORT_SHA = 12
 
 
@@ -172,8 +173,14 @@ def _check_images(images: Sequence[str], chosen: ParsedOptions) -> None:
                 f"{source!r} is a folder: 'vehanchor batch {source} --out scales.csv' measures all "
                 "images in it"
             )
-    if len(images) > 1:
+    if len(images) == 1:
+        return
+    try:
         chosen.options().check_for_several_images()
+    except InvalidParameterError as error:
+        # Any further word of the command counts as an image, such as the unit of a length.
+        names = ", ".join(map(repr, images[:_MAX_NAMES]))
+        raise InvalidParameterError(f"{error}. The images here begin with {names}") from None
 
 
 def _output_files(

@@ -308,7 +308,8 @@ def _with_short_names(
     kinds = list(columns.values())
     widths = [len(heading) for heading in headings]
     for row in rows:
-        widths = [max(widest, len(cell)) for widest, cell in zip(widths, row, strict=True)]
+        cell_widths = map(len, row)
+        widths = list(map(max, widths, cell_widths))
     n_left = width - _GAP * (len(kinds) - 1)
     n_left -= sum(widest for widest, kind in zip(widths, kinds, strict=True) if kind != "file")
     # Names that need less than their share leave the rest to the wider ones.

@@ -149,7 +149,9 @@ def pair_iou(first: Boxes, second: Boxes) -> Overlaps:
     sine = np.sin(turn)
     # Centre of the second box in the frame of the first one.
     offset = second[:, :2] - first[:, :2]
-    shift = _turned(offset.T, cosine=np.cos(first_angles), sine=-np.sin(first_angles))
+    back_cosine = np.cos(first_angles)
+    back_sine = -np.sin(first_angles)
+    shift = _turned(offset.T, back_cosine, back_sine)
     half_a = first[:, 2:4].T / 2
     half_b = second[:, 2:4].T / 2
 

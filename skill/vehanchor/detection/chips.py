@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     Tones: TypeAlias = NDArray[np.float64]
     """``[n, 3]`` colours in CIELAB, scaled to 0..255."""
 
+    EndTones: TypeAlias = NDArray[np.float64]
+    """``[n, 2, 3]`` colours of both ends in CIELAB, scaled to 0..255."""
+
     Answers: TypeAlias = NDArray[np.float64]
     """Answers of the chip network, a row for each candidate."""
 
@@ -49,6 +52,10 @@ CHIP_LENGTH_PX = 36.0
 KINDS = ("kei", "small", "compact", "saloon", "suv", "pickup", "van", "lorry", "trailer", "other")
 # Kinds of vehicles for work: one of ``KINDS`` from here on.
 _FIRST_OF_WORK = KINDS.index("van")
+
+# Parts of a body's length near its first end, and of its width in its middle.
+_END_PART = (0.06, 0.3)
+_MIDDLE_PART = (0.2, 0.8)
 
 # Rows of a chip that a car's body fills.
 _BODY_ROWS = 16
@@ -195,16 +202,20 @@ def with_appearance(
     answers = network.answers(chips, views=n_views)
     appearance = read_appearance(examined, answers, image_px)
     hidden_means, hidden_sds = _hidden_errors(chips, examined, answers, image_px)
+    boxes = candidates.boxes.copy()
+    boxes[:most] = bodies(examined, answers)
+    # The chips lie along the candidates' angles; a body's angle may point the other way.
+    is_turned = np.cos(boxes[:most, 4] - examined[:, 4] - answers.turn) < 0
+    end_tones = body_end_tones(chips, answers)
+    end_tones[is_turned] = end_tones[is_turned, ::-1]
     appearance = Appearance(
         appearance.log_lengths - hidden_means,
         np.hypot(appearance.log_sds, hidden_sds),
         logits=appearance.logits,
         tones=body_tones(chips),
         work_chances=answers.work_chances,
+        end_tones=end_tones,
     )
-
-    boxes = candidates.boxes.copy()
-    boxes[:most] = bodies(examined, answers)
     centres = boxes[:most, :2]
     np.clip(centres, 0, image_px, out=centres)
     if len(boxes) > most:
@@ -297,6 +308,42 @@ def body_tones(chips: Chips) -> Tones:
         lab = cv2.cvtColor(np.ascontiguousarray(body), cv2.COLOR_RGB2LAB)
         tone[:] = lab.mean(axis=(0, 1))
     return tones
+
+
+def body_end_tones(chips: Chips, answers: ChipAnswers) -> EndTones:
+    """Measure the median colours ``[n, 2, 3]`` of bodies near both ends, in CIELAB.
+
+    Args:
+        chips: ``[n, 64, 96, 3]`` uint8 RGB.
+        answers: answers for these candidates, with the edges of their bodies.
+    """
+    tones = np.zeros((len(chips), 2, 3))
+    nearest, farthest = _END_PART
+    for tone, chip, edges in zip(tones, chips, answers.edges * CHIP_LENGTH_PX, strict=True):
+        back, front, left, right = edges
+        rows = _pixels(CHIP_ROWS, left, right, part=_MIDDLE_PART)
+        body = cv2.cvtColor(np.ascontiguousarray(chip[rows]), cv2.COLOR_RGB2LAB)
+        first = _pixels(CHIP_COLUMNS, back, front, part=(nearest, farthest))
+        last = _pixels(CHIP_COLUMNS, back, front, part=(1 - farthest, 1 - nearest))
+        tone[0] = np.median(body[:, first], axis=(0, 1))
+        tone[1] = np.median(body[:, last], axis=(0, 1))
+    return tones
+
+
+def _pixels(side: int, low: float, high: float, *, part: tuple[float, float]) -> slice:
+    """Select the pixels of a part of a body: at least one.
+
+    Args:
+        side: rows or columns of the chip.
+        low: first edge of the body, pixels from the chip's centre.
+        high: its other edge.
+        part: shares of the size at which the part begins and ends.
+    """
+    start = side / 2 + low
+    size = high - low
+    first = min(max(0, round(start + part[0] * size)), side - 1)
+    last = max(first + 1, round(start + part[1] * size))
+    return slice(first, last)
 
 
 def middle(squares: Chips) -> Chips:

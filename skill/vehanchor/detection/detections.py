@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     Tones: TypeAlias = NDArray[np.float64]
     """``[n, 3]`` colours in CIELAB."""
 
+    EndTones: TypeAlias = NDArray[np.float64]
+    """``[n, 2, 3]`` colours of both ends in CIELAB."""
+
     Selection: TypeAlias = NDArray[np.bool_] | NDArray[np.intp]
     """Mask ``[n]``, or indices in the order of the result."""
 
@@ -87,6 +90,9 @@ class Appearance(NamedTuple):
             journals of earlier versions.
         work_chances: ``[n]`` float64, chances, 0..1, of a van, a lorry or another work vehicle;
             None in journals of earlier versions.
+        end_tones: ``[n, 2, 3]`` float64, median colours of the bodies near both ends, as ``tones``:
+            first of the end that a box's angle points away from; None in journals of earlier
+            versions.
     """
 
     log_lengths: PerVehicle
@@ -94,24 +100,20 @@ class Appearance(NamedTuple):
     logits: PerVehicle
     tones: Tones | None = None
     work_chances: PerVehicle | None = None
+    end_tones: EndTones | None = None
 
     def __len__(self) -> int:
         return len(self.log_lengths)
 
     def take(self, which: Selection) -> Appearance:
         """Select vehicles by a mask ``[n]``, or by indices in their order."""
-        tones = None
-        if self.tones is not None:
-            tones = self.tones[which]
-        work_chances = None
-        if self.work_chances is not None:
-            work_chances = self.work_chances[which]
         return Appearance(
             self.log_lengths[which],
             self.log_sds[which],
             logits=self.logits[which],
-            tones=tones,
-            work_chances=work_chances,
+            tones=_taken_if_known(self.tones, which),
+            work_chances=_taken_if_known(self.work_chances, which),
+            end_tones=_taken_if_known(self.end_tones, which),
         )
 
     @classmethod
@@ -123,7 +125,17 @@ class Appearance(NamedTuple):
             logits=np.concatenate([part.logits for part in parts]),
             tones=_joined_if_known([part.tones for part in parts]),
             work_chances=_joined_if_known([part.work_chances for part in parts]),
+            end_tones=_joined_if_known([part.end_tones for part in parts]),
         )
+
+
+def _taken_if_known(
+    values: NDArray[np.float64] | None, which: Selection
+) -> NDArray[np.float64] | None:
+    """Select measurements of vehicles; None if they are not known."""
+    if values is None:
+        return None
+    return values[which]
 
 
 def _joined_if_known(

@@ -171,6 +171,32 @@ class ProportionErrors(_Errors):
     things_log_sd: _Spread = 0.12
 
 
+class EndErrors(_Errors):
+    """Spread of the colours of bodies near one end, given that near the other end.
+
+    Attributes:
+        cars: median spread among cars, in CIELAB from 0 to 255.
+        shared: how far the log of that spread follows the log of the one near the other end, 0..1.
+        log_sd: standard deviation of the rest between images of many cars.
+        vehicle_log_sd: what a single vehicle adds, as independent errors add; less with more.
+        outliers: share of images of cars with any other spread.
+        outlier_log_sd: standard deviation of its log there.
+        things: median spread near an end that is a shadow.
+        things_log_sd: standard deviation of its log between images.
+        things_vehicle_log_sd: what a single vehicle adds.
+    """
+
+    cars: Annotated[float, Field(ge=_MIN_SD, le=255.0)] = 45.0
+    shared: _Chance = 0.5
+    log_sd: _Spread = 0.45
+    vehicle_log_sd: Annotated[float, Field(ge=0.0, le=10.0)] = 1.73
+    outliers: _Chance = 0.01
+    outlier_log_sd: _Spread = 1.56
+    things: Annotated[float, Field(ge=_MIN_SD, le=255.0)] = 5.0
+    things_log_sd: _Spread = 0.45
+    things_vehicle_log_sd: Annotated[float, Field(ge=0.0, le=10.0)] = 0.71
+
+
 class LookAlikeErrors(_Errors):
     """How equal things that are not cars differ from cars; see ``vehanchor.rulers.look_alikes``.
 
@@ -178,12 +204,13 @@ class LookAlikeErrors(_Errors):
         log_odds: log odds of look-alikes for a single vehicle with the mean logit of cars.
         log_odds_per_log_n: their rise per log of the number of vehicles, which saturates:
             look-alikes come in numbers.
-        spread_power: power of the evidence from the spreads, the directions and the proportions.
+        spread_power: power of the evidence from spreads, directions, proportions and ends.
         lengths: spread of the log lengths.
         appearance: spread of the log lengths by appearance.
         tones: spread of the colours of bodies, the root of the summed variances in CIELAB.
         headings: dependence of the lengths on the directions.
         proportions: length over width of bodies.
+        ends: spread of the colours near both ends of bodies.
         mean_logit: mean logit of the chip network over cars.
         log_odds_per_logit: log odds of look-alikes per logit below that mean.
         logit_half_n: number of vehicles at which their mean logit counts half.
@@ -201,6 +228,7 @@ class LookAlikeErrors(_Errors):
     tones: SpreadErrors = SpreadErrors(cars=41.0, cars_log_sd=0.45, things=8.0, things_log_sd=0.9)
     headings: HeadingErrors = HeadingErrors()
     proportions: ProportionErrors = ProportionErrors()
+    ends: EndErrors = EndErrors()
     mean_logit: _LogOdds = 3.4
     log_odds_per_logit: Annotated[float, Field(ge=0.0, le=50.0)] = 10.0
     logit_half_n: Annotated[float, Field(ge=0.0, le=100_000.0)] = 4.0

@@ -63,7 +63,8 @@ def measure_detail_difference(raster: Raster) -> float | None:
         return None
     # The taper suppresses the step between opposite borders of a patch.
     taper = np.hanning(PATCH_PX + 2)[1:-1].astype(np.float32)
-    tapered = (patches - patches.mean(axis=(1, 2), keepdims=True)) * np.outer(taper, taper)
+    means = patches.mean(axis=(1, 2), keepdims=True)
+    tapered = (patches - means) * np.outer(taper, taper)
     along_rows = _spectra(tapered)
     along_columns = _spectra(tapered.transpose(0, 2, 1))
     surplus = np.log(along_rows + _POWER_FLOOR) - np.log(along_columns + _POWER_FLOOR)

@@ -56,7 +56,9 @@ def is_alpha(values: NDArray[Any]) -> bool:
     """
     if not values.any():
         return False
-    return bool(np.array_equal(np.unique(values), np.unique([0, values.max()])))
+    levels = np.unique(values)
+    levels_of_alpha = np.unique([0, levels[-1]])
+    return np.array_equal(levels, levels_of_alpha)
 
 
 def merge_bands(planes: list[NDArray[Any]]) -> NDArray[Any]:

@@ -4,6 +4,10 @@ A drawing has few tones: between its edges it is flat, and at its edges two tone
 has noise and texture everywhere, and all tones between its darkest and its brightest. Pixels are
 averaged in pairs first, because the compression of a JPEG file leaves ripples beside sharp edges. A
 photograph of boats on dark water comes nearest to a drawing.
+
+A scanned, noisy or photographed drawing is nowhere flat. The noise of a camera or of paper vanishes
+where pixels are averaged in blocks of four by four, and the texture of ground does not, because it
+has details of all sizes. So the flattest pixels are compared after such averages, too.
 """
 
 from __future__ import annotations
@@ -75,6 +79,14 @@ class DrawingWeights(NamedTuple):
 # or photographed.
 _WEIGHTS = DrawingWeights(log_difference=-2.47, two_tones=15.2, offset=-11.14)
 
+# The same for the flattest pixels of blocks of four by four, and medians over all patches. Fitted
+# to the 1,905 photographs and 99 drawings of research.scenes.pages, noisy, scanned or photographed,
+# in equal parts. The log odds are doubled and 5.4 is taken from them, so that no usable photograph
+# is lost. Of 150 further drawings of 18 kinds that were noisy, scanned or photographed, 22 have
+# more than 0.5 (3 by the weights above), and of the photographs 4 of water without cars. Of the
+# 1,242 photographs with vehicles the highest chance around these is 0.38.
+_NOISY_WEIGHTS = DrawingWeights(log_difference=-3.38, two_tones=24.06, offset=-15.41)
+
 
 def measure_drawing_chance(raster: Raster, part: Window | None = None) -> float:
     """Measure the chance, 0..1, that an image is drawn and no photograph.
@@ -108,7 +120,7 @@ def measure_drawing_chance(raster: Raster, part: Window | None = None) -> float:
     # A flat thing with sharp edges, such as a pool, does not make a drawing of a photograph.
     difference = max(_upper_median(edged), _upper_median(measured))
     flat_share = min(_flat_share(edged), _flat_share(measured))
-    return _chance(edged, difference, flat_share)
+    return max(_chance(edged, difference, flat_share), _noisy_chance(measured))
 
 
 def drawing_chance_around(raster: Raster, boxes: NDArray[np.float64], overall: float) -> float:
@@ -135,7 +147,7 @@ def drawing_chance_around(raster: Raster, boxes: NDArray[np.float64], overall: f
         patch = raster.read(Window(left, top, width_px=patch_px, height_px=patch_px))
         measured.append(_measure(patch))
     around = _chance(measured, _upper_median(measured), _flat_share(measured))
-    return min(overall, around)
+    return min(overall, max(around, _noisy_chance(measured)))
 
 
 class _Patch(NamedTuple):
@@ -143,12 +155,14 @@ class _Patch(NamedTuple):
 
     Attributes:
         flattest: difference of neighbours among its flattest pixels, grey levels.
+        flattest_blocks: the same of blocks of four by four pixels.
         flat_share: share of flat pixels at full resolution.
         two_tones: share of the variance of its greys between two tones.
         has_edges: whether it shows sharp edges.
     """
 
     flattest: float
+    flattest_blocks: float
     flat_share: float
     two_tones: float
     has_edges: bool
@@ -159,9 +173,19 @@ def _measure(patch: RgbImage) -> _Patch:
     flat_share = float(np.mean(_differences(patch) <= _FLAT))
     halved = _halved(patch)
     differences = _differences(halved)
-    flattest = float(np.quantile(differences, _FLATTEST_SHARE, method="inverted_cdf"))
     has_edges = bool(np.mean(differences > _SHARP) > _EDGE_SHARE)
-    return _Patch(flattest, flat_share, two_tones=_two_tone_share(halved), has_edges=has_edges)
+    return _Patch(
+        _flattest(differences),
+        _flattest(_differences(_halved(halved))),
+        flat_share=flat_share,
+        two_tones=_two_tone_share(halved),
+        has_edges=has_edges,
+    )
+
+
+def _flattest(differences: NDArray[np.uint8]) -> float:
+    """Compute the largest difference ``[h, w]`` among the flattest pixels."""
+    return float(np.quantile(differences, _FLATTEST_SHARE, method="inverted_cdf"))
 
 
 def _upper_median(patches: Sequence[_Patch]) -> float:
@@ -184,16 +208,28 @@ def _chance(patches: Sequence[_Patch], difference: float, flat_share: float) -> 
         difference: median difference of neighbours among the flattest pixels.
         flat_share: median share of flat pixels.
     """
-    two_tones = np.quantile([patch.two_tones for patch in patches], 0.5, method="lower")
-    log_odds = (
-        _WEIGHTS.log_difference * math.log1p(difference)
-        + _WEIGHTS.two_tones * float(two_tones)
-        + _WEIGHTS.offset
-    )
-    # The logistic function, by a formula that does not overflow.
-    of_tones = (1.0 + math.tanh(log_odds / 2)) / 2
+    two_tones = float(np.quantile([patch.two_tones for patch in patches], 0.5, method="lower"))
+    of_tones = _chance_of_tones(_WEIGHTS, difference, two_tones)
     least, enough = _FLAT_SHARES
     return float(of_tones * np.clip((flat_share - least) / (enough - least), 0.0, 1.0))
+
+
+def _noisy_chance(patches: Sequence[_Patch]) -> float:
+    """Compute the chance of a noisy, scanned or photographed drawing, by the less drawn half."""
+    difference = np.quantile([patch.flattest_blocks for patch in patches], 0.5, method="higher")
+    two_tones = np.quantile([patch.two_tones for patch in patches], 0.5, method="lower")
+    return _chance_of_tones(_NOISY_WEIGHTS, float(difference), float(two_tones))
+
+
+def _chance_of_tones(weights: DrawingWeights, difference: float, two_tones: float) -> float:
+    """Compute the chance of a drawing by medians over its patches."""
+    log_odds = (
+        weights.log_difference * math.log1p(difference)
+        + weights.two_tones * two_tones
+        + weights.offset
+    )
+    # The logistic function, by a formula that does not overflow.
+    return (1.0 + math.tanh(log_odds / 2)) / 2
 
 
 def _halved(patch: RgbImage) -> RgbImage:

@@ -237,8 +237,12 @@ def _strip_between(grey: Grey, share: Line) -> int | None:
     columns_behind = np.flatnonzero(edges < 0) + 1
     if is_plain[0]:
         columns_behind = columns_behind[1:]
+    border = _border_px(len(share))
     # The last strip has no column behind it if it reaches the border.
     for first, behind in zip(first_columns.tolist(), columns_behind.tolist(), strict=False):
+        # A bar near the border, as of a player, separates no picture.
+        if behind <= border or first >= len(share) - border:
+            continue
         # A compressed picture has pixels of both sides at its edge.
         near_first = share[max(0, first - 1) : first + 2].max()
         near_behind = share[behind - 1 : behind + 2].max()

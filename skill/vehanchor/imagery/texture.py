@@ -34,7 +34,9 @@ def common_texture(left: Columns, right: Columns) -> float:
     """Correlate the texture of two groups of columns, -1 to 1; 1 without any texture."""
     of_left = _texture(left)
     of_right = _texture(right)
-    power = math.sqrt(float((of_left**2).sum()) * float((of_right**2).sum()))
+    left_power = float((of_left**2).sum())
+    right_power = float((of_right**2).sum())
+    power = math.sqrt(left_power * right_power)
     if power == 0.0:
         return 1.0
     return float((of_left * of_right).sum()) / power

@@ -42,8 +42,10 @@ def masks_of(numbers: NDArray[Any], source: str) -> Iterator[NumberedMask]:
         ImageFormatError: it has several bands, or no whole numbers.
     """
     # Grey pictures are often stored with three equal bands.
-    if numbers.ndim == 3 and (numbers[..., :3] == numbers[..., :1]).all():
-        numbers = numbers[..., 0]
+    if numbers.ndim == 3:
+        first_band = numbers[..., :1]
+        if (numbers[..., :3] == first_band).all():
+            numbers = numbers[..., 0]
     has_one_band = numbers.ndim == 2
     has_integers = numbers.dtype in (np.uint8, np.uint16)
     if not has_one_band or not has_integers:

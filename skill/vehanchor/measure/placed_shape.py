@@ -227,9 +227,10 @@ def _check_inside(ring: Corners, width_px: int, height_px: int, *, read_as: str)
     """Check that a ring lies in an image, and move corners within a pixel of it onto its border."""
     low = ring.min(axis=0)
     high = ring.max(axis=0)
-    size = (width_px, height_px)
-    is_inside = np.isfinite(ring).all() and (low > -1).all() and (high < np.add(size, 1)).all()
-    if not is_inside:
+    size = np.array([width_px, height_px])
+    begins_inside = (low > -1).all()
+    ends_inside = (high < size + 1).all()
+    if not (np.isfinite(ring).all() and begins_inside and ends_inside):
         raise PromptError(
             f"the polygon, read as {read_as}, is not inside the image: its corners span x "
             f"{low[0]:.6g} to {high[0]:.6g} and y {low[1]:.6g} to {high[1]:.6g} of its "
@@ -267,8 +268,8 @@ def _place_mask(
     if isinstance(shape, CallerMask):
         crop = shape
     else:
-        _check_pixels(Window(0, 0, width_px=shape.size[0], height_px=shape.size[1]), options)
         width, height = shape.size
+        _check_pixels(Window(0, 0, width_px=width, height_px=height), options)
         crop = CallerMask(mask_of_runs(shape.runs, (height, width)), shape.size)
     pixels = _pixels_of(crop)
     if is_stored:

@@ -186,7 +186,9 @@ def _grid_of_mask(pixels: ObjectMask) -> Grid:
     top = pixels.window.y_px
     rows = np.flatnonzero(mask.any(axis=1))
     columns = np.flatnonzero(mask.any(axis=0))
-    mask = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    filled_rows = slice(rows[0], rows[-1] + 1)
+    filled_columns = slice(columns[0], columns[-1] + 1)
+    mask = mask[filled_rows, filled_columns]
     left += int(columns[0])
     top += int(rows[0])
     longer = max(mask.shape)
@@ -224,11 +226,11 @@ def _grid_on_ground(pixels: ObjectMask, plane: GroundPlane) -> Grid:
     )
     ground = plane.from_above(corners)
     low = ground.min(axis=0)
-    extent = float((ground.max(axis=0) - low).max())
-    cells_per_px = min(float(_MOST_CELLS_PER_PX), _SIDE_CELLS / extent)
+    sides = ground.max(axis=0) - low
+    cells_per_px = min(float(_MOST_CELLS_PER_PX), _SIDE_CELLS / float(sides.max()))
     to_ground = _scale_and_shift(1 / cells_per_px, *low.tolist())
     to_image = _from_ground(corners, plane) @ to_ground
-    width, height = np.ceil((ground.max(axis=0) - low) * cells_per_px).astype(int).tolist()
+    width, height = np.ceil(sides * cells_per_px).astype(int).tolist()
     to_window = _scale_and_shift(1.0, -window.x_px, -window.y_px) @ to_image
     cells = _warped(pixels.mask, to_window, width, height)
     return Grid(cells, to_image, cells_per_px)
@@ -236,9 +238,11 @@ def _grid_on_ground(pixels: ObjectMask, plane: GroundPlane) -> Grid:
 
 def _from_ground(corners: Corners, plane: GroundPlane) -> Matrix:
     """Compute the map from the rectified ground to the image, which is projective."""
-    low = corners.min(axis=0)
-    high = corners.max(axis=0)
-    box = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+    left, top = corners.min(axis=0)
+    right, bottom = corners.max(axis=0)
+    x = [left, right, right, left]
+    y = [top, top, bottom, bottom]
+    box = np.column_stack([x, y])
     ground = plane.from_above(box)
     matrix = cv2.getPerspectiveTransform(ground.astype(np.float32), box.astype(np.float32))
     return np.asarray(matrix, dtype=np.float64)
@@ -249,7 +253,8 @@ def place_circle(grid: Grid) -> PlacedCircle | None:
     circle = inscribed_circle(grid.cells)
     if circle is None:
         return None
-    x, y = _mapped(grid.to_image, np.array([(circle.x, circle.y)]))[0].tolist()
+    centre = np.array([[circle.x, circle.y]])
+    x, y = _mapped(grid.to_image, centre)[0].tolist()
     return PlacedCircle((x, y), circle.diameter / grid.cells_per_px)
 
 
@@ -359,9 +364,11 @@ def _turned(cells: Mask, heading_deg: float) -> tuple[Mask, Matrix]:
     """
     height, width = cells.shape
     # OpenCV maps centres of cells: the first cell is at 0, 0.
-    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), heading_deg, 1.0)
-    cosine = abs(math.cos(math.radians(heading_deg)))
-    sine = abs(math.sin(math.radians(heading_deg)))
+    centre = ((width - 1) / 2, (height - 1) / 2)
+    matrix = cv2.getRotationMatrix2D(centre, heading_deg, 1.0)
+    heading = math.radians(heading_deg)
+    cosine = abs(math.cos(heading))
+    sine = abs(math.sin(heading))
     turned_width = math.ceil(width * cosine + height * sine) + 2
     turned_height = math.ceil(width * sine + height * cosine) + 2
     matrix[0, 2] += (turned_width - width) / 2

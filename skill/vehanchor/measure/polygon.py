@@ -44,9 +44,12 @@ def area_of(parts: Iterable[Part]) -> float:
 
 
 def _ring_area(ring: Corners) -> float:
+    """Compute the area of a ring, in whichever direction it runs."""
     # From its own first corner on, so that large coordinates lose no digits.
     x, y = (ring - ring[0]).T
-    doubled = np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))
+    next_x = np.roll(x, -1)
+    next_y = np.roll(y, -1)
+    doubled = np.dot(x, next_y) - np.dot(y, next_x)
     return abs(float(doubled)) / 2
 
 
@@ -141,7 +144,9 @@ def find_crossing(rings: Sequence[Corners]) -> tuple[float, float] | None:
     for first in range(0, n_sides, _SIDES_A_BLOCK):
         block = slice(first, min(first + _SIDES_A_BLOCK, n_sides))
         # Only sides whose boxes meet the box of the block can cross its sides.
-        is_near = (low <= high[block].max(axis=0)) & (high >= low[block].min(axis=0))
+        begins_before = low <= high[block].max(axis=0)
+        ends_behind = high >= low[block].min(axis=0)
+        is_near = begins_before & ends_behind
         near = first + np.flatnonzero(is_near.all(axis=1)[first:])
         crossing = _first_crossing(
             starts[block, None], ends[block, None], starts[None, near], ends[None, near], least
@@ -175,12 +180,22 @@ def _turn(a: Corners, b: Corners, c: Corners) -> NDArray[np.float64]:
 def _on_both_sides(
     one: NDArray[np.float64], other: NDArray[np.float64], least: float
 ) -> NDArray[np.bool_]:
+    """Test whether two ends, by their turns around a side, lie on different sides of it.
+
+    Args:
+        one: turn around the first end.
+        other: turn around the second end.
+        least: smaller turns are rounding.
+    """
     are_apart = (np.abs(one) > least) & (np.abs(other) > least)
     return np.asarray(are_apart & ((one > 0) != (other > 0)))
 
 
 def _meeting_point(a: Corners, b: Corners, c: Corners, d: Corners) -> tuple[float, float]:
-    share = _turn(c, d, a) / (_turn(c, d, a) - _turn(c, d, b))
+    """Compute where the side a to b meets the line through c and d."""
+    turn_to_a = _turn(c, d, a)
+    turn_to_b = _turn(c, d, b)
+    share = turn_to_a / (turn_to_a - turn_to_b)
     x, y = (a + share * (b - a)).tolist()
     return x, y
 

@@ -209,7 +209,9 @@ def _disagreement(estimate: GsdEstimate) -> Advice:
         why = "the image is stretched in one direction"
         return Advice(why, ("sides",) if is_orthophoto else ("original", "aspect"))
     setting = [ruler for ruler in estimate.rulers if ruler.sets_scale]
-    remedies: tuple[Remedy, ...] = ("facts",) if any(map(_is_fact, setting)) else ("drop",)
+    remedies: tuple[Remedy, ...] = ("drop",)
+    if any(map(_is_fact, setting)):
+        remedies = ("facts",)
     # The record of a photograph in a flight has the flight's rulers, without their warnings.
     disagree = _warns(estimate, "rulers_disagree") or _some_exclude_each_other(setting)
     if len(setting) > 1 and disagree:

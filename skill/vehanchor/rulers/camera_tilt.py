@@ -378,75 +378,40 @@ def _log_likelihood(log_sizes: Lengths, log_sd: float) -> float:
     return float(np.logaddexp.reduce(logs.sum(axis=0)))
 
 
-def unknown_tilt_chance(
-    image: ImageFacts, options: ScaleOptions, detections: Detections, *, log_size_sd: float
-) -> float:
-    """Compute the chance that a camera of unknown tilt looks ahead, by the sizes of its cars.
+class TiltDoubt(NamedTuple):
+    """Doubt that a photograph of unknown tilt was taken straight down.
 
-    Args:
-        image: as in ``tilt_notice``.
-        options: as in ``tilt_notice``.
-        detections: as in ``tilt_notice``.
-        log_size_sd: as in ``suspected_tilt``.
-
-    Returns:
-        0..1; 0 if the tilt is known, or if the sizes do not speak for one.
+    Attributes:
+        notices: a warning, or none.
+        chance: 0..1, chance by the sizes of few cars that the camera looks ahead; 0 if the tilt is
+            known, or if the sizes do not speak for one.
     """
-    camera = image.camera if options.rulers.metadata else None
-    if image.georeference_gsd_m_per_px is not None:
-        return 0.0
-    if camera is not None and camera.off_nadir_deg is not None:
-        return 0.0
-    focal_px, _ = focal_length(image, options)
-    tilt = _upright_tilt(detections, image, focal_px=focal_px, log_size_sd=log_size_sd)
-    if tilt is None:
-        return 0.0
-    return chance_of_tilt(tilt.log_odds)
+
+    notices: tuple[Notice, ...] = ()
+    chance: float = 0.0
 
 
-def tilt_notice(
+def tilt_doubt(
     image: ImageFacts, options: ScaleOptions, detections: Detections, *, log_size_sd: float
-) -> tuple[Notice, ...]:
-    """Warn of a tilt that the vehicles' sizes show, or that the metadata state for a crop.
+) -> TiltDoubt:
+    """Find a tilt that the vehicles' sizes show, or that the metadata state for a crop.
+
+    Many cars can make a tilt nearly certain, and few cars probable.
 
     Args:
         image: size and metadata of the image.
         options: which metadata may be used.
         detections: vehicles in pixels of the image.
         log_size_sd: as in ``suspected_tilt``.
-
-    Returns:
-        One notice, or none.
     """
     camera = image.camera if options.rulers.metadata else None
     if image.georeference_gsd_m_per_px is not None:
-        return ()
+        return TiltDoubt()
     if camera is not None and camera.off_nadir_deg is not None:
         at_nadir = camera.off_nadir_deg <= NADIR_TOLERANCE_DEG
         if at_nadir or taken_ratio(image, camera) is not None:
-            return ()
-        message = (
-            f"The metadata state a tilt of {camera.off_nadir_deg:.0f} degrees, and the image is a "
-            "crop from an unknown part of that photograph. It is measured as if taken at nadir: "
-            "the scale varies over it, and areas and lengths may be wrong. Give the original file."
-        )
-        return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
-    tilt_deg = _probable_tilt_deg(image, options, detections, log_size_sd=log_size_sd)
-    if tilt_deg is None:
-        return ()
-    message = (
-        f"The camera seems to be tilted by about {tilt_deg:.0f} degrees: cars are larger on one "
-        "side of the image. The scale varies over the image, and areas and lengths far from its "
-        "centre are wrong. Give the original file, whose metadata state the tilt, or a crop around "
-        "the object."
-    )
-    return (Notice(code=NoticeCode.TILT_SUSPECTED, message=message),)
-
-
-def _probable_tilt_deg(
-    image: ImageFacts, options: ScaleOptions, detections: Detections, *, log_size_sd: float
-) -> float | None:
-    """Find a tilt that is nearly certain by many cars, or probable by few; arguments as above."""
+            return TiltDoubt()
+        return TiltDoubt((_tilted_crop(camera.off_nadir_deg),))
     focal_px, _ = focal_length(image, options)
     tilt_deg = suspected_tilt(
         detections,
@@ -455,12 +420,36 @@ def _probable_tilt_deg(
         focal_px=focal_px,
         log_size_sd=log_size_sd,
     )
-    if tilt_deg is not None:
-        return tilt_deg
-    tilt = _upright_tilt(detections, image, focal_px=focal_px, log_size_sd=log_size_sd)
-    if tilt is None or chance_of_tilt(tilt.log_odds) < PROBABLY_RIGHT:
-        return None
-    return tilt.tilt_deg
+    chance = 0.0
+    by_few = _upright_tilt(detections, image, focal_px=focal_px, log_size_sd=log_size_sd)
+    if by_few is not None:
+        chance = chance_of_tilt(by_few.log_odds)
+        if tilt_deg is None and chance >= PROBABLY_RIGHT:
+            tilt_deg = by_few.tilt_deg
+    if tilt_deg is None:
+        return TiltDoubt(chance=chance)
+    return TiltDoubt((_tilted_by_sizes(tilt_deg),), chance)
+
+
+def _tilted_crop(tilt_deg: float) -> Notice:
+    """Warn that an image is a crop of an oblique photograph, at an unknown place of it."""
+    message = (
+        f"The metadata state a tilt of {tilt_deg:.0f} degrees, and the image is a crop from an "
+        "unknown part of that photograph. It is measured as if taken at nadir: the scale varies "
+        "over it, and areas and lengths may be wrong. Give the original file."
+    )
+    return Notice(code=NoticeCode.TILT_SUSPECTED, message=message)
+
+
+def _tilted_by_sizes(tilt_deg: float) -> Notice:
+    """Warn of a tilt that the sizes of the cars show."""
+    message = (
+        f"The camera seems to be tilted by about {tilt_deg:.0f} degrees: cars are larger on one "
+        "side of the image. The scale varies over the image, and areas and lengths far from its "
+        "centre are wrong. Give the original file, whose metadata state the tilt, or a crop around "
+        "the object."
+    )
+    return Notice(code=NoticeCode.TILT_SUSPECTED, message=message)
 
 
 def _whole_cars(

@@ -5,9 +5,10 @@ evidence is a likelihood ratio for each of the three: how probable the measured 
 equal things, over how probable it is for n cars. Few vehicles can be alike by chance, so that they
 give little evidence; four cars of one model are possible.
 
-Three more signs do not ask for equal things. Look-alikes look less like cars, by the chip network.
-Boxes around a low thing and its shadow are longer along the shadow, whereas the length of a car
-does not depend on its direction. Karts and carts are wider for their length than cars.
+More signs do not ask for equal things. Look-alikes look less like cars, by the chip network. Boxes
+around a low thing and its shadow are longer along the shadow, whereas the length of a car does not
+depend on its direction; and they all have the shadow's tone at one end. Karts and carts are wider
+for their length than cars.
 
 There is no limit anywhere: the chance is a smooth function of all measurements.
 """
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from vehanchor.detection.detections import Appearance
     from vehanchor.detection.detector_errors import (
         DetectorErrors,
+        EndErrors,
         HeadingErrors,
         LookAlikeErrors,
         ProportionErrors,
@@ -41,13 +43,20 @@ if TYPE_CHECKING:
     Values: TypeAlias = NDArray[np.float64]
     """``[n]`` or ``[n, 3]`` measurements of vehicles."""
 
+    EndTones: TypeAlias = NDArray[np.float64]
+    """``[n, 2, 3]`` colours near both ends in CIELAB."""
+
 # Standard normal deviates at which the distribution of a spread is integrated, and their weights.
 _DEVIATES = np.linspace(-3.0, 3.0, 25)
 _DEVIATE_WEIGHTS = np.exp(-(_DEVIATES**2) / 2)
 # Number of vehicles that no larger number exceeds as evidence by itself. A choice.
 _SATURATION = 20.0
-# Fewest vehicles whose lengths can show a trend over their directions.
+# Fewest vehicles whose lengths can show a trend over their directions, or whose ends are compared.
 _MIN_OF_TREND = 3
+# A standard deviation over the median deviation, for normal errors.
+_SD_PER_DEVIATION = 1.48
+# Spread of one colour by noise and compression, in CIELAB from 0 to 255. A choice.
+_TONE_NOISE = 2.0
 # Largest absolute log odds: no doubt is certain, and none is excluded.
 _MAX_LOG_ODDS = 20.0
 
@@ -77,6 +86,9 @@ def chance_of_look_alikes(
             usual = detector_errors.appearance.length_over_width
             evidence += proportion_evidence(bodies, errors.proportions, usual)
         log_odds += _logit_evidence(appearance.logits, errors)
+        if appearance.end_tones is not None:
+            headings = boxes[: len(appearance), 4]
+            evidence += end_evidence(appearance.end_tones, headings, errors.ends)
         if appearance.tones is not None:
             evidence += spread_evidence(appearance.tones, errors.tones)
             # Only if all three spreads are known, their evidence for cars balances this rise.
@@ -202,6 +214,43 @@ def proportion_evidence(bodies: Boxes, errors: ProportionErrors, usual: float) -
     of_cars = (1.0 - errors.outliers) * of_usual_cars + errors.outliers * of_others
     of_things = normal_density(from_things, math.hypot(errors.things_log_sd, own_sd))
     return math.log((of_cars + of_things) / 2.0) - math.log(of_cars)
+
+
+def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> float:
+    """Compute the evidence for things from the colours near the ends.
+
+    If the spread near one end is that of a shadow, whatever the one near the other end is, the
+    boxes include shadows. If none is, nothing follows: the evidence is the log of one plus the
+    likelihood ratio, so that it never speaks for cars.
+
+    Args:
+        end_tones: ``[n, 2, 3]`` colours, in the order of ``Appearance.end_tones``.
+        headings: ``[n]`` directions of the boxes, radians.
+        errors: usual spreads.
+    """
+    n = len(end_tones)
+    if n < _MIN_OF_TREND:
+        return 0.0
+    # In the image, the same end comes first: that on one side of the common axis.
+    axis = np.angle(np.exp(2j * headings).mean()) / 2.0
+    is_turned = np.cos(headings - axis) < 0
+    aligned = np.where(is_turned[:, None, None], end_tones[:, ::-1], end_tones)
+    deviations = np.abs(aligned - np.median(aligned, axis=0))
+    per_axis = _SD_PER_DEVIATION * np.median(deviations, axis=0)
+    log_spreads = np.log(np.linalg.norm(per_axis, axis=-1) + _TONE_NOISE)
+
+    car_sd = math.hypot(errors.log_sd, errors.vehicle_log_sd / math.sqrt(n))
+    shadow_sd = math.hypot(errors.things_log_sd, errors.things_vehicle_log_sd / math.sqrt(n))
+    log_usual = math.log(errors.cars)
+    ratios = []
+    for one, other in (log_spreads, log_spreads[::-1]):
+        from_cars = one - log_usual - errors.shared * (other - log_usual)
+        of_usual_cars = normal_density(from_cars, car_sd)
+        of_others = normal_density(from_cars, errors.outlier_log_sd)
+        of_cars = (1.0 - errors.outliers) * of_usual_cars + errors.outliers * of_others
+        ratios.append(normal_density(one - math.log(errors.things), shadow_sd) / of_cars)
+    # Either end can be the shadow's.
+    return math.log1p((ratios[0] + ratios[1]) / 2.0)
 
 
 def _logit_evidence(logits: Values, errors: LookAlikeErrors) -> float:

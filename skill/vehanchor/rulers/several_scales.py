@@ -80,7 +80,8 @@ class _Vehicles(NamedTuple):
     def log_likelihoods(self, log_scales: LogScales) -> LogLikelihoods:
         """Compute how well each scale explains each vehicle."""
         deviations = (self.log_scales - log_scales[:, None]) / self.log_sds
-        normal = np.exp(-0.5 * deviations**2) / (self.log_sds * math.sqrt(2 * math.pi))
+        norm = self.log_sds * math.sqrt(2 * math.pi)
+        normal = np.exp(-0.5 * deviations**2) / norm
         likelihood = self.p_car * normal + (1.0 - self.p_car) * _OTHER_DENSITY
         return np.asarray(np.log(likelihood))
 

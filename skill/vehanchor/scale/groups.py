@@ -113,11 +113,18 @@ def _share_with_floors(used: Sequence[Density], whole: Sequence[Density]) -> Den
         used: the factors, some of them replaced by their floor.
         whole: all factors; their product, with floors, has the sum 1.
     """
-    log_used = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in used], axis=0)
-    log_whole = np.sum([np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in whole], axis=0)
+    log_used = _floored_log_product(used)
+    log_whole = _floored_log_product(whole)
     # The largest cell becomes 1 before the exponential, so that no product underflows.
     log_peak = log_whole.max()
-    return np.asarray(np.exp(log_used - log_peak) / np.exp(log_whole - log_peak).sum())
+    total = np.exp(log_whole - log_peak).sum()
+    return np.asarray(np.exp(log_used - log_peak) / total)
+
+
+def _floored_log_product(factors: Sequence[Density]) -> Density:
+    """Compute the log of the product ``[g]`` of factors with a floor under each of them."""
+    logs = [np.log(np.maximum(factor, MIN_PROBABILITY)) for factor in factors]
+    return np.asarray(np.sum(logs, axis=0))
 
 
 class _Cluster(NamedTuple):

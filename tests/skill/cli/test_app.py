@@ -663,6 +663,7 @@ def test_an_unknown_number_of_a_vehicle_is_refused(run: Any, n_detections: int) 
 def test_corrections_by_hand_belong_to_one_image(run: Any) -> None:
     several = _estimate(run, "cars.png", "none.png", "--drop", 1)
     assert "drop belongs to one image" in several.stderr
+    assert "The images here begin with 'cars.png', 'none.png'" in several.stderr
     assert "--drop" not in run("batch", "--help").stdout
 
 

@@ -15,11 +15,14 @@ from tests.models import BODIES, blank_image, paint_vehicles, write_chip_network
 from vehanchor import analyse_scale
 from vehanchor.analysis import pipeline
 from vehanchor.detection.chips import (
+    CHIP_COLUMNS,
     CHIP_LENGTH_PX,
+    CHIP_ROWS,
     KINDS,
     ChipAnswers,
     ChipNetwork,
     bodies,
+    body_end_tones,
     candidate_chips,
     read_appearance,
 )
@@ -96,6 +99,16 @@ def test_a_body_lies_between_its_edges() -> None:
     candidate = np.array([[50.0, 40.0, 20.0, 9.0, 0.0]])
     (body,) = bodies(candidate, _made_answers(1, edges=np.array([[-0.4, 0.5, -0.1, 0.2]])))
     assert body == pytest.approx([51.0, 41.0, 18.0, 6.0, 0.0])
+
+
+def test_the_tones_of_both_ends_are_those_of_their_pixels() -> None:
+    # White in front, black at the back, grey beside the body.
+    chips = np.full((1, CHIP_ROWS, CHIP_COLUMNS, 3), 120, np.uint8)
+    middle = CHIP_COLUMNS // 2
+    chips[:, 26:38, :middle] = 0
+    chips[:, 26:38, middle:] = 255
+    tones = body_end_tones(chips, _made_answers(1))
+    assert tones[0, :, 0] == pytest.approx([0.0, 255.0])
 
 
 def test_vans_and_lorries_are_work_vehicles() -> None:

@@ -309,3 +309,11 @@ def test_bands_above_the_third_can_be_chosen_from_an_array_in_bgr_order() -> Non
     array = np.random.default_rng(3).integers(0, 256, (30, 40, 5), dtype=np.uint8)
     pixels = read_all(array, bgr=True, bands=(1, 2, 5))
     np.testing.assert_array_equal(pixels, array[..., [2, 1, 4]])
+
+
+def test_whole_numbers_of_32_bits_of_pillow_are_stretched() -> None:
+    ramp = np.arange(40 * 60, dtype=np.int32).reshape(40, 60) * 20
+    pixels = read_all(Image.fromarray(ramp))
+    assert pixels[0, 0, 0] == 0
+    assert pixels[-1, -1, 0] == 255
+    assert len(np.unique(pixels)) > 200

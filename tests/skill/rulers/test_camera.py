@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.analyses import log_sd, made_card, measured
+from tests.analyses import empty_view, log_sd, made_card, measured
 from vehanchor.analysis.pipeline import analyse_view
 from vehanchor.detection.detections import Detections
 from vehanchor.detection.scene_scale import SceneScalePrior
-from vehanchor.imagery.facts import ImageFacts, image_facts
+from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.sources.opening import open_raster
-from vehanchor.options import ScaleOptions
 from vehanchor.records.advice import advice_for
 from vehanchor.rulers.camera import Camera
 from vehanchor.rulers.ruler import View
@@ -38,24 +37,10 @@ MAVIC = CameraMetadata(
 TRUE_GSD = 100 * 6.17 / (4.73 * 4000)  # the sensor of that camera is 6.17 mm wide
 
 
-def _view(
-    camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000, **options: Any
-) -> View:
-    found = Detections(np.zeros((0, 5)), np.zeros(0))
-    facts = ImageFacts(width_px, height_px, camera=camera)
-    return View(
-        facts,
-        found,
-        card=made_card(5.0),
-        options=ScaleOptions.of(options),
-        measure_detail_share=lambda *_: 1.0,
-    )
-
-
 def _measured(
     camera: CameraMetadata | None, width_px: int = 4000, height_px: int = 3000
 ) -> Witness:
-    return measured(Camera(), _view(camera, width_px, height_px))
+    return measured(Camera(), empty_view(camera, width_px, height_px))
 
 
 def _but(**changes: object) -> CameraMetadata:
@@ -211,7 +196,7 @@ def _seeing(
     camera: CameraMetadata, prior: Density | None = None, car_gsd: float | None = None
 ) -> View:
     """View with a prior of the scene, and perhaps a clear car, 4.6 m long at a scale."""
-    view = _view(camera)
+    view = empty_view(camera)
     if prior is not None:
         view = replace(view, prior=SceneScalePrior(prior, n_tiles=24))
     if car_gsd is not None:
@@ -353,20 +338,20 @@ def test_impossible_metadata_give_a_notice_instead_of_a_scale(
 def test_a_file_without_a_height_or_a_lens_gives_no_notice(
     camera: CameraMetadata | None,
 ) -> None:
-    assert Camera().measure(_view(camera)) is None
+    assert Camera().measure(empty_view(camera)) is None
 
 
 def test_a_height_that_is_given_is_not_missing() -> None:
     for lacking in (_but(height_m=None), replace(UNLISTED, focal_mm=None, focal_35mm=None)):
-        witness = Camera().measure(_view(lacking, height_m=100, focal_35mm=26))
+        witness = Camera().measure(empty_view(lacking, height_m=100, focal_35mm=26))
         assert witness is None or witness.notices == ()
 
 
 def test_a_given_focal_length_goes_with_the_height_of_the_file() -> None:
     lacking = replace(UNLISTED, focal_mm=None, focal_35mm=None)
-    with_focal = measured(Camera(), _view(lacking, focal_35mm=26))
+    with_focal = measured(Camera(), empty_view(lacking, focal_35mm=26))
     assert with_focal.gsd_m_per_px == _measured(UNLISTED).gsd_m_per_px
-    (notice,) = measured(Camera(), _view(None, focal_35mm=26)).notices
+    (notice,) = measured(Camera(), empty_view(None, focal_35mm=26)).notices
     assert "give height_m" in notice.message
 
 
@@ -398,7 +383,7 @@ def test_a_camera_that_is_almost_level_lacks_no_metadata(almost_level: Witness) 
 
 @pytest.mark.parametrize("options", [{"metadata": False}, {"rulers": ("vehicles", "height")}])
 def test_the_camera_can_be_left_out(options: dict[str, Any]) -> None:
-    analysis = analyse_view(_view(MAVIC, **options))
+    analysis = analyse_view(empty_view(MAVIC, **options))
     assert "camera" not in [each.kind for each in analysis.witnesses]
     assert (analysis.estimate.gsd_m_per_px, analysis.estimate.rulers) == (None, ())
 
@@ -410,5 +395,5 @@ def test_nadir_photographs_of_a_known_sensor_have_the_true_scale(
 ) -> None:
     with open_raster(real_data / f"tilt/images/{name}.jpg") as raster:
         facts = image_facts(raster)
-    witness = measured(Camera(), replace(_view(None), image=facts))
+    witness = measured(Camera(), replace(empty_view(None), image=facts))
     assert witness.gsd_m_per_px == pytest.approx(height_m * 6.17 / (4.73 * 3000), rel=0.01)

@@ -6,37 +6,24 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 import vehanchor
-from tests.analyses import log_sd, made_card, measured
+from tests.analyses import empty_view, log_sd, measured
 from tests.conftest import ROOT
 from tests.skill.imagery.files import EXIF_PREFIX, after_start, exif, segment
 from tests.skill.rulers.test_camera import MAVIC
-from vehanchor.detection.detections import Detections
-from vehanchor.imagery.facts import ImageFacts
-from vehanchor.imagery.metadata.camera import CameraMetadata
-from vehanchor.options import ScaleOptions
 from vehanchor.rulers.height import GivenHeight
 from vehanchor.rulers.ruler import View
 
 
-def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
-    found = Detections(np.zeros((0, 5)), np.zeros(0))
-    return View(
-        ImageFacts(4000, 3000, camera=camera),
-        found,
-        card=made_card(5.0),
-        options=ScaleOptions.of(options),
-        measure_detail_share=lambda *_: 1.0,
-    )
-
-
 def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> None:
-    given = measured(GivenHeight(), _view(height_m=100, height_basis="measured", focal_35mm=26))
+    given = measured(
+        GivenHeight(), empty_view(height_m=100, height_basis="measured", focal_35mm=26)
+    )
     of_file = measured(
-        GivenHeight(), _view(replace(MAVIC, height_m=60.0), height_m=100, height_basis="measured")
+        GivenHeight(),
+        empty_view(replace(MAVIC, height_m=60.0), height_m=100, height_basis="measured"),
     )
     assert given.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
     # its lens is in the table of cameras
@@ -44,7 +31,13 @@ def test_a_given_height_measures_with_a_given_focal_length_or_the_files() -> Non
     assert log_sd(given) == pytest.approx(math.hypot(0.05, 0.04), rel=0.02)
 
 
-@pytest.mark.parametrize("view", [_view(height_m=100), _view(MAVIC, height_m=100, metadata=False)])
+@pytest.mark.parametrize(
+    "view",
+    [
+        empty_view(height_m=100),
+        empty_view(MAVIC, height_m=100, metadata=False),
+    ],
+)
 def test_a_height_without_a_focal_length_asks_for_one(view: View) -> None:
     witness = measured(GivenHeight(), view)
     assert witness.gsd_m_per_px is None
@@ -78,10 +71,10 @@ def test_the_lens_of_a_resized_picture_needs_a_second_source() -> None:
 
 def test_a_given_height_does_not_measure_through_a_digital_zoom() -> None:
     zoomed = replace(MAVIC, digital_zoom=2.0, height_m=None)
-    witness = measured(GivenHeight(), _view(zoomed, height_m=100))
+    witness = measured(GivenHeight(), empty_view(zoomed, height_m=100))
     assert witness.gsd_m_per_px is None
     assert "enlarged 2 times" in witness.notices[0].message
-    stated = measured(GivenHeight(), _view(zoomed, height_m=100, focal_35mm=52))
+    stated = measured(GivenHeight(), empty_view(zoomed, height_m=100, focal_35mm=52))
     assert stated.gsd_m_per_px == pytest.approx(100 * 43.27 / (52 * 5000), rel=1e-3)
 
 
@@ -90,17 +83,17 @@ CROP = replace(MAVIC, taken_width_px=5472, taken_height_px=3078, height_m=None)
 
 @pytest.mark.parametrize("options", [{"height_m": 100}, {"height_m": 100, "focal_35mm": 26}])
 def test_a_given_height_does_not_measure_a_crop(options: dict[str, Any]) -> None:
-    witness = measured(GivenHeight(), _view(CROP, **options))
+    witness = measured(GivenHeight(), empty_view(CROP, **options))
     assert witness.gsd_m_per_px is None
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]
 
 
 def test_without_metadata_a_crop_counts_as_a_whole_image() -> None:
-    view = _view(CROP, height_m=100, focal_35mm=26, metadata=False)
+    view = empty_view(CROP, height_m=100, focal_35mm=26, metadata=False)
     witness = measured(GivenHeight(), view)
     assert witness.gsd_m_per_px == pytest.approx(100 * 43.27 / (26 * 5000), rel=1e-3)
 
 
 def test_a_height_that_would_give_an_impossible_scale_gives_a_notice() -> None:
-    witness = measured(GivenHeight(), _view(height_m=20_000, focal_35mm=1))
+    witness = measured(GivenHeight(), empty_view(height_m=20_000, focal_35mm=1))
     assert [notice.code for notice in witness.notices] == ["camera_unusable"]

@@ -11,6 +11,7 @@ from vehanchor.detection.detections import Appearance
 from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.rulers.look_alikes import (
     chance_of_look_alikes,
+    end_evidence,
     heading_evidence,
     proportion_evidence,
     spread_evidence,
@@ -165,3 +166,39 @@ def test_a_tilted_view_shows_no_proportions() -> None:
     at_nadir = chance_of_look_alikes(boxes, appearance, ERRORS, at_nadir=True)
     tilted = chance_of_look_alikes(boxes, appearance, ERRORS, at_nadir=False)
     assert tilted < 0.01 * at_nadir
+
+
+def _paints(n: int) -> np.ndarray:
+    """Colours of n cars of different paints, as bright as dark."""
+    return np.column_stack([110 + _normal(n, 45.0), np.full((n, 2), 128.0)])
+
+
+def test_ends_of_one_tone_beside_ends_of_all_paints_are_shadows() -> None:
+    paints = _paints(10)
+    shadow = np.tile([60.0, 128.0, 128.0], (10, 1))
+    headings = np.zeros(10)
+    with_shadows = end_evidence(np.stack([paints, shadow], 1), headings, LOOK_ALIKES.ends)
+    of_cars = end_evidence(np.stack([paints, paints], 1), headings, LOOK_ALIKES.ends)
+    assert with_shadows > 3.0
+    assert 0.0 <= of_cars < 0.2
+
+
+def test_shadows_lie_on_one_side_of_the_image_whatever_way_a_box_is_turned() -> None:
+    shadow = np.tile([60.0, 128.0, 128.0], (10, 1))
+    ends = np.stack([_paints(10), shadow], 1)
+    every_second = slice(None, None, 2)
+    turned = ends.copy()
+    turned[every_second] = ends[every_second, ::-1]
+    headings = np.zeros(10)
+    headings[every_second] = np.pi
+    expected = end_evidence(ends, np.zeros(10), LOOK_ALIKES.ends)
+    assert end_evidence(turned, headings, LOOK_ALIKES.ends) == pytest.approx(expected)
+
+
+def test_cars_of_one_paint_have_no_shadows() -> None:
+    white = np.tile([230.0, 128.0, 128.0], (10, 2)).reshape(10, 2, 3)
+    shadow = white.copy()
+    shadow[:, 0] = np.column_stack([_paints(10)])
+    headings = np.zeros(10)
+    alike = end_evidence(white, headings, LOOK_ALIKES.ends)
+    assert alike < end_evidence(shadow, headings, LOOK_ALIKES.ends)

@@ -6,44 +6,27 @@ import json
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.analyses import log_sd, made_card, measured
+from tests.analyses import empty_view, log_sd, measured
 from tests.skill.rulers.test_answers import record_of
 from vehanchor.cli.app import app
-from vehanchor.detection.detections import Detections
 from vehanchor.errors import KnownLengthError
-from vehanchor.imagery.facts import ImageFacts
-from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
 from vehanchor.rulers.active import check_rulers
 from vehanchor.rulers.known_length import KnownLengths
 from vehanchor.rulers.known_length_table import lines_in
-from vehanchor.rulers.ruler import View
 from vehanchor.rulers.standards import Variant, check_name, lengths_of, standards
 from vehanchor.scale.countries import COUNTRY_REGIONS
-
-
-def _view(camera: CameraMetadata | None = None, **options: Any) -> View:
-    found = Detections(np.zeros((0, 5)), np.zeros(0))
-    return View(
-        ImageFacts(4000, 3000, camera=camera),
-        found,
-        card=made_card(5.0),
-        options=ScaleOptions.of(options),
-        measure_detail_share=lambda *_: 1.0,
-    )
-
 
 WIDEST_CUSTOM = 0.25
 
 
 def _evidence(what: str, *lengths_px: float, **options: Any) -> Any:
     lines = [(100, 100 + 10 * k, 100 + px, 100 + 10 * k, what) for k, px in enumerate(lengths_px)]
-    return measured(KnownLengths(), _view(known_lengths=lines, **options))
+    return measured(KnownLengths(), empty_view(known_lengths=lines, **options))
 
 
 VARIANTS = [(name, variant) for name, thing in standards().items() for variant in thing.variants]
@@ -144,7 +127,7 @@ def test_things_of_one_kind_share_their_size() -> None:
 def test_things_of_two_kinds_narrow_the_interval() -> None:
     many = _evidence("parking_bay_width/DE", 50.0, 50.2, 49.9, 50.1)
     lines = [(0, 0, 50, 0, "parking_bay_width/DE"), (0, 9, 242, 9, "iso_container_40ft")]
-    both = measured(KnownLengths(), _view(known_lengths=lines))
+    both = measured(KnownLengths(), empty_view(known_lengths=lines))
     assert both.n == 2
     assert log_sd(both) < log_sd(many)
 

@@ -15,7 +15,7 @@ from vehanchor.imagery.metadata.camera import CameraMetadata
 from vehanchor.imagery.metadata.lens import equivalent_lens
 from vehanchor.options import ScaleOptions
 from vehanchor.records import GsdEstimate
-from vehanchor.rulers.camera_tilt import MIN_CARS, suspected_tilt, unknown_tilt_chance
+from vehanchor.rulers.camera_tilt import MIN_CARS, suspected_tilt, tilt_doubt
 from vehanchor.rulers.ruler import View
 from vehanchor.scale.plane import GroundPlane
 from vehanchor_flight.photograph import Photograph, StoredPhotograph
@@ -121,7 +121,7 @@ def test_pooled_photographs_do_not_repeat_the_doubt() -> None:
 
 def _chance(detections: Detections, log_size_sd: float = 0.11, **image: Any) -> float:
     facts = ImageFacts(WIDTH, HEIGHT, **image)
-    return unknown_tilt_chance(facts, ScaleOptions(), detections, log_size_sd=log_size_sd)
+    return tilt_doubt(facts, ScaleOptions(), detections, log_size_sd=log_size_sd).chance
 
 
 @pytest.mark.parametrize("n", [4, 8])

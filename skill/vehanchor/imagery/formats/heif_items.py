@@ -139,11 +139,13 @@ def _check_canvases(read_at: ReadAt, items: _Items, pieces: list[Piece], largest
         size_format = ">II" if flags & 1 else ">HH"
         size_bytes = read_at(piece.start + _CANVAS_STARTS[kind], struct.calcsize(size_format))
         width, height = struct.unpack(size_format, size_bytes)
-        if width * height > largest_px:
+        canvas_px = width * height
+        if canvas_px > largest_px:
             raise ImageDecodeError(
                 f"the HEIC has a canvas of {width} x {height} px, larger than it declares: damaged"
             )
-        items.pixels[piece.item] = max(width * height, items.pixels.get(piece.item, 0))
+        known_px = items.pixels.get(piece.item, 0)
+        items.pixels[piece.item] = max(canvas_px, known_px)
 
 
 def _work(items: _Items, number: int, *, level: int, done: dict[int, _Work]) -> _Work:
@@ -228,7 +230,9 @@ def _check_auxiliary_types(read_at: ReadAt, properties: list[Box]) -> None:
     """
     for box in properties:
         if box.kind == b"auxC" and box.end is not None:
-            text, _, _ = read_at(box.start + 4, max(0, box.end - box.start - 4)).partition(b"\0")
+            text_start = box.start + 4
+            content = read_at(text_start, max(0, box.end - text_start))
+            text, _, _ = content.partition(b"\0")
             _check_text(text)
 
 

@@ -48,8 +48,11 @@ class TiffLayout:
     @property
     def pixel_bytes(self) -> int:
         """Bytes of a decoded pixel with all bands."""
-        sample_bytes = next((size for size in (1, 2, 4) if max(self.bits) <= 8 * size), 8)
-        return self.bands * sample_bytes
+        most_bits = max(self.bits)
+        for sample_bytes in (1, 2, 4):
+            if most_bits <= 8 * sample_bytes:
+                return self.bands * sample_bytes
+        return self.bands * 8
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,9 @@ def sensor_of(make: str, model: str) -> Sensor | None:
     words = make.split()
     if not words:
         return None
-    return _sensors().get((words[0].casefold(), model.strip().casefold()))
+    maker = words[0].casefold()
+    name = model.strip().casefold()
+    return _sensors().get((maker, name))
 
 
 @cache

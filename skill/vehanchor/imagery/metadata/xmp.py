@@ -107,7 +107,7 @@ def _patterns(names: tuple[str, ...]) -> tuple[re.Pattern[str], re.Pattern[str]]
     )
     statement = (
         rf"[\s<](?P<prefix>[\w.-]{{1,32}}):(?P<name>{inner})\s{{0,64}}"
-        r"(?:=\s{0,64}(?P<quote>[\"'])(?P<attribute>[^\"'<]{0,256})(?P=quote)"
+        r"(?:=\s{0,64}(?P<quote>[\"'])(?P<attribute>(?:(?!(?P=quote))[^<]){0,256})(?P=quote)"
         r"|(?:\s[^<>]{0,256}(?<!/))?>(?P<element>[^<]{0,256})(?=<))"
     )
     return re.compile(structure, re.DOTALL), re.compile(statement)

@@ -95,8 +95,11 @@ def spelled_as_stored(path: str) -> str:
 def canonical_path(image: str | os.PathLike[str]) -> str:
     """Give the unique name of an image: its absolute path without links."""
     path = spelled_as_stored(os.fspath(image))
-    # Path.resolve raises an error for a link to itself.
-    return os.path.realpath(path)
+    try:
+        # Path.resolve raises an error for a link to itself.
+        return os.path.realpath(path)
+    except FileNotFoundError:  # the working directory is gone: no relative path names a file
+        return path
 
 
 def _files_below(top: Path) -> Iterator[Path]:

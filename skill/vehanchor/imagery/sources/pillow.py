@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _ARRAY_MODES = {"L": 1, "RGB": 3, "RGBA": 4, "I;16": 2, "I;16B": 2, "F": 4}
 """Modes that become arrays directly, with bytes per pixel.
 
-All other modes are converted to RGB or RGBA first.
+Whole numbers of 32 bits (``I``) become floats first, all other modes RGB or RGBA.
 """
 
 _STORED_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}
@@ -64,7 +64,8 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
     check_whole_size("Pillow image", width, height_px=height, limits=limits)
     colour_mode = "RGBA" if getattr(image, "has_transparency_data", False) else "RGB"
     stored_bytes = _STORED_BYTES.get(image.mode, 4)
-    array_bytes = _ARRAY_MODES.get(image.mode, len(colour_mode))
+    array_mode = "F" if image.mode == "I" else image.mode
+    array_bytes = _ARRAY_MODES.get(array_mode, len(colour_mode))
     # Pillow copies its pixels in pieces and then joins them, so the array is held twice.
     decoding_bytes = width * height * (stored_bytes + 2 * array_bytes)
     size = f"{width} x {height} px ({image.mode})"
@@ -74,6 +75,9 @@ def pillow_pixels(image: Any, limits: ImageLimits) -> NDArray[Any]:
         # exif_transpose copies the image even if there is nothing to turn.
         if pillow_orientation(image) != 1:
             upright = ImageOps.exif_transpose(image)
+        if upright.mode == "I":
+            # RGB would cut off all values above 255.
+            upright = upright.convert("F")
         if upright.mode not in _ARRAY_MODES:
             upright = upright.convert(colour_mode)
         return np.asarray(upright)

@@ -355,6 +355,16 @@ def test_an_image_is_opened_by_either_unicode_form(
     open_raster(tmp_path / other_name).close()
 
 
+def test_a_relative_path_without_a_working_directory_is_not_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def gone() -> str:
+        raise FileNotFoundError
+
+    monkeypatch.setattr("os.getcwd", gone)
+    assert canonical_path("a.jpg") == "a.jpg"
+
+
 def test_both_unicode_forms_have_one_canonical_path(
     stored_path: Path, other_name: str, tmp_path: Path
 ) -> None:
