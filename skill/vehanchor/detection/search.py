@@ -398,7 +398,15 @@ class ImageSearch:
         return sorted(indices, key=bottom_px)
 
     def _read_ahead(self, indices: Sequence[int]) -> Iterator[tuple[int, PreparedTile]]:
-        """Yield prepared tiles; a thread prepares the next while the caller works on this one."""
+        """Yield prepared tiles; a thread prepares the next while the caller works on this one.
+
+        A search of one thread, such as a worker's beside others, prepares none ahead: the other
+        cores are theirs, and the tile takes 13 MB.
+        """
+        if self._detector.runtime.threads == 1:
+            for index in indices:
+                yield index, self._prepare(index)
+            return
         with ThreadPoolExecutor(1) as reader:
             ahead = reader.submit(self._prepare, indices[0])
             for position, index in enumerate(indices, 1):
