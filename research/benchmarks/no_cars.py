@@ -5,6 +5,8 @@
 * ``look-alikes``: rows and scatters of equal things that are not cars, such as graves, boats and
   carts (``research.scenes.look_alikes``). Every ``ok`` is a mistake, even if its value is near the
   truth by chance;
+* ``small-vehicles``: the same of karts, scooters and other small vehicles, which are the hardest
+  (``research.scenes.small_vehicles``);
 * ``covered``: cars that the edge of a canopy, of a bridge or of a shadow cuts, half of the scenes
   with further cars in the open (``research.scenes.covered``).
 
@@ -19,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from research.results.record import add_record_option, header, recording
 from research.scenes.covered import covered
 from research.scenes.look_alikes import look_alikes
+from research.scenes.small_vehicles import SMALL_VEHICLES
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
 from vehanchor.models.zoo import resolve_model
@@ -28,6 +31,8 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
+
+    from research.scenes.look_alikes import LookAlikes
 
 _HIGH_ERROR = 0.2
 
@@ -50,7 +55,17 @@ class Picture(NamedTuple):
 
 def pictures_of_look_alikes() -> Iterator[Picture]:
     """Render the recorded scenes of look-alikes."""
-    for rendered in look_alikes():
+    yield from _pictures(look_alikes())
+
+
+def pictures_of_small_vehicles() -> Iterator[Picture]:
+    """Render the recorded scenes of small vehicles."""
+    yield from _pictures(look_alikes(SMALL_VEHICLES))
+
+
+def _pictures(scenes: Iterator[LookAlikes]) -> Iterator[Picture]:
+    """Take the pictures of scenes."""
+    for rendered in scenes:
         scene = rendered.scene
         yield Picture(rendered.name, rendered.kind, scene.image, gsd_m_per_px=scene.gsd_m_per_px)
 
@@ -64,6 +79,7 @@ def pictures_of_covered_cars() -> Iterator[Picture]:
 
 SETS: dict[str, Callable[[], Iterator[Picture]]] = {
     "look-alikes": pictures_of_look_alikes,
+    "small-vehicles": pictures_of_small_vehicles,
     "covered": pictures_of_covered_cars,
 }
 

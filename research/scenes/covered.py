@@ -93,7 +93,9 @@ def render_covered(cover: str, seed: int) -> Covered:
     fleet = Fleet(place_rng.uniform(4.2, 4.9), place_rng, "passenger")
     site = Site(world, frame, rng=place_rng, fleet=fleet, palette=Palette.draw(place_rng))
     _build_ground(site, size_m)
-    _build_cover(site, cover, sun, half=math.hypot(*size_m))
+    # From the middle of the view to its corners: painting a roof takes longer with its square.
+    reach = math.hypot(*size_m) / 2
+    _build_cover(site, cover, sun, reach=reach)
     share = _park(site, n_cut)
     _park_whole(site, n_whole)
     scene = photograph_world(
@@ -134,22 +136,22 @@ def _build_ground(site: Site, size_m: tuple[float, float]) -> None:
     site.grove((-half, verge + 4.0, half, half), 0.01)
 
 
-def _build_cover(site: Site, cover: str, sun: Sun, *, half: float) -> None:
-    """Build what hides the side y < 0 of the site."""
+def _build_cover(site: Site, cover: str, sun: Sun, *, reach: float) -> None:
+    """Build what hides the side y < 0 of the site, a bridge as far as the view reaches."""
     rng = site.rng
     if cover == "shadow":
         # The end of the shadow lies at y = 0; cars stand at least 8 m from the wall.
         along = np.array([-math.sin(site.frame.angle), math.cos(site.frame.angle)])
-        reach = float(np.dot(sun.shadow(1.0), along))
-        height = rng.uniform(8.0, 14.0) / reach
-        wall = -height * reach
+        reach_per_m = float(np.dot(sun.shadow(1.0), along))
+        height = rng.uniform(8.0, 14.0) / reach_per_m
+        wall = -height * reach_per_m
         length = rng.uniform(20.0, 60.0)
         rect = (-length, wall - rng.uniform(10.0, 20.0), length, wall)
         # The shadow's ends are far from the cars.
         site.roof((rect,), "flat", height, flat_roof_rgb(rng))
         return
     depth = rng.uniform(5.0, 9.0) if cover == "canopy" else rng.uniform(9.0, 16.0)
-    length = rng.uniform(14.0, 30.0) if cover == "canopy" else half
+    length = rng.uniform(14.0, 30.0) if cover == "canopy" else reach
     eaves = rng.uniform(2.4, 5.0) if cover == "canopy" else rng.uniform(4.5, 7.0)
     tone = flat_roof_rgb(rng)
     if cover == "bridge":

@@ -15,20 +15,24 @@ from research.scenes.fleet import Fleet
 from research.scenes.further_things import FURTHER_THINGS
 from research.scenes.render import photograph_world
 from research.scenes.site import Palette, Site, jitter, pick
+from research.scenes.small_vehicles import SMALL_VEHICLES
 from research.scenes.sprites import Sun
 from research.scenes.things import THINGS, draw_model, place
 from research.scenes.truth import Scene
 from research.scenes.world import Frame, Material, Rgb, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.random import Generator
 
     from research.scenes.things import Model
 
 LOOK_ALIKES = THINGS | FURTHER_THINGS
-"""Kinds of things."""
+"""Kinds of things of the set of look-alikes."""
+
+ALL_THINGS = LOOK_ALIKES | SMALL_VEHICLES
+"""All kinds of things."""
 
 FIRST_RECORDED_SEED = 0
 """Seeds from here on are those of the recorded set."""
@@ -50,7 +54,7 @@ class LookAlikes(NamedTuple):
 
     Attributes:
         name: kind and seed, as in a file name.
-        kind: key of ``LOOK_ALIKES``.
+        kind: key of ``ALL_THINGS``.
         scene: image and truth.
         n_things: number of things in view.
         length_m: length of one.
@@ -63,15 +67,17 @@ class LookAlikes(NamedTuple):
     length_m: float
 
 
-def look_alikes(first_seed: int = FIRST_RECORDED_SEED, per_kind: int = 2) -> Iterator[LookAlikes]:
+def look_alikes(
+    kinds: Iterable[str] = LOOK_ALIKES, first_seed: int = FIRST_RECORDED_SEED, per_kind: int = 2
+) -> Iterator[LookAlikes]:
     """Render several scenes of each kind of thing.
 
     Args:
+        kinds: keys of ``ALL_THINGS``.
         first_seed: seed of the first scene; each further one has the next.
         per_kind: number of scenes of each kind.
     """
-    kinds = list(LOOK_ALIKES) * per_kind
-    for offset, kind in enumerate(kinds):
+    for offset, kind in enumerate(list(kinds) * per_kind):
         yield render_look_alikes(kind, first_seed + offset)
 
 
@@ -79,11 +85,11 @@ def render_look_alikes(kind: str, seed: int) -> LookAlikes:
     """Render a scene of look-alikes; the arguments determine every byte.
 
     Args:
-        kind: key of ``LOOK_ALIKES``.
+        kind: key of ``ALL_THINGS``.
         seed: at least 0.
     """
     place_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(3)
-    thing = LOOK_ALIKES[kind]
+    thing = ALL_THINGS[kind]
     model = draw_model(thing, place_rng)
     length_px = float(np.exp(place_rng.uniform(*np.log(thing.pixels))))
     gsd_m_per_px = model.length_m / length_px

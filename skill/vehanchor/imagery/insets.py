@@ -6,11 +6,15 @@ blurs the edge of a roof or road over several pixels, and such edges hardly form
 Some insets have a frame instead: a thin line of one colour that differs from both sides.
 
 The search takes the columns and rows with the longest abrupt borders, and compares the rectangles
-between them. Sides at the border of the image are not seen and do not count.
+between them. Sides at the border of the image are not seen and do not count. Resized or compressed
+borders are weaker, and a rectangle suffices that two of three maps show: steps, steps over two
+pixels, and lines. The map of steps must then show an inset that is brighter here and darker there:
+a roof is brighter or darker than all of its surroundings.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
@@ -19,6 +23,7 @@ import numpy as np
 from vehanchor.imagery.texture import MIN_COMMON_TEXTURE, common_texture
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from typing import TypeAlias
 
     from numpy.typing import NDArray
@@ -39,6 +44,22 @@ if TYPE_CHECKING:
 # insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
 _LEAST_OF_STEPS = 0.61
 _LEAST_OF_LINES = 0.96
+# Least sum of the strengths of a border in two maps, to which a border adds that is brighter here
+# and darker there; and of lines without that. Kerbs and lanes have lines up to 1.3.
+_LEAST_OF_AGREEING = 1.9
+_LEAST_OF_AGREEING_LINES = 1.5
+_ALTERNATING = 4.64
+_MAX_ALTERNATING = 0.2
+_MIN_DIFFERENCE = 2.0
+# Least mean difference of grey values across each side of such a border: 21 insets have 14 and
+# more, a part of a roof that was taken for one 11.
+_MIN_MEAN_DIFFERENCE = 12.0
+# Least overlap (intersection over union) of one rectangle in two maps, and its least strength.
+_SAME_RECTANGLE = 0.85
+_MIN_AGREEING = 0.15
+# Rectangles of a map that are compared, and by how many pixels they differ at least.
+_N_RECTANGLES = 2
+_DISTINCT_PX = 4
 # Weights of the weakest side, of a border that goes on beyond a corner, and of the log length.
 _WEAKEST = 0.3
 _GOING_ON = 0.4
@@ -48,6 +69,8 @@ _USUAL_LENGTH_PX = 150
 _STEP_LEVELS = 4.0
 _LINE_LEVELS = 8.0
 _LEAST_STRENGTH = -0.5
+# Columns from a step over two pixels to those with which it is compared.
+_WIDE_REACH_PX = 3
 # Pixels from the middle of a line to both sides, and along it to where it has the same colour.
 _LINE_REACH_PX = 3
 _ALONG_PX = (2, 5)
@@ -104,6 +127,11 @@ class Inset(NamedTuple):
     strength: float
 
     @property
+    def area(self) -> int:
+        """Pixels of the rectangle."""
+        return (self.right - self.left) * (self.bottom - self.top)
+
+    @property
     def corner(self) -> tuple[int, int]:
         """Column and row of a corner inside the image."""
         return (self.left or self.right, self.top or self.bottom)
@@ -114,7 +142,7 @@ def find_inset(grey: Grey, *, with_frames: bool = True) -> Inset | None:
 
     Args:
         grey: the image.
-        with_frames: whether to look for frames of thin lines, too.
+        with_frames: whether to look for frames of thin lines, and for weak borders, too.
 
     Returns:
         The clearest one; None without one.
@@ -122,20 +150,63 @@ def find_inset(grey: Grey, *, with_frames: bool = True) -> Inset | None:
     transposed = np.ascontiguousarray(grey.T)
     of_columns = _without_blocks(_step_strengths(grey))
     of_rows = _without_blocks(_step_strengths(transposed))
-    inset = _best_rectangle(of_columns, of_rows)
-    if inset is not None and inset.strength >= _LEAST_OF_STEPS:
-        if _is_plain(grey, inset) or _lies_on_ground(grey, inset, _AROUND_PX):
-            return None
-        return None if _goes_on_behind(grey, inset) else inset
+    by_steps = _best_rectangles(of_columns, of_rows)
+    for inset in by_steps:
+        if inset.strength >= _LEAST_OF_STEPS and not _is_thing(grey, inset):
+            return inset
     if not with_frames:
         return None
-    inset = _best_rectangle(_line_strengths(grey), _line_strengths(transposed))
-    if inset is None or inset.strength < _LEAST_OF_LINES:
-        return None
-    # A line of the ground's colour separates things in a drawing.
-    if _lies_on_ground(grey, inset, 0) or _goes_on_behind(grey, inset):
-        return None
-    return inset
+    by_lines = _best_rectangles(_line_strengths(grey), _line_strengths(transposed))
+    for inset in by_lines:
+        # A line of the ground's colour separates things in a drawing.
+        is_grid = _lies_on_ground(grey, inset, 0) or _goes_on_behind(grey, inset)
+        if inset.strength >= _LEAST_OF_LINES and not is_grid:
+            return inset
+    of_columns = _without_blocks(_wide_step_strengths(grey))
+    of_rows = _without_blocks(_wide_step_strengths(transposed))
+    return _agreed(grey, by_steps, by_lines, _best_rectangles(of_columns, of_rows))
+
+
+def _agreed(
+    grey: Grey, by_steps: list[Inset], by_lines: list[Inset], by_wide_steps: list[Inset]
+) -> Inset | None:
+    """Find an inset with a weak border that two maps show; None without one.
+
+    Args:
+        grey: the image.
+        by_steps: rectangles whose borders are steps.
+        by_lines: rectangles whose borders are lines.
+        by_wide_steps: rectangles whose borders are steps over two pixels.
+    """
+    for inset, wide in product([*by_lines, *by_steps], by_wide_steps):
+        if not _agree(inset, wide) or not _differs(grey, inset):
+            continue
+        if _is_thing(grey, inset) or _lies_on_ground(grey, inset, 0):
+            continue
+        strength = inset.strength + wide.strength
+        if inset in by_lines and strength < _LEAST_OF_AGREEING_LINES:
+            continue
+        alternating = min(_alternating_share(grey, inset), _MAX_ALTERNATING)
+        if strength + _ALTERNATING * alternating >= _LEAST_OF_AGREEING:
+            return inset
+    return None
+
+
+def _agree(first: Inset, second: Inset) -> bool:
+    """Test whether two maps show one rectangle."""
+    if min(first.strength, second.strength) < _MIN_AGREEING:
+        return False
+    width = min(first.right, second.right) - max(first.left, second.left)
+    height = min(first.bottom, second.bottom) - max(first.top, second.top)
+    common = max(0, width) * max(0, height)
+    return common > _SAME_RECTANGLE * (first.area + second.area - common)
+
+
+def _is_thing(grey: Grey, inset: Inset) -> bool:
+    """Test whether a rectangle is plain, lies on plain ground, or shows what is around it."""
+    if _is_plain(grey, inset) or _lies_on_ground(grey, inset, _AROUND_PX):
+        return True
+    return _goes_on_behind(grey, inset)
 
 
 def _step_strengths(grey: Grey) -> Strengths:
@@ -144,6 +215,22 @@ def _step_strengths(grey: Grey) -> Strengths:
     neighbour = cv2.dilate(step, _NEIGHBOURS)
     strengths = np.zeros(grey.shape, np.float32)
     strengths[:, 1:] = _contrast(_grey(step), _grey(neighbour), _STEP_LEVELS)
+    return strengths
+
+
+def _wide_step_strengths(grey: Grey) -> Strengths:
+    """Compute how far the step over two pixels exceeds those three columns beside it."""
+    reach = _WIDE_REACH_PX
+    step = cv2.absdiff(grey[:, :-2], grey[:, 2:])
+    strengths = np.zeros(grey.shape, np.float32)
+    if step.shape[1] <= 2 * reach:
+        return strengths
+    beside = cv2.max(step[:, : -2 * reach], step[:, 2 * reach :])
+    middle = np.ascontiguousarray(step[:, reach:-reach])
+    # The step of a column is from the one to its left to the one to its right.
+    first = reach + 1
+    contrast = _contrast(_grey(middle), _grey(beside), _STEP_LEVELS)
+    strengths[:, first : first + contrast.shape[1]] = contrast
     return strengths
 
 
@@ -213,6 +300,37 @@ def _lies_on_ground(grey: Grey, inset: Inset, distance_px: int) -> bool:
 
 def _goes_on_behind(grey: Grey, inset: Inset) -> bool:
     """Test whether one picture goes on behind the border, as behind the lines of a map's grid."""
+    common = []
+    for left, right in _both_sides(grey, inset):
+        # A thick frame has no texture that could go on.
+        if min(left.std(axis=0).max(), right.std(axis=0).max()) > _PLAIN_SD:
+            common.append(common_texture(left, right))
+    return bool(common) and float(np.median(common)) >= MIN_COMMON_TEXTURE
+
+
+def _differs(grey: Grey, inset: Inset) -> bool:
+    """Test whether the picture differs across each side: a part of a roof has the roof's colour."""
+    return all(
+        float(np.abs(right.mean(axis=1) - left.mean(axis=1)).mean()) >= _MIN_MEAN_DIFFERENCE
+        for left, right in _both_sides(grey, inset)
+    )
+
+
+def _alternating_share(grey: Grey, inset: Inset) -> float:
+    """Compute the share of the border, 0 to 0.5, at which the usually darker side is brighter."""
+    shares = []
+    lengths = []
+    for left, right in _both_sides(grey, inset):
+        difference = right.mean(axis=1) - left.mean(axis=1)
+        brighter = float((difference > _MIN_DIFFERENCE).mean())
+        darker = float((difference < -_MIN_DIFFERENCE).mean())
+        shares.append(min(brighter, darker))
+        lengths.append(len(difference))
+    return float(np.average(shares, weights=lengths)) if shares else 0.0
+
+
+def _both_sides(grey: Grey, inset: Inset) -> Iterator[tuple[Grey, Grey]]:
+    """Cut out the pixels on both sides of each side of a rectangle, as columns ``[n, 2]``."""
     transposed = np.ascontiguousarray(grey.T)
     rows = slice(inset.top, inset.bottom)
     columns = slice(inset.left, inset.right)
@@ -222,18 +340,13 @@ def _goes_on_behind(grey: Grey, inset: Inset) -> bool:
         (transposed[columns], inset.top),
         (transposed[columns], inset.bottom),
     )
-    common = []
     for along, place in sides:
         first = place - _BESIDE_PX - _COMPARED_PX
         behind = place + _BESIDE_PX
         if first < 0 or behind + _COMPARED_PX > along.shape[1]:
             continue
         left = along[:, first : first + _COMPARED_PX]
-        right = along[:, behind : behind + _COMPARED_PX]
-        # A thick frame has no texture that could go on.
-        if min(left.std(axis=0).max(), right.std(axis=0).max()) > _PLAIN_SD:
-            common.append(common_texture(left, right))
-    return bool(common) and float(np.median(common)) >= MIN_COMMON_TEXTURE
+        yield left, along[:, behind : behind + _COMPARED_PX]
 
 
 def _without_blocks(strengths: Strengths) -> Strengths:
@@ -262,20 +375,20 @@ def _candidates(strengths: Strengths, length_px: int) -> list[int]:
     return sorted(columns)
 
 
-def _best_rectangle(of_columns: Strengths, of_rows: Strengths) -> Inset | None:
-    """Find the rectangle with the clearest border.
+def _best_rectangles(of_columns: Strengths, of_rows: Strengths) -> list[Inset]:
+    """Find the rectangles with the clearest borders.
 
     Args:
         of_columns: ``[h, w]`` strengths of borders along columns.
         of_rows: ``[w, h]`` strengths of borders along rows.
 
     Returns:
-        The rectangle; None without candidates.
+        The clearest first; none without candidates.
     """
     height, width = of_columns.shape
     side = min(height, width)
     if side < 2 * max(_MIN_SIDE_PX, _MARGIN_PX):
-        return None
+        return []
     length_px = max(_MIN_LINE_PX, round(_LINE_SHARE * side))
     x_px = np.array([0, *_candidates(of_columns, length_px), width])
     y_px = np.array([0, *_candidates(of_rows, length_px), height])
@@ -289,7 +402,7 @@ def _best_rectangle(of_columns: Strengths, of_rows: Strengths) -> Inset | None:
     is_inset &= (columns < width) & (rows < height)
     is_inset &= columns * rows <= _MAX_AREA_SHARE * width * height
     if not is_inset.any():
-        return None
+        return []
     left, right, top, bottom = left[is_inset], right[is_inset], top[is_inset], bottom[is_inset]
     beyond_px = max(_MIN_BEYOND_PX, round(_BEYOND_SHARE * side))
     column_sums = _Sums.of(of_columns, beyond_px)
@@ -301,9 +414,24 @@ def _best_rectangle(of_columns: Strengths, of_rows: Strengths) -> Inset | None:
         row_sums.side(bottom, left, right),
     )
     strengths = _strengths_of(sides)
-    best = int(strengths.argmax())
-    corners = (int(left[best]), int(top[best]), int(right[best]), int(bottom[best]))
-    return Inset(*corners, strength=float(strengths[best]))
+    corners = np.stack([left, top, right, bottom], axis=1)
+    chosen: list[int] = []
+    for k in np.argsort(-strengths).tolist():
+        differences = np.abs(corners[chosen] - corners[k]).max(axis=1)
+        if (differences > _DISTINCT_PX).all():
+            chosen.append(k)
+        if len(chosen) == _N_RECTANGLES:
+            break
+    return [
+        Inset(
+            int(left[k]),
+            int(top[k]),
+            right=int(right[k]),
+            bottom=int(bottom[k]),
+            strength=float(strengths[k]),
+        )
+        for k in chosen
+    ]
 
 
 class _Sides(NamedTuple):

@@ -51,6 +51,12 @@ _DEVIATES = np.linspace(-3.0, 3.0, 25)
 _DEVIATE_WEIGHTS = np.exp(-(_DEVIATES**2) / 2)
 # Number of vehicles that no larger number exceeds as evidence by itself. A choice.
 _SATURATION = 20.0
+# Mean lightness, 0 to 255, at which paints count half, and the width of the transition: in deep
+# shadow they are alike. Of 781 fleets in photographs the one below 50 has a spread of 6, the two of
+# 50 to 65 have 10 and 35, and nine of 65 to 80 a median of 42, as brighter ones. Rendered scenes of
+# equal things begin at 62. A choice.
+_EVEN_LIGHTNESS = 52.0
+_LIGHTNESS_WIDTH = 3.0
 # Fewest vehicles whose lengths can show a trend over their directions, or whose ends are compared.
 _MIN_OF_TREND = 3
 # A standard deviation over the median deviation, for normal errors.
@@ -90,12 +96,20 @@ def chance_of_look_alikes(
             headings = boxes[: len(appearance), 4]
             evidence += end_evidence(appearance.end_tones, headings, errors.ends)
         if appearance.tones is not None:
-            evidence += spread_evidence(appearance.tones, errors.tones)
+            light = _light_share(appearance.tones)
+            evidence += light * spread_evidence(appearance.tones, errors.tones)
             # Only if all three spreads are known, their evidence for cars balances this rise.
-            log_odds += errors.log_odds_per_log_n * _log_telling_number(len(boxes))
+            rise = errors.log_odds_per_log_n * _log_telling_number(len(boxes))
+            log_odds += light * rise
     log_odds += errors.spread_power * evidence
     bounded = min(max(log_odds, -_MAX_LOG_ODDS), _MAX_LOG_ODDS)
     return 1.0 / (1.0 + math.exp(-bounded))
+
+
+def _light_share(tones: Values) -> float:
+    """Compute how much paints ``[n, 3]`` tell, 0 to 1: little in deep shadow."""
+    surplus = float(np.mean(tones[:, 0])) - _EVEN_LIGHTNESS
+    return 1.0 / (1.0 + math.exp(-surplus / _LIGHTNESS_WIDTH))
 
 
 def _log_telling_number(n: int) -> float:

@@ -44,7 +44,7 @@ _BEYOND_BORDER_PX = 1.5
 # Least log likelihood ratio. Of 1,061 photographs of known scale that would be usable and right one
 # has more; of 100 collages of two scales that differ by 1.3 to 2.5 times, some without cars in one
 # part, 32. A choice between both, made on these photographs.
-_MIN_LOG_RATIO = 8.0
+_MIN_LOG_RATIO = 8.5
 # Log ratios of the second scale to the first: from 1.2 times, which matters, to 5 times.
 _STEP = 0.05
 _RATIOS = np.arange(-1.6, 1.6 + _STEP / 2, _STEP)

@@ -357,7 +357,8 @@ async def test_a_fit_is_stated_in_words_and_fields(server: MCPServer[object], im
     assert "inscribed_center" not in record
     assert "5 x 3 m fits with probability 0.9" in text_of(result)
     assert "centre x 324, y 378 in your image, heading" in text_of(result)
-    assert "; the largest circle inside is 7.55 m across." in text_of(result)
+    circle = f"; the largest circle inside is {record['inscribed_diameter_m']} m across."
+    assert circle in text_of(result)
 
 
 async def test_a_fit_lies_in_the_callers_copy(server: MCPServer[object], images: Path) -> None:

@@ -92,6 +92,13 @@ def test_the_frame_of_an_inset_has_a_corner(width_px: int) -> None:
     assert min(abs(seam.y_px - 40), abs(seam.y_px - 220)) <= 6
 
 
+def test_a_resized_inset_has_a_corner() -> None:
+    image = LEFT.copy()
+    image[40:180, 60:240] = RIGHT[40:180, 60:240]
+    resized = cv2.resize(image, None, fx=1.27, fy=1.27, interpolation=cv2.INTER_LINEAR)
+    assert _near(_seam(np.asarray(resized, np.uint8)), 76, 51)
+
+
 def test_long_seams_need_no_step_in_every_pixel() -> None:
     image = LEFT.copy()
     image[200:, 220:] = RIGHT[200:, 220:]

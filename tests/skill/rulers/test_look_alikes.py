@@ -36,13 +36,21 @@ def _boxes(log_lengths: np.ndarray, ratio: float = USUAL) -> np.ndarray:
     return boxes
 
 
-def _chance(n: int, *, spread: float, tone_sd: float, logit: float, ratio: float = USUAL) -> float:
+def _chance(
+    n: int,
+    *,
+    spread: float,
+    tone_sd: float,
+    logit: float,
+    ratio: float = USUAL,
+    lightness: float = 120.0,
+) -> float:
     """Chance of n vehicles, whose appearances spread by two thirds of their lengths."""
     appearance = Appearance(
         np.log(4.4) + _normal(n, spread / 1.5),
         np.full(n, 0.07),
         logits=np.full(n, logit),
-        tones=np.column_stack([120 + _normal(n, tone_sd), np.full((n, 2), 128.0)]),
+        tones=np.column_stack([lightness + _normal(n, tone_sd), np.full((n, 2), 128.0)]),
     )
     boxes = _boxes(np.log(40) + _normal(n, spread), ratio)
     return chance_of_look_alikes(boxes, appearance, ERRORS, at_nadir=True)
@@ -72,6 +80,12 @@ def test_four_cars_of_one_model_and_different_paints_are_hardly_doubted() -> Non
 
 def test_two_equal_white_cars_are_hardly_doubted() -> None:
     assert _chance(2, spread=0.03, tone_sd=6.0, logit=3.8) < 0.03
+
+
+def test_paints_tell_little_in_deep_shadow() -> None:
+    usual = {"spread": 0.04, "tone_sd": 5.0, "logit": 2.6}
+    assert _chance(4, **usual, lightness=80.0) > 0.5
+    assert _chance(4, **usual, lightness=40.0) < 0.05
 
 
 def test_a_single_vehicle_is_like_no_other() -> None:
