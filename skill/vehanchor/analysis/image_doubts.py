@@ -41,7 +41,9 @@ def with_image_doubts(
     notes = []
     left_px, top_px = raster.origin_px
     if (raster.width_px, raster.height_px) != (facts.width_px, facts.height_px):
-        notes.append(RasterNote(NoticeCode.PART_SEARCHED.value, _part_searched(raster)))
+        part = Window(left_px, top_px, width_px=raster.width_px, height_px=raster.height_px)
+        facts = facts._replace(part=part)
+        notes.append(RasterNote(NoticeCode.PART_SEARCHED.value, _part_searched(facts)))
     camera = facts.camera if metadata else None
     # A map is often assembled from pictures of one scale.
     is_map = facts.georeference_gsd_m_per_px is not None
@@ -131,11 +133,16 @@ def _not_perspective(cause: str) -> RasterNote:
     return RasterNote(NoticeCode.NOT_PERSPECTIVE.value, message)
 
 
-def _part_searched(part: Raster) -> str:
+def _part_searched(facts: ImageFacts) -> str:
     """Say where the photograph is in a picture that shows other things beside it."""
-    left_px, top_px = part.origin_px
-    right_px = left_px + part.width_px
-    bottom_px = top_px + part.height_px
+    part = facts.part
+    assert part is not None
+    in_square = [
+        (part.x_px, part.y_px),
+        (part.x_px + part.width_px, part.y_px + part.height_px),
+    ]
+    in_file = facts.grid.to_file(in_square).round().astype(int)
+    (left_px, top_px), (right_px, bottom_px) = in_file.tolist()
     return (
         f"The photograph in this picture lies from ({left_px}, {top_px}) to ({right_px}, "
         f"{bottom_px}) px. It alone was searched, and the scale is that of its pixels; margins, "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -12,9 +14,12 @@ from research.scenes.captions import Captioned, caption, program
 from research.scenes.lettering import own_fonts
 from research.scenes.pages import PAGES
 from vehanchor import estimate_gsd
+from vehanchor.analysis.image_doubts import with_image_doubts
+from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.photograph import PartRaster, find_photograph
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
+from vehanchor.options.pixel_grid import PixelGrid
 
 Picture = NDArray[np.uint8]
 
@@ -93,3 +98,21 @@ def test_a_page_has_the_scale_of_its_photograph(scene: Picture) -> None:
     assert page.gsd_m_per_px == bare.gsd_m_per_px
     assert page.confidence == bare.confidence
     assert "part_searched" in [warning.code for warning in page.warnings]
+
+
+def test_a_given_focal_length_is_that_of_the_photograph_on_a_page(scene: Picture) -> None:
+    height: dict[str, Any] = {"height_m": 80, "height_basis": "measured", "focal_35mm": 50}
+    bare = estimate_gsd(scene, rulers=["height"], **height)
+    page = estimate_gsd(_on_page(scene, 40, 61), rulers=["height"], **height)
+    assert page.gsd_m_per_px == pytest.approx(bare.gsd_m_per_px, rel=0.01)
+    # What looks like a margin may be plain ground.
+    assert bare.status == "ok"
+    assert page.status == "low_confidence"
+
+
+def test_the_place_of_a_photograph_is_stated_in_pixels_of_the_file(scene: Picture) -> None:
+    with open_raster(scene) as raster:
+        facts = image_facts(raster)._replace(file_grid=PixelGrid(150, 240, aspect=0.5))
+        part = PartRaster(raster, Window(20, 30, width_px=200, height_px=180))
+        facts = with_image_doubts(facts, part, metadata=True, check_seams=False)
+    assert "from (10, 30) to (110, 210) px" in facts.notices[0].message
