@@ -285,7 +285,14 @@ def conclude(
 
         record = _with_remedies(record, expected_gains(view, distinct, decided, decide))
     shown = NOT_SEARCHED if vehicles is None else view.detections
-    return ScaleAnalysis(record, measured, shown, answer=decided, grid=view.image.grid)
+    return ScaleAnalysis(
+        record,
+        measured,
+        shown,
+        answer=decided,
+        part=view.image.part,
+        grid=view.image.grid,
+    )
 
 
 def _with_remedies(record: GsdEstimate, remedies: tuple[ExpectedGain, ...]) -> GsdEstimate:

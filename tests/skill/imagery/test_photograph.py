@@ -13,7 +13,7 @@ from research.scenes import render_scene
 from research.scenes.captions import Captioned, caption, program
 from research.scenes.lettering import own_fonts
 from research.scenes.pages import PAGES
-from vehanchor import estimate_gsd
+from vehanchor import estimate_gsd, measure_areas, measure_distance
 from vehanchor.analysis.image_doubts import with_image_doubts
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.photograph import PartRaster, find_photograph
@@ -116,3 +116,17 @@ def test_the_place_of_a_photograph_is_stated_in_pixels_of_the_file(scene: Pictur
         part = PartRaster(raster, Window(20, 30, width_px=200, height_px=180))
         facts = with_image_doubts(facts, part, metadata=True, check_seams=False)
     assert "from (10, 30) to (110, 210) px" in facts.notices[0].message
+
+
+def test_what_is_beside_the_photograph_is_not_measured_with_its_scale(scene: Picture) -> None:
+    page = _on_page(scene, 40, 61)
+    inside = [(60, 100), (120, 100), (120, 160), (60, 160)]
+    beside = [(350, 100), (390, 100), (390, 140), (350, 140)]
+    in_photograph, on_paper = measure_areas(page, [inside, beside], must_fit={"diameter_m": 1})
+    line = measure_distance(page, beside[:2])
+    assert in_photograph.status == "ok"
+    for measured in (on_paper, line):
+        assert measured.status == "low_confidence"
+        assert measured.warnings[-1].code == "beside_photograph"
+    assert on_paper.fit is not None
+    assert on_paper.fit.fit_probability == 0.0
