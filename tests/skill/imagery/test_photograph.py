@@ -16,7 +16,7 @@ from research.scenes.pages import PAGES
 from vehanchor import estimate_gsd, measure_areas, measure_distance
 from vehanchor.analysis.image_doubts import with_image_doubts
 from vehanchor.imagery.facts import image_facts
-from vehanchor.imagery.photograph import PartRaster, find_photograph
+from vehanchor.imagery.photograph import PartRaster, find_photographs
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.pixel_grid import PixelGrid
@@ -32,7 +32,7 @@ def scene() -> Picture:
 def _place(picture: Picture) -> tuple[int, int, int, int]:
     """Find left, top, width and height of the photograph in a picture."""
     with open_raster(picture) as raster:
-        part = find_photograph(raster)
+        part = find_photographs(raster)[0]
         return (*part.origin_px, part.width_px, part.height_px)
 
 
@@ -64,11 +64,15 @@ def test_a_photograph_alone_is_searched_whole(scene: Picture) -> None:
     assert _place(scene) == (0, 0, 300, 240)
 
 
-def test_a_page_with_two_photographs_is_searched_whole(scene: Picture) -> None:
-    page = np.full((600, 400, 3), 255, np.uint8)
+def test_two_photographs_on_a_page_have_no_common_scale(scene: Picture) -> None:
+    page = np.full((620, 400, 3), 255, np.uint8)
     page[20:260, 50:350] = scene
-    page[300:540, 50:350] = scene[::-1]
-    assert _place(page) == (0, 0, 400, 600)
+    reduced = cv2.resize(scene, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA)
+    page[300:492, 50:290] = reduced
+    record = estimate_gsd(page)
+    assert record.status != "ok"
+    [several] = [notice for notice in record.warnings if notice.code == "several_pictures"]
+    assert "(50, 20), (50, 300) px" in several.message
 
 
 @pytest.mark.parametrize("kind", ["page", "chart", "map", "window"])
