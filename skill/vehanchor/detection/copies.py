@@ -225,7 +225,8 @@ def without_copies(raster: Raster, detections: Detections) -> Detections:
     distinct_vehicles = detections.take(~is_copy)
     # Copies with other brightness, direction or size.
     boxes = [picture.box for picture in pictures]
-    is_altered = altered_copies(boxes, [picture.square for picture in pictures])
+    squares = [picture.square for picture in pictures]
+    is_altered = altered_copies(boxes, squares, n_exact=int(is_copy.sum()))
     is_copy[places] = is_altered
     if not is_copy.any():
         return detections

@@ -99,6 +99,16 @@ def test_the_doubt_about_equal_things_sees_similar_copies() -> None:
     assert len(found.with_copies.boxes) == 5
 
 
+def test_copies_are_copies_though_their_boxes_differ_by_a_fourth() -> None:
+    copies = [_altered(_car(1), 1 - 0.06 * k, 3.0 * k, 1.5 * k) for k in range(5)]
+    assert _n_distinct(copies, longer=(0.0, 0.25, -0.2, 0.2, -0.15)) == 1
+
+
+def test_other_cars_beside_copies_are_other_cars() -> None:
+    copies = [_altered(_car(1), 1 - 0.06 * k, 3.0 * k, 1.5 * k) for k in range(5)]
+    assert _n_distinct([*copies, _car(2), _car(3)]) == 3
+
+
 def test_two_cars_of_one_model_among_others_are_two_cars() -> None:
     twin = _altered(_car(1), 0.8, 20.0, 2.0)
     assert _n_distinct([_car(1), twin, *(_car(seed) for seed in range(2, 7))]) == 7
