@@ -46,6 +46,7 @@ _IN_WORDS: Mapping[Remedy, str] = {
 _MASK_DOUBTS = frozenset(
     {NoticeCode.MASK_SCORE_LOW, NoticeCode.MASK_DEPENDS_ON_BOX, NoticeCode.EXTENT_UNKNOWN}
 )
+_ON_BESIDE = "measure inside the photograph, or give the other picture alone"
 _ON_STATED = "leave out gsd_m_per_px, and draw a line over something named (known_lengths)"
 _ON_CHOICES = "give a tight box drawn by eye around the object that you mean"
 _ON_MASK = "look at it with view_image, and give a tight box, or its outline (polygon), by eye"
@@ -59,6 +60,9 @@ def advice_on(record: BaseModel) -> str:
     """State what would make a record usable; empty for a usable one."""
     if getattr(record, "status", "ok") == "ok":
         return ""
+    notices = getattr(record, "warnings", ())
+    if any(notice.code == NoticeCode.BESIDE_PHOTOGRAPH for notice in notices):
+        return _ON_BESIDE
     estimate = record if isinstance(record, GsdEstimate) else getattr(record, "estimate", None)
     advice = advice_for(estimate)
     if advice is not None:

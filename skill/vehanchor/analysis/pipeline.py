@@ -69,7 +69,6 @@ if TYPE_CHECKING:
 
     from vehanchor.detection.detector import Detector
     from vehanchor.detection.scene_scale import SceneScalePrior
-    from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
     from vehanchor.imagery.sources.opening import ImageSource
     from vehanchor.options import Frame, ScaleOptions
@@ -145,7 +144,7 @@ def search_raster(
     facts = image_facts(raster)
     # An image with the horizon is refused before the work.
     tilt = metadata_tilt(facts, options)
-    photographs = _photographs_in(raster, facts)
+    photographs = find_photographs(raster)
     # Several photographs are searched with all that is between them, and doubted.
     photograph = photographs[0] if len(photographs) == 1 else raster
     facts = with_image_doubts(
@@ -194,13 +193,6 @@ def search_raster(
         length_over_width=detector.card.errors.boxes.length_over_width,
     )
     return with_detections(view, raster, detections)
-
-
-def _photographs_in(raster: Raster, facts: ImageFacts) -> list[Raster]:
-    """Find the photographs in a picture; one of a camera, or a map, is a photograph as it is."""
-    if facts.camera is not None or facts.georeference_gsd_m_per_px is not None:
-        return [raster]
-    return find_photographs(raster)
 
 
 def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleAnalysis:

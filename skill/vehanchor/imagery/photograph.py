@@ -98,6 +98,8 @@ class PartRaster(Raster):
 def find_photographs(raster: Raster) -> list[Raster]:
     """Find the photographs in a picture that has plain margins, panels or text beside them.
 
+    The file of a camera, and a map, is a photograph as it is.
+
     Args:
         raster: the picture.
 
@@ -105,7 +107,8 @@ def find_photographs(raster: Raster) -> list[Raster]:
         The parts that are photographs, the largest first; the picture itself if it is a photograph
         without anything beside it, if it shows none, and if it is read by windows.
     """
-    if not raster.in_memory:
+    is_map = raster.georeference_gsd_m_per_px is not None
+    if raster.camera is not None or is_map or not raster.in_memory:
         return [raster]
     small = read_small_grey(raster, _SIDE_PX)
     if small is None:

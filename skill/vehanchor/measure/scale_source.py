@@ -12,6 +12,8 @@ from vehanchor.errors import InvalidParameterError, ScaleMismatchError, TooObliq
 from vehanchor.imagery.facts import ImageFacts
 from vehanchor.imagery.identity import image_id
 from vehanchor.imagery.metadata.lens import lens
+from vehanchor.imagery.photograph import find_photographs
+from vehanchor.imagery.raster import Window
 from vehanchor.options.rulers import GSD_M_PER_PX, OBJECT_HEIGHT_M, StatedScale
 from vehanchor.records import KnownScale, Notice
 from vehanchor.records.gsd_estimate import read_known_scale
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.imagery.raster import Raster, Window
+    from vehanchor.imagery.raster import Raster
     from vehanchor.options import ScaleOptions
     from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.records import GsdEstimate, ScaleSource, Status
@@ -72,6 +74,7 @@ class MeasurementScale:
             back, and the preset ``paper``.
         file_gsd_m_per_px: the file's own scale, whether used or not; None without one.
         n_compared: vehicles that the file's own scale was compared with; None without a comparison.
+        part: the photograph for which an estimate holds; None if all of the picture is one.
     """
 
     gsd_m_per_px: float | None
@@ -85,6 +88,7 @@ class MeasurementScale:
     posterior: Density | None = None
     file_gsd_m_per_px: float | None = None
     n_compared: int | None = None
+    part: Window | None = None
 
     def gsd_over(self, mask: Mask, left: int, top: int) -> float | None:
         """Compute metres per pixel over a mask: the square root of the mean area of its pixels.
@@ -127,11 +131,6 @@ class MeasurementScale:
             "scale": self.known,
             "estimate": estimate,
         }
-
-    @property
-    def part(self) -> Window | None:
-        """The photograph in its picture; None if all of the picture is one, or without a search."""
-        return None if self.analysis is None else self.analysis.part
 
     @property
     def status(self) -> Status:
@@ -351,6 +350,7 @@ def _estimate_scale(raster: Raster, analysis: ScaleAnalysis) -> MeasurementScale
         plane=_ground_plane(raster, record.scale),
         known=record.scale,
         posterior=None if analysis.answer is None else analysis.answer.posterior,
+        part=analysis.part,
     )
 
 
@@ -368,8 +368,19 @@ def _reuse_scale(raster: Raster, known: KnownScale, options: ScaleOptions) -> Me
         source="reused",
         plane=_ground_plane(raster, known),
         known=known,
+        part=_only_photograph(raster),
     )
     return _with_metadata(raster, options, scale, "the scale given back is")
+
+
+def _only_photograph(raster: Raster) -> Window | None:
+    """Find the photograph in a picture; None if all of the picture is one, or it shows several."""
+    photographs = find_photographs(raster)
+    first = photographs[0]
+    if len(photographs) > 1 or first is raster:
+        return None
+    left_px, top_px = first.origin_px
+    return Window(left_px, top_px, width_px=first.width_px, height_px=first.height_px)
 
 
 def _spread(scale: KnownScale | GsdEstimate) -> Spread:

@@ -194,9 +194,9 @@ class AreaMeasurement(Record):
 
     status: Annotated[Status, Short()] = Field(
         description="ok: scale and mask are usable. low_confidence: the scale is not usable, the "
-        "score of the mask is below the model's limit, the mask depends on the box too much, or "
-        "there is no mask. no_scale: there is no "
-        "scale, so sizes are in pixels only."
+        "score of the mask is below the model's limit, the mask depends on the box too much, "
+        "the object lies beside the photograph in a page, or there is no mask. no_scale: there is "
+        "no scale, so sizes are in pixels only."
     )
     area_m2: Annotated[float | None, Short(when_null=True)] = Field(
         description="mask_area_px, or polygon_area_px, times GSD squared, square metres, summed "
@@ -297,8 +297,9 @@ class DistanceMeasurement(Record):
     """Length of a line on the ground: its pixels times the scale."""
 
     status: Annotated[Status, Short()] = Field(
-        description="ok: the scale is usable. low_confidence: the scale is not usable. no_scale: "
-        "there is no scale, so the length is in pixels only."
+        description="ok: the scale is usable. low_confidence: the scale is not usable, or "
+        "the line leaves the photograph in a page. no_scale: there is no scale, so the length is "
+        "in pixels only."
     )
     distance_m: Annotated[float | None, Short(when_null=True)] = Field(
         description="length_px times GSD, metres, along the ground plane for a tilted camera; null "

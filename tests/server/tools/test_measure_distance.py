@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcp import Client
 from mcp.server import MCPServer
@@ -191,3 +192,14 @@ async def test_places_mean_the_same_in_every_kind_of_coordinates(
             **MEASURED,
         )
         assert record_of(result)["distance_m"] == pytest.approx(whole["distance_m"])
+
+
+async def test_a_line_beside_the_photograph_of_a_page_is_told_where_to_go(
+    server: MCPServer[object], images: Path
+) -> None:
+    page = np.full((640, 1000, 3), 255, np.uint8)
+    page[64:576, 40:680] = paint_scene(640, 512)
+    write_image(images / "beside.png", page)
+    line = {"points": [{"x": 750, "y": 100}, {"x": 950, "y": 100}]}
+    text = text_of(await called(server, "measure_distance", images / "beside.png", lines=[line]))
+    assert "do not rely on it; measure inside the photograph" in text

@@ -127,9 +127,10 @@ def test_what_is_beside_the_photograph_is_not_measured_with_its_scale(scene: Pic
     inside = [(60, 100), (120, 100), (120, 160), (60, 160)]
     beside = [(350, 100), (390, 100), (390, 140), (350, 140)]
     in_photograph, on_paper = measure_areas(page, [inside, beside], must_fit={"diameter_m": 1})
+    given_back = measure_distance(page, beside[:2], scale=in_photograph.scale)
     line = measure_distance(page, beside[:2])
     assert in_photograph.status == "ok"
-    for measured in (on_paper, line):
+    for measured in (on_paper, line, given_back):
         assert measured.status == "low_confidence"
         assert measured.warnings[-1].code == "beside_photograph"
     assert on_paper.fit is not None
