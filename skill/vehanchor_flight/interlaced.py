@@ -26,6 +26,10 @@ _MAX_SET_BYTES = 4096
 # Bits of the longest number that a parameter set may have.
 _MAX_NUMBER_BITS = 32
 _FRAMES = 12
+# A lossless codec that writes equal frames with different bytes.
+_ADAPTIVE_CODECS = frozenset(
+    {int(cv2.VideoWriter.fourcc(*"FFV1")), int(cv2.VideoWriter.fourcc(*"ffv1"))}
+)
 # Least bytes of a coded frame that changes the picture before it. Frames in which nothing moves
 # have some hundreds, or, if each is coded by itself, are equal. A choice.
 _LEAST_CONTENT_BYTES = 1024
@@ -54,6 +58,8 @@ def returns_no_frames(film: cv2.VideoCapture, raw_film: cv2.VideoCapture) -> boo
         return False
     if _allows_interlaced(_extra_data(raw_film)):
         return True
+    if int(film.get(cv2.CAP_PROP_FOURCC)) in _ADAPTIVE_CODECS:
+        return False
     return _have_content(_packets(raw_film))
 
 

@@ -62,11 +62,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if name == "P2":
             objects.append(("tennis-court", box_mask(np.s_[320:416, 400:480])))
             objects.append(("swimming-pool", box_mask(np.s_[380:390, 300:340])))
-        for category, mask in objects:
-            if category == "swimming-pool":
-                # A coping softens the edge; those of an inset are abrupt.
-                image[cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0] = (55, 105, 140)
+        for _, mask in objects:
             image[mask] = (40, 140, 210)
+            # A lens softens edges; those of an inset are abrupt.
+            edge = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((9, 9)))
+            soft = cv2.GaussianBlur(image, (0, 0), 2)
+            image[edge > 0] = soft[edge > 0]
         if name != "P3":
             paint_vehicles(image, CARS)
         cv2.imwrite(str(masks / f"{name}.png"), image[:, :, ::-1])

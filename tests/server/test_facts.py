@@ -83,11 +83,11 @@ CASES = {
         "cars.png",
         {"reference_length_m": 7.0, **_lines([(100, 500, 400, 500, 70)], "assumed")},
         status="low_confidence",
-        gsd_m_per_px=0.226,
+        gsd_m_per_px=0.217,
         surfaces=_UNNAMED,
     ),
     "a line and a height with one mistake": Case(
-        "cars.png", _lines([LINE]) | _WRONG_HEIGHT, "low_confidence", 0.174, "rulers_disagree"
+        "cars.png", _lines([LINE]) | _WRONG_HEIGHT, "low_confidence", 0.162, "rulers_disagree"
     ),
     "guesses alone": Case("empty.png", _lines(_GUESSES, "assumed"), "low_confidence", 0.154),
     "the file's scale as a guessed line": Case(

@@ -18,6 +18,8 @@ from vehanchor.records.notices import NoticeCode
 from vehanchor.scale.defaults import PROBABLY_RIGHT
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from vehanchor.detection.detections import Detections
     from vehanchor.imagery.facts import ImageFacts
     from vehanchor.imagery.raster import Raster
@@ -26,7 +28,12 @@ if TYPE_CHECKING:
 
 
 def with_image_doubts(
-    facts: ImageFacts, raster: Raster, *, metadata: bool, check_seams: bool
+    facts: ImageFacts,
+    raster: Raster,
+    *,
+    metadata: bool,
+    check_seams: bool,
+    beside_each_other: Sequence[Raster] = (),
 ) -> ImageFacts:
     """Add to the facts of an image the doubts that it is one perspective view.
 
@@ -37,11 +44,14 @@ def with_image_doubts(
         raster: the same image, or the part of it that is a photograph, open.
         metadata: whether the metadata may be used.
         check_seams: whether to look for seams between pictures, and for the horizon.
+        beside_each_other: parts of the image that are photographs; empty unless there are several.
     """
     notes = []
     left_px, top_px = raster.origin_px
     if (raster.width_px, raster.height_px) != (facts.width_px, facts.height_px):
-        notes.append(RasterNote(NoticeCode.PART_SEARCHED.value, _part_searched(raster)))
+        part = Window(left_px, top_px, width_px=raster.width_px, height_px=raster.height_px)
+        facts = facts._replace(part=part)
+        notes.append(RasterNote(NoticeCode.PART_SEARCHED.value, _part_searched(facts)))
     camera = facts.camera if metadata else None
     # A map is often assembled from pictures of one scale.
     is_map = facts.georeference_gsd_m_per_px is not None
@@ -50,9 +60,8 @@ def with_image_doubts(
     elif check_seams and not is_map and is_sphere(raster):
         notes.append(_not_perspective("The image shows all directions, by its borders"))
     if check_seams and not is_map:
-        seam = find_seam(raster)
-        if seam is not None and not _is_beside_drawing(raster, seam):
-            message = _several_pictures(seam.moved(left_px, top_px))
+        message = _several_pictures(facts, raster, beside_each_other)
+        if message:
             notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES.value, message))
         horizon_px = find_horizon(raster)
         if horizon_px is not None:
@@ -131,11 +140,16 @@ def _not_perspective(cause: str) -> RasterNote:
     return RasterNote(NoticeCode.NOT_PERSPECTIVE.value, message)
 
 
-def _part_searched(part: Raster) -> str:
+def _part_searched(facts: ImageFacts) -> str:
     """Say where the photograph is in a picture that shows other things beside it."""
-    left_px, top_px = part.origin_px
-    right_px = left_px + part.width_px
-    bottom_px = top_px + part.height_px
+    part = facts.part
+    assert part is not None
+    in_square = [
+        (part.x_px, part.y_px),
+        (part.x_px + part.width_px, part.y_px + part.height_px),
+    ]
+    in_file = facts.grid.to_file(in_square).round().astype(int)
+    (left_px, top_px), (right_px, bottom_px) = in_file.tolist()
     return (
         f"The photograph in this picture lies from ({left_px}, {top_px}) to ({right_px}, "
         f"{bottom_px}) px. It alone was searched, and the scale is that of its pixels; margins, "
@@ -151,15 +165,35 @@ def _horizon_visible(row_px: int) -> str:
     )
 
 
-def _several_pictures(seam: Seam) -> str:
-    """Warn of a seam, and say where it is."""
-    if seam.y_px is None:
-        place = f"a straight seam at x = {seam.x_px} px crosses it"
-    elif seam.x_px is None:
-        place = f"a straight seam at y = {seam.y_px} px crosses it"
+def _several_pictures(
+    facts: ImageFacts, raster: Raster, beside_each_other: Sequence[Raster]
+) -> str:
+    """Warn of several pictures, and say where they meet; empty for one picture.
+
+    Args:
+        facts: facts of the image.
+        raster: the image, or the part of it that is a photograph.
+        beside_each_other: as in ``with_image_doubts``.
+    """
+    if beside_each_other:
+        corners = facts.grid.to_file([part.origin_px for part in beside_each_other])
+        places = [f"({x:.0f}, {y:.0f})" for x, y in corners.tolist()]
+        place = f"photographs begin at {', '.join(places)} px"
     else:
-        place = f"an inset has a corner at ({seam.x_px}, {seam.y_px}) px"
+        seam = find_seam(raster)
+        if seam is None or _is_beside_drawing(raster, seam):
+            return ""
+        place = _place_of_seam(seam.moved(*raster.origin_px))
     return (
         f"The image seems to consist of several pictures: {place}. Their scales may differ. Give "
         "each picture alone."
     )
+
+
+def _place_of_seam(seam: Seam) -> str:
+    """Say where a seam is."""
+    if seam.y_px is None:
+        return f"a straight seam at x = {seam.x_px} px crosses it"
+    if seam.x_px is None:
+        return f"a straight seam at y = {seam.y_px} px crosses it"
+    return f"an inset has a corner at ({seam.x_px}, {seam.y_px}) px"

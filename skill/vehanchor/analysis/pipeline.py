@@ -26,7 +26,7 @@ from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
 from vehanchor.imagery.lettering import paint_over_lettering
-from vehanchor.imagery.photograph import find_photograph
+from vehanchor.imagery.photograph import find_photographs
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.records import (
@@ -145,9 +145,15 @@ def search_raster(
     facts = image_facts(raster)
     # An image with the horizon is refused before the work.
     tilt = metadata_tilt(facts, options)
-    photograph = _photograph_in(raster, facts)
+    photographs = _photographs_in(raster, facts)
+    # Several photographs are searched with all that is between them, and doubted.
+    photograph = photographs[0] if len(photographs) == 1 else raster
     facts = with_image_doubts(
-        facts, photograph, metadata=options.rulers.metadata, check_seams=check_stretch
+        facts,
+        photograph,
+        metadata=options.rulers.metadata,
+        check_seams=check_stretch,
+        beside_each_other=() if len(photographs) == 1 else photographs,
     )
     uses_prior = any(ruler.kind == SceneScale.kind for ruler in rulers)
     if prior is None and uses_prior:
@@ -190,11 +196,11 @@ def search_raster(
     return with_detections(view, raster, detections)
 
 
-def _photograph_in(raster: Raster, facts: ImageFacts) -> Raster:
-    """Find the photograph in a picture; a photograph of a camera, or a map, is one as it is."""
+def _photographs_in(raster: Raster, facts: ImageFacts) -> list[Raster]:
+    """Find the photographs in a picture; one of a camera, or a map, is a photograph as it is."""
     if facts.camera is not None or facts.georeference_gsd_m_per_px is not None:
-        return raster
-    return find_photograph(raster)
+        return [raster]
+    return find_photographs(raster)
 
 
 def analyse_view(view: View, earlier: Sequence[Witness] | None = None) -> ScaleAnalysis:
@@ -285,7 +291,14 @@ def conclude(
 
         record = _with_remedies(record, expected_gains(view, distinct, decided, decide))
     shown = NOT_SEARCHED if vehicles is None else view.detections
-    return ScaleAnalysis(record, measured, shown, answer=decided, grid=view.image.grid)
+    return ScaleAnalysis(
+        record,
+        measured,
+        shown,
+        answer=decided,
+        part=view.image.part,
+        grid=view.image.grid,
+    )
 
 
 def _with_remedies(record: GsdEstimate, remedies: tuple[ExpectedGain, ...]) -> GsdEstimate:

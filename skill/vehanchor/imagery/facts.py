@@ -9,7 +9,7 @@ from vehanchor.options.pixel_grid import PixelGrid
 
 if TYPE_CHECKING:
     from vehanchor.imagery.metadata.camera import CameraMetadata
-    from vehanchor.imagery.raster import Raster, RasterNote
+    from vehanchor.imagery.raster import Raster, RasterNote, Window
 
 
 class ImageFacts(NamedTuple):
@@ -24,6 +24,7 @@ class ImageFacts(NamedTuple):
         image_id: checksum of the image; empty if unknown.
         file_grid: pixels of the file; None if they are square.
         density_aspect: height of a pixel over its width by the density in the header, a hint.
+        part: the part that is a photograph, in square pixels; None if the image is one as it is.
     """
 
     width_px: int
@@ -34,6 +35,14 @@ class ImageFacts(NamedTuple):
     image_id: str = ""
     file_grid: PixelGrid | None = None
     density_aspect: float = 1.0
+    part: Window | None = None
+
+    @property
+    def photograph_size_px(self) -> tuple[int, int]:
+        """Columns and rows of the photograph, in square pixels."""
+        if self.part is None:
+            return self.width_px, self.height_px
+        return self.part.width_px, self.part.height_px
 
     @property
     def grid(self) -> PixelGrid:

@@ -56,7 +56,7 @@ _MAX_FLAT_SHARE = 0.45
 _MAX_PANEL_SHARE = 0.4
 _MAX_DRAWING_CHANCE = 0.1
 _FLAT_LEVELS = 2
-# Area of a further photograph, over that of the largest, from which none is the picture's.
+# Area of a further photograph, over that of the largest, from which it counts.
 _SECOND_AREA = 0.1
 # Least share of pixels with equal neighbours beside the photograph. Beside the parts that are cut
 # from photographs of water it is at most 0.22, beside those of 60 pages, slides and programs at
@@ -95,26 +95,26 @@ class PartRaster(Raster):
         raise NotImplementedError
 
 
-def find_photograph(raster: Raster) -> Raster:
-    """Find the photograph in a picture that has plain margins, panels or text beside it.
+def find_photographs(raster: Raster) -> list[Raster]:
+    """Find the photographs in a picture that has plain margins, panels or text beside them.
 
     Args:
         raster: the picture.
 
     Returns:
-        The part that is the photograph; the picture itself if it is a photograph without anything
-        beside it, if it shows several photographs or none, and if it is read by windows.
+        The parts that are photographs, the largest first; the picture itself if it is a photograph
+        without anything beside it, if it shows none, and if it is read by windows.
     """
     if not raster.in_memory:
-        return raster
+        return [raster]
     small = read_small_grey(raster, _SIDE_PX)
     if small is None:
-        return raster
+        return [raster]
     grey, factor = small
     equal = _equal_to_neighbours(grey)
     is_panel = _in_panel_colours(grey, equal)
     if is_panel is None:
-        return raster
+        return [raster]
     whole = _Piece(0, 0, right=grey.shape[1], bottom=grey.shape[0])
     pieces = sorted(_cut(is_panel, whole), key=_area, reverse=True)
     photographs: list[_Piece] = []
@@ -128,13 +128,14 @@ def find_photograph(raster: Raster) -> Raster:
         part = PartRaster(raster, _window(piece, factor))
         if measure_drawing_chance(part) <= _MAX_DRAWING_CHANCE:
             photographs.append(piece)
-    if len(photographs) != 1 or photographs[0] == whole:
-        return raster
-    piece = _without_frame(grey, photographs[0])
-    n_beside = grey.size - _area(piece)
-    if equal.sum() - piece.of(equal).sum() < _MIN_EQUAL_BESIDE * n_beside:
-        return raster
-    return PartRaster(raster, _window(piece, factor))
+    if photographs in ([], [whole]):
+        return [raster]
+    framed = [_without_frame(grey, piece) for piece in photographs]
+    n_beside = grey.size - sum(_area(piece) for piece in framed)
+    n_equal_beside = equal.sum() - sum(piece.of(equal).sum() for piece in framed)
+    if n_equal_beside < _MIN_EQUAL_BESIDE * n_beside:
+        return [raster]
+    return [PartRaster(raster, _window(piece, factor)) for piece in framed]
 
 
 class _Piece(NamedTuple):

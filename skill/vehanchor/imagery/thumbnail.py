@@ -41,8 +41,10 @@ _MAX_SIDE_PX = 640
 _MIN_SIDE_PX = 48
 # The image is reduced to this, above the size of thumbnails.
 _SMALL_SIDE_PX = 1024
-# Grey value up to which rows and columns at the border of a thumbnail are bars around the picture.
+# Grey levels from black or white within which rows and columns at the border of a thumbnail are
+# bars around the picture.
 _MAX_BAR = 24
+_WHITE = 255
 # Correlation with the thumbnail. A whole photograph has more than the first; a crop has less, and
 # more than the second with a part. Choices: whole photographs have 0.9 and more.
 _MAX_OF_CROP = 0.5
@@ -84,18 +86,19 @@ def with_crop_by_thumbnail(
 def is_crop(picture: Grey, thumbnail: Grey) -> bool:
     """Test whether a picture shows a part of what its thumbnail shows.
 
-    A picture that does not resemble its thumbnail was edited or turned, which proves nothing.
+    A picture that does not resemble its thumbnail may have been edited, which proves nothing.
 
     Args:
         picture: ``[h, w]``, larger than the thumbnail.
         thumbnail: ``[h, w]``, upright.
     """
-    thumbnail = _without_bars(thumbnail)
-    if min(thumbnail.shape) < _MIN_SIDE_PX:
+    # Bars, and a dark sea or snow at the border of a photograph, look alike.
+    without_bars = _without_bars(thumbnail)
+    if min(without_bars.shape) < _MIN_SIDE_PX:
         return False
-    whole = cv2.resize(picture, thumbnail.shape[::-1], interpolation=cv2.INTER_AREA)
-    if _correlation(thumbnail, np.asarray(whole, np.uint8)) >= _MAX_OF_CROP:
+    if _shows_whole(thumbnail, picture) or _shows_whole(without_bars, picture):
         return False
+    thumbnail = without_bars
     height, width = picture.shape
     # The largest size at which the picture fits into the thumbnail.
     fitting = min(thumbnail.shape[0] / height, thumbnail.shape[1] / width)
@@ -109,6 +112,17 @@ def is_crop(picture: Grey, thumbnail: Grey) -> bool:
     return False
 
 
+def _shows_whole(thumbnail: Grey, picture: Grey) -> bool:
+    """Test whether a thumbnail resembles the whole picture, however that was turned or mirrored."""
+    for side in (thumbnail, thumbnail[:, ::-1]):
+        for quarters in range(4):
+            turned = np.ascontiguousarray(np.rot90(side, quarters))
+            whole = cv2.resize(picture, turned.shape[::-1], interpolation=cv2.INTER_AREA)
+            if _correlation(turned, np.asarray(whole, np.uint8)) >= _MAX_OF_CROP:
+                return True
+    return False
+
+
 def _correlation(thumbnail: Grey, part: Grey) -> float:
     """Correlate a part with the thumbnail at the best place; 0 for a part without texture."""
     if min(part.shape) < 2 or part.min() == part.max():
@@ -117,13 +131,15 @@ def _correlation(thumbnail: Grey, part: Grey) -> float:
 
 
 def _without_bars(thumbnail: Grey) -> Grey:
-    """Cut off black bars, which fill a thumbnail that has other proportions than its picture."""
-    is_picture = thumbnail > _MAX_BAR
-    rows = np.flatnonzero(is_picture.any(axis=1))
-    columns = np.flatnonzero(is_picture.any(axis=0))
-    if not len(rows):
-        return thumbnail
-    return thumbnail[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    """Cut off black or white bars, which fill a thumbnail of other proportions than its picture."""
+    for is_picture in (thumbnail > _MAX_BAR, thumbnail < _WHITE - _MAX_BAR):
+        rows = np.flatnonzero(is_picture.any(axis=1))
+        columns = np.flatnonzero(is_picture.any(axis=0))
+        if not len(rows):
+            return thumbnail
+        if len(rows) < len(is_picture) or len(columns) < is_picture.shape[1]:
+            return thumbnail[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return thumbnail
 
 
 def _thumbnail(read_at: ReadAt, header: ImageHeader) -> Grey | None:

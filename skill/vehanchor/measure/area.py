@@ -14,6 +14,7 @@ import numpy as np
 from vehanchor.analysis.measurement_analysis import AreaAnalysis
 from vehanchor.errors import PromptError
 from vehanchor.imagery.limits import check_mask_bytes
+from vehanchor.measure.beside import BESIDE_PHOTOGRAPH, is_object_beside
 from vehanchor.measure.fit import find_fit
 from vehanchor.measure.placed_shape import check_edge, place_shape
 from vehanchor.measure.scale_source import find_measurement_scale
@@ -319,7 +320,11 @@ def _measure_object(
     if scale.estimate is not None:
         mode_length_px = scale.estimate.mode_length_px
     status = scale.status
-    if status == "ok" and measured.is_doubtful:
+    is_beside = is_object_beside(pixels, scale.part)
+    notices = (*scale.notices, *measured.notices)
+    if is_beside:
+        notices = (*notices, BESIDE_PHOTOGRAPH)
+    if status == "ok" and (measured.is_doubtful or is_beside):
         status = "low_confidence"
     box = _box(pixels, raster.grid)
     alternatives = [_other_object(other, scale, raster.grid) for other in measured.alternatives]
@@ -333,7 +338,7 @@ def _measure_object(
             parts=measured.parts,
             edge_sd_px=measured.edge_sd_px,
             width_log_sd=measured.width_log_sd,
-            at_most=measured.score if measured.is_doubtful else None,
+            at_most=_most_probability(measured, is_beside=is_beside),
         )
         fit = _fit_in_file(fit, raster.grid)
     return AreaMeasurement(
@@ -359,9 +364,16 @@ def _measure_object(
         frame=_frame_area(options.frame, raster.grid, gsd=scale.gsd_m_per_px, box=box, fit=fit),
         segmenter=None if card is None else card.name,
         segmenter_sha256=None if card is None else card.sha256,
-        warnings=(*scale.notices, *measured.notices),
+        warnings=notices,
         **scale.fields(raster.grid),
     )
+
+
+def _most_probability(measured: _Object, *, is_beside: bool) -> float | None:
+    """Bound the probability that something fits into a doubtful object; None for any other."""
+    if is_beside:
+        return 0.0
+    return measured.score if measured.is_doubtful else None
 
 
 class _Size(NamedTuple):

@@ -14,6 +14,7 @@ import numpy as np
 
 from vehanchor.analysis.measurement_analysis import DistanceAnalysis
 from vehanchor.errors import PromptError
+from vehanchor.measure.beside import BESIDE_PHOTOGRAPH, is_path_beside
 from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.options.reading import CoordinateFrame
@@ -166,13 +167,19 @@ def _measure_path(
         low, high = spread.around(distance)
     in_file = coordinates.grid.to_file(points).tolist()
     path = [ImagePoint(x_px=x, y_px=y) for x, y in in_file]
+    status = scale.status
+    notices = scale.notices
+    if is_path_beside(points, scale.part):
+        notices = (*notices, BESIDE_PHOTOGRAPH)
+        if status == "ok":
+            status = "low_confidence"
     return DistanceMeasurement(
-        status=scale.status,
+        status=status,
         distance_m=distance,
         distance_ci95_low_m=low,
         distance_ci95_high_m=high,
         length_px=length_px,
         path=tuple(path),
-        warnings=scale.notices,
+        warnings=notices,
         **scale.fields(coordinates.grid),
     )

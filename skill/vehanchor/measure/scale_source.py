@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from vehanchor.analysis.scale_analysis import ScaleAnalysis
     from vehanchor.imagery.metadata.lens import Lens
-    from vehanchor.imagery.raster import Raster
+    from vehanchor.imagery.raster import Raster, Window
     from vehanchor.options import ScaleOptions
     from vehanchor.options.pixel_grid import PixelGrid
     from vehanchor.records import GsdEstimate, ScaleSource, Status
@@ -127,6 +127,11 @@ class MeasurementScale:
             "scale": self.known,
             "estimate": estimate,
         }
+
+    @property
+    def part(self) -> Window | None:
+        """The photograph in its picture; None if all of the picture is one, or without a search."""
+        return None if self.analysis is None else self.analysis.part
 
     @property
     def status(self) -> Status:

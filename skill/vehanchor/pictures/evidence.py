@@ -50,12 +50,14 @@ class ScaleEvidence(Evidence):
         detections: all detected vehicles, in square pixels of the image: ``boxes`` and ``scores``,
             best first.
         answer: decision on the scale; None without a scale, and in the preset ``paper``.
+        part: the part that is a photograph, in square pixels; None if the image is one as it is.
     """
 
     estimate: GsdEstimate
     witnesses: tuple[Witness, ...]
     detections: Detections
     answer: Answer | None = None
+    part: Window | None = None
 
     @property
     def vehicles(self) -> VehicleWitness | None:

@@ -20,6 +20,7 @@ class NoticeCode(StrEnum):
     NOTHING_VISIBLE = "nothing_visible"
     NO_PHOTOGRAPH = "no_photograph"
     PART_SEARCHED = "part_searched"
+    BESIDE_PHOTOGRAPH = "beside_photograph"
     BANDS_SELECTED = "bands_selected"
     PAGES_UNUSED = "pages_unused"
     SIDECAR_UNUSED = "sidecar_unused"

@@ -204,7 +204,7 @@ def focal_length(image: ImageFacts, options: ScaleOptions) -> tuple[float, bool]
     optics = lens(image, camera, options.rulers.focal_35mm)
     if optics is not None:
         return optics.pixels, True
-    usual = equivalent_lens(image.width_px, image.height_px, _USUAL_FOCAL_35MM)
+    usual = equivalent_lens(*image.photograph_size_px, _USUAL_FOCAL_35MM)
     return usual.pixels, False
 
 

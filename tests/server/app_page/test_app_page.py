@@ -240,8 +240,8 @@ async def test_people_get_a_sentence_without_warnings_or_argument_names(
         "give other photographs of the same flight, with cars, or give the camera's height and "
         "focal length.",
         "cars": "Vehicles and known length contradict each other; check the facts that you gave, "
-        "or give other photographs of the same flight, with cars. Vehicles corrected by hand: 8 "
-        "dropped.",
+        "or measure one length, on the ground or on a map, or give the camera's height and focal "
+        "length. Vehicles corrected by hand: 8 dropped.",
     }
 
 

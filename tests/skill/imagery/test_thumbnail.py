@@ -77,5 +77,20 @@ def test_black_bars_in_a_thumbnail_belong_to_no_picture() -> None:
     assert _has_lens(GROUND, np.asarray(barred, np.uint8))
 
 
+def test_white_bars_in_a_thumbnail_belong_to_no_picture() -> None:
+    # Without fine structures, a part that is a little too large resembles its surroundings.
+    ground = np.asarray(cv2.GaussianBlur(GROUND, (0, 0), 30), np.uint8)
+    white = (255, 255, 255)
+    barred = cv2.copyMakeBorder(_small(ground), 30, 30, 0, 0, cv2.BORDER_CONSTANT, value=white)
+    assert _has_lens(ground, np.asarray(barred, np.uint8))
+
+
 def test_another_thumbnail_proves_nothing() -> None:
     assert _has_lens(GROUND, _small(GROUND[::-1, ::-1]))
+
+
+def test_a_photograph_turned_without_its_thumbnail_has_its_lens() -> None:
+    snow = np.full_like(GROUND, 200)
+    cv2.circle(snow, (265, 175), 20, (40, 40, 40), -1)  # a part of the thumbnail resembles it
+    turned = np.ascontiguousarray(snow[::-1, ::-1])
+    assert _has_lens(turned, _small(snow))

@@ -63,6 +63,13 @@ Some modes and the stabiliser use a part of the sensor, and the subtitles state 
 choice: such a lens alone makes no scale usable.
 """
 
+_PART_CHANCE_WRONG = 0.3
+"""Chance that a focal length is not that of the photograph that was found in a picture.
+
+Plain ground, such as snow, can be taken for a margin, and a page can show a part of a photograph. A
+choice: such a lens alone makes no scale usable.
+"""
+
 _MAX_CONTRADICTION = 0.15
 """Largest log ratio of two sources that describe one lens: three errors of two equivalents."""
 
@@ -182,7 +189,10 @@ def lens_without_zoom(
         None without a focal length, and for a crop.
     """
     if focal_35mm is not None:
-        return equivalent_lens(image.width_px, image.height_px, focal_35mm)
+        given = equivalent_lens(*image.photograph_size_px, focal_35mm)
+        if image.part is None:
+            return given
+        return given._replace(chance_wrong=_PART_CHANCE_WRONG)
     if camera is None:
         return None
     ratio = taken_ratio(image, camera)
