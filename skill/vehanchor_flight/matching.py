@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     Descriptors: TypeAlias = NDArray[np.uint8]
     """RootSIFT descriptors ``[n, 128]``."""
 
+    Products: TypeAlias = NDArray[np.float32]
+    """Products ``[n, m]`` of the descriptors of two photographs."""
+
 _MIN_INLIERS = 14
 _MIN_INLIER_SHARE = 0.12
 _MIN_FEATURES = 4 * _MIN_INLIERS  # Photographs with fewer may have no match. A choice.
@@ -100,6 +103,8 @@ def shifted(centre: Point, shift: Point) -> Match:
 def match(first: Features, second: Features) -> Match | None:
     """Find the similarity transform between two photographs.
 
+    Bands of one shot, such as near infrared or thermal ones, show bright what others show dark.
+
     Args:
         first: features of one.
         second: features of the other.
@@ -107,7 +112,27 @@ def match(first: Features, second: Features) -> Match | None:
     Returns:
         The match; None if too few points agree.
     """
-    pairs = _nearest(first.descriptors, second.descriptors)
+    products = _products(first.descriptors, second.descriptors)
+    matched = _match_nearest(first, second, products)
+    if matched is not None:
+        return matched
+    reversed_products = _products(first.descriptors, _of_negative(second.descriptors))
+    return _match_nearest(first, second, np.maximum(products, reversed_products))
+
+
+def _of_negative(descriptors: Descriptors) -> Descriptors:
+    """Compute the descriptors ``[n, 128]`` of the same points in the negative.
+
+    All gradients turn by half, and so does the direction of each point. Relative to it the
+    gradients stay, and the 4 by 4 cells are turned.
+    """
+    cells = descriptors.reshape(-1, 4, 4, 8)
+    return cells[:, ::-1, ::-1].reshape(descriptors.shape)
+
+
+def _match_nearest(first: Features, second: Features, products: Products) -> Match | None:
+    """Match two photographs by the products ``[n, m]`` of their descriptors."""
+    pairs = _nearest(products)
     if len(pairs) < _MIN_INLIERS:
         return None
     first_points = first.points[pairs[:, 0]]
@@ -149,23 +174,25 @@ def match(first: Features, second: Features) -> Match | None:
     )
 
 
-def _nearest(first: Descriptors, second: Descriptors) -> Matches:
+def _products(first: Descriptors, second: Descriptors) -> Products:
+    """Multiply the descriptors of two photographs, ``[n, m]``."""
+    return np.asarray(first.astype(np.float32) @ second.astype(np.float32).T)
+
+
+def _nearest(products: Products) -> Matches:
     """Find mutual best matches that pass the ratio test.
 
     Args:
-        first: ``[n, 128]`` descriptors of one photograph.
-        second: ``[m, 128]`` descriptors of the other.
+        products: ``[n, m]`` of the descriptors of two photographs.
 
     Returns:
         ``[k, 2]`` pairs of indices.
     """
-    if len(first) < 2 or len(second) < 2:
+    if min(products.shape) < 2:
         return np.zeros((0, 2), np.intp)
     # All descriptors have one length L, so that their squared distance is 2 (L^2 - product).
-    first_numbers = first.astype(np.float32)
-    second_numbers = second.astype(np.float32)
-    products = first_numbers @ second_numbers.T
-    rows = np.arange(len(first))
+    products = products.copy()
+    rows = np.arange(len(products))
     best = products.argmax(axis=1)
     best_of_second = products.argmax(axis=0)
     is_mutual = best_of_second[best] == rows

@@ -120,6 +120,14 @@ def test_a_match_gives_the_place_of_the_overlap(turn_deg: float, scale: float) -
     assert middle_of_first == pytest.approx(expected, abs=3)
 
 
+def test_bands_that_show_dark_what_others_show_bright_match() -> None:
+    seen = photograph_of(WORLD, 600, 600, turn_deg=0, scale=1.0)
+    moved = photograph_of(WORLD, 680, 560, turn_deg=35, scale=1.0)
+    matched = match(features_of(seen), features_of(255 - moved))
+    assert matched is not None
+    assert matched.log_ratio == pytest.approx(0, abs=0.02)
+
+
 def test_photographs_of_other_places_do_not_match(features: list[Features]) -> None:
     assert match(features[0], features[5]) is None
 
