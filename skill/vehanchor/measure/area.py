@@ -297,25 +297,11 @@ def _measure_object(
     length_px, width_px = measured.extents_px
     # None for an empty mask, too: it has no size, not a size of zero.
     gsd = scale.gsd_over(pixels.mask, pixels.window.x_px, pixels.window.y_px)
-    area = _NO_SIZE
-    diameter = _NO_SIZE
+    area, diameter = _sizes(measured, scale, gsd)
     centre = None
     if circle is not None:
         x_px, y_px = raster.grid.to_file((circle.x, circle.y)).tolist()
         centre = ImagePoint(x_px=x_px, y_px=y_px)
-    if gsd is not None and circle is not None:
-        # The paper, section III-G: the area is the number of pixels times the scale squared, so
-        # the log error of the scale counts twice.
-        area_spread = scale.spread.times(2).plus(measured.area_log_sd)
-        area = _Size.of(measured.area_px * gsd**2, area_spread)
-        diameter_log_sd = _diameter_log_sd(
-            measured.area_log_sd,
-            measured.area_px,
-            perimeter_px=measured.perimeter_px,
-            diameter_px=circle.diameter,
-        )
-        diameter_spread = scale.spread.plus(max(diameter_log_sd, measured.width_log_sd))
-        diameter = _Size.of(circle.diameter * gsd, diameter_spread)
     mode_length_px = None
     if scale.estimate is not None:
         mode_length_px = scale.estimate.mode_length_px
@@ -367,6 +353,31 @@ def _measure_object(
         warnings=notices,
         **scale.fields(raster.grid),
     )
+
+
+def _sizes(measured: _Object, scale: MeasurementScale, gsd: float | None) -> tuple[_Size, _Size]:
+    """Compute the area, and the diameter of the largest circle inside.
+
+    Args:
+        measured: the object.
+        scale: the scale.
+        gsd: metres per pixel over the object; None without a scale or with an empty mask.
+    """
+    circle = measured.circle
+    if gsd is None or circle is None:
+        return _NO_SIZE, _NO_SIZE
+    # The paper, section III-G: the area is the number of pixels times the scale squared, so the
+    # log error of the scale counts twice.
+    area_spread = scale.spread.times(2).plus(measured.area_log_sd)
+    area = _Size.of(measured.area_px * gsd**2, area_spread)
+    diameter_log_sd = _diameter_log_sd(
+        measured.area_log_sd,
+        measured.area_px,
+        perimeter_px=measured.perimeter_px,
+        diameter_px=circle.diameter,
+    )
+    diameter_spread = scale.spread.plus(max(diameter_log_sd, measured.width_log_sd))
+    return area, _Size.of(circle.diameter * gsd, diameter_spread)
 
 
 def _most_probability(measured: _Object, *, is_beside: bool) -> float | None:
