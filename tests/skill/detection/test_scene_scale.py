@@ -73,7 +73,7 @@ def test_no_density_is_more_certain_than_places_differ() -> None:
     density = _prior(0.3, 0.001).density
     log_high = np.log(quantile(density, 0.84))
     log_low = np.log(quantile(density, 0.16))
-    assert (log_high - log_low) / 2 > 0.12
+    assert (log_high - log_low) / 2 > 0.1
 
 
 def test_a_length_that_fits_the_scene_has_the_better_odds() -> None:
