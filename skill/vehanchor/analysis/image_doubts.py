@@ -47,10 +47,8 @@ def with_image_doubts(
         beside_each_other: parts of the image that are photographs; empty unless there are several.
     """
     notes = []
-    left_px, top_px = raster.origin_px
     if (raster.width_px, raster.height_px) != (facts.width_px, facts.height_px):
-        part = Window(left_px, top_px, width_px=raster.width_px, height_px=raster.height_px)
-        facts = facts._replace(part=part)
+        facts = facts._replace(part=raster.part)
         notes.append(RasterNote(NoticeCode.PART_SEARCHED.value, _part_searched(facts)))
     camera = facts.camera if metadata else None
     # A map is often assembled from pictures of one scale.
@@ -65,7 +63,7 @@ def with_image_doubts(
             notes.append(RasterNote(NoticeCode.SEVERAL_PICTURES.value, message))
         horizon_px = find_horizon(raster)
         if horizon_px is not None:
-            message = _horizon_visible(top_px + horizon_px)
+            message = _horizon_visible(raster.part.y_px + horizon_px)
             notes.append(RasterNote(NoticeCode.HORIZON_VISIBLE.value, message))
     return facts._replace(notices=(*facts.notices, *notes))
 

@@ -169,6 +169,12 @@ class Raster(ABC):
         stored = self._read_stored(window_in_file)
         return self._to_rgb(stored)
 
+    @property
+    def part(self) -> Window:
+        """Its place in the image that it is a part of."""
+        left_px, top_px = self.origin_px
+        return Window(left_px, top_px, width_px=self.width_px, height_px=self.height_px)
+
     def georeference(self, pixel: GroundPixel, ground: Ground) -> None:
         """Take the place of the image, and the size and shape of a pixel on the ground."""
         self.ground = ground

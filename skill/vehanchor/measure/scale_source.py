@@ -379,8 +379,7 @@ def _only_photograph(raster: Raster) -> Window | None:
     first = photographs[0]
     if len(photographs) > 1 or first is raster:
         return None
-    left_px, top_px = first.origin_px
-    return Window(left_px, top_px, width_px=first.width_px, height_px=first.height_px)
+    return first.part
 
 
 def _spread(scale: KnownScale | GsdEstimate) -> Spread:

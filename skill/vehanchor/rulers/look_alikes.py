@@ -68,7 +68,11 @@ _MAX_LOG_ODDS = 20.0
 
 
 def chance_of_look_alikes(
-    boxes: Boxes, appearance: Appearance | None, detector_errors: DetectorErrors, *, at_nadir: bool
+    boxes: Boxes,
+    appearance: Appearance | None,
+    detector_errors: DetectorErrors,
+    *,
+    undistorted: bool,
 ) -> float:
     """Compute the chance, 0..1, that vehicles are look-alikes.
 
@@ -76,18 +80,19 @@ def chance_of_look_alikes(
         boxes: ``[n, 5]`` the vehicles, those with an appearance first.
         appearance: appearance of the vehicles that have any; None without a chip network.
         detector_errors: the detector's errors.
-        at_nadir: whether the boxes have lengths and proportions of their own; those of a tilted
-            view were rectified, and depend on their directions.
+        undistorted: whether the boxes have lengths and proportions of their own. Those of a
+            stretched image, and those of a tilted view, which were rectified, depend on their
+            directions.
     """
     errors = detector_errors.look_alikes
     log_lengths = np.log(boxes[:, 2])
     log_odds = errors.log_odds
     evidence = spread_evidence(log_lengths, errors.lengths)
-    if at_nadir:
+    if undistorted:
         evidence += heading_evidence(log_lengths, boxes[:, 4], errors.headings)
     if appearance is not None:
         evidence += spread_evidence(appearance.log_lengths, errors.appearance)
-        if at_nadir:
+        if undistorted:
             bodies = boxes[: len(appearance)]
             usual = detector_errors.appearance.length_over_width
             evidence += proportion_evidence(bodies, errors.proportions, usual)

@@ -196,8 +196,8 @@ class VehicleWitness(Witness):
         """
         # A stretch makes lengths depend on directions, too.
         is_stretched = self.stretch_log_odds is not None and self.stretch_log_odds > 0
-        at_nadir = self.is_at_nadir and not is_stretched
-        return chance_of_look_alikes(boxes, appearance, self.card.errors, at_nadir=at_nadir)
+        undistorted = self.is_at_nadir and not is_stretched
+        return chance_of_look_alikes(boxes, appearance, self.card.errors, undistorted=undistorted)
 
     @property
     def doubted(self) -> bool:

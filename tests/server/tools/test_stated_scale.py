@@ -137,7 +137,9 @@ async def test_an_assumed_scale_that_agrees_is_one_more_witness(
     assert chance_of(record, "stated_scale") > 0.5
 
 
-@pytest.mark.parametrize(("factor", "status"), [(0.3, "ok"), (1.5, "low_confidence"), (4, "low_confidence")])
+@pytest.mark.parametrize(
+    ("factor", "status"), [(0.3, "ok"), (1.5, "low_confidence"), (4, "low_confidence")]
+)
 async def test_an_assumed_scale_against_the_cars_lowers_the_confidence(
     server: MCPServer[object], images: Path, factor: float, status: str
 ) -> None:

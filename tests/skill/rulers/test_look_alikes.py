@@ -53,7 +53,7 @@ def _chance(
         tones=np.column_stack([lightness + _normal(n, tone_sd), np.full((n, 2), 128.0)]),
     )
     boxes = _boxes(np.log(40) + _normal(n, spread), ratio)
-    return chance_of_look_alikes(boxes, appearance, ERRORS, at_nadir=True)
+    return chance_of_look_alikes(boxes, appearance, ERRORS, undistorted=True)
 
 
 def _cars(n: int) -> float:
@@ -127,7 +127,7 @@ def test_without_tones_fewer_things_are_doubted() -> None:
     boxes = _boxes(np.log(40) + _normal(8, 0.03))
     looks = np.log(4.4) + _normal(8, 0.03)
     appearance = Appearance(looks, np.full(8, 0.07), np.full(8, 2.4))
-    assert chance_of_look_alikes(boxes, appearance, ERRORS, at_nadir=True) < _things(8)
+    assert chance_of_look_alikes(boxes, appearance, ERRORS, undistorted=True) < _things(8)
 
 
 def test_a_spread_is_known_better_from_more_vehicles() -> None:
@@ -177,8 +177,8 @@ def test_a_tilted_view_shows_no_proportions() -> None:
     boxes = _boxes(log_lengths + 3.7, 2.21)
     boxes[:, 4] = headings
     appearance = Appearance(log_lengths, np.full(12, 0.07), np.full(12, 3.4))
-    at_nadir = chance_of_look_alikes(boxes, appearance, ERRORS, at_nadir=True)
-    tilted = chance_of_look_alikes(boxes, appearance, ERRORS, at_nadir=False)
+    at_nadir = chance_of_look_alikes(boxes, appearance, ERRORS, undistorted=True)
+    tilted = chance_of_look_alikes(boxes, appearance, ERRORS, undistorted=False)
     assert tilted < 0.01 * at_nadir
 
 
