@@ -19,6 +19,7 @@ from vehanchor.errors import ModelContractError
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
+from vehanchor.odds import chances_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -188,7 +189,7 @@ class Weights(NamedTuple):
             self.detector * np.log(odds) + self.verifier * verifier + self.bias + self.size * size
         )
         logit = np.clip(total, -_MAX_LOGIT, _MAX_LOGIT)
-        return np.asarray(1 / (1 + np.exp(-logit)))
+        return chances_of(logit)
 
 
 class AuxiliaryModel(LoadedModel, Generic[_CardT]):

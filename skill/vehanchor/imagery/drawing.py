@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from vehanchor.imagery.raster import Window
+from vehanchor.odds import chance_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -238,8 +239,7 @@ def _chance_of_tones(weights: DrawingWeights, difference: float, two_tones: floa
         + weights.two_tones * two_tones
         + weights.offset
     )
-    # The logistic function, by a formula that does not overflow.
-    return (1.0 + math.tanh(log_odds / 2)) / 2
+    return chance_of(log_odds)
 
 
 def _halved(patch: RgbImage) -> RgbImage:
