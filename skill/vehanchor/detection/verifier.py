@@ -184,10 +184,9 @@ class Weights(NamedTuple):
         detector = np.clip(detector, _SCORE_MARGIN, 1 - _SCORE_MARGIN)
         verifier = np.asarray(logits, np.float64)
         size = np.asarray(size_odds, np.float64)
-        odds = detector / (1 - detector)
-        total = (
-            self.detector * np.log(odds) + self.verifier * verifier + self.bias + self.size * size
-        )
+        by_detector = self.detector * np.log(detector / (1 - detector))
+        by_verifier = self.verifier * verifier
+        total = by_detector + by_verifier + self.bias + self.size * size
         logit = np.clip(total, -_MAX_LOGIT, _MAX_LOGIT)
         return chances_of(logit)
 

@@ -86,4 +86,5 @@ def _run_colours(picture: RgbImage) -> NDArray[np.int16]:
     is_common = counts >= max(_MIN_PIXELS, _MIN_SHARE * is_equal.size)
     order = np.argsort(-counts, kind="stable")[:_MAX_COLOURS]
     chosen = packed[order[is_common[order]]]
-    return np.column_stack([chosen >> 16, chosen >> 8 & 255, chosen & 255]).astype(np.int16)
+    colours = [chosen >> 16, chosen >> 8 & 255, chosen & 255]
+    return np.column_stack(colours).astype(np.int16)
