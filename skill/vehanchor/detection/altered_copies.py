@@ -139,8 +139,12 @@ class _Vehicle:
     @cached_property
     def starts(self) -> list[_Alignment]:
         """Corrections from which an alignment with another vehicle begins."""
-        length = self._length
-        return [start._replace(x=start.x * length, y=start.y * length) for start in self._starts]
+        starts = []
+        for start in self._starts:
+            x = start.x * self._length
+            y = start.y * self._length
+            starts.append(start._replace(x=x, y=y))
+        return starts
 
     @cached_property
     def bodies(self) -> NDArray[np.float32]:

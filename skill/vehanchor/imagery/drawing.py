@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from vehanchor.imagery.raster import Window
+from vehanchor.odds import chance_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -216,7 +217,8 @@ def _chance(patches: Sequence[_Patch], difference: float, flat_share: float) -> 
     two_tones = float(np.quantile([patch.two_tones for patch in patches], 0.5, method="lower"))
     of_tones = _chance_of_tones(_WEIGHTS, difference, two_tones)
     least, enough = _FLAT_SHARES
-    return float(of_tones * np.clip((flat_share - least) / (enough - least), 0.0, 1.0))
+    flatness = (flat_share - least) / (enough - least)
+    return float(of_tones * np.clip(flatness, 0.0, 1.0))
 
 
 def _noisy_chance(patches: Sequence[_Patch]) -> float:
@@ -238,8 +240,7 @@ def _chance_of_tones(weights: DrawingWeights, difference: float, two_tones: floa
         + weights.two_tones * two_tones
         + weights.offset
     )
-    # The logistic function, by a formula that does not overflow.
-    return (1.0 + math.tanh(log_odds / 2)) / 2
+    return chance_of(log_odds)
 
 
 def _halved(patch: RgbImage) -> RgbImage:
@@ -251,7 +252,8 @@ def _halved(patch: RgbImage) -> RgbImage:
 def _starts(side_px: int, patch_px: int) -> list[int]:
     """Choose the first pixels of patches along a side, at even steps."""
     count = min(_MAX_ALONG, side_px // patch_px)
-    starts: list[int] = np.linspace(0, side_px - patch_px, count).astype(int).tolist()
+    places = np.linspace(0, side_px - patch_px, count)
+    starts: list[int] = places.astype(int).tolist()
     return starts
 
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     """``[n]`` one number for each rectangle."""
 
     Places: TypeAlias = NDArray[np.intp]
-    """``[n]`` rows or columns."""
+    """``[n]``, or one row for each side, rows or columns."""
 
 # Least strengths of a rectangle whose borders are steps, and lines. The formula was chosen on 300
 # insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
@@ -280,15 +280,19 @@ def _lies_on_ground(grey: Grey, inset: Inset, distance_px: int) -> bool:
     height, width = grey.shape
     rows = slice(inset.top, inset.bottom)
     columns = slice(inset.left, inset.right)
+    left = inset.left - distance_px
+    right = inset.right + distance_px
+    top = inset.top - distance_px
+    bottom = inset.bottom + distance_px
     around = []
-    if inset.left >= distance_px and inset.left > 0:
-        around.append(grey[rows, inset.left - distance_px])
-    if inset.right + distance_px < width:
-        around.append(grey[rows, inset.right + distance_px])
-    if inset.top >= distance_px and inset.top > 0:
-        around.append(grey[inset.top - distance_px, columns])
-    if inset.bottom + distance_px < height:
-        around.append(grey[inset.bottom + distance_px, columns])
+    if inset.left > 0 and left >= 0:
+        around.append(grey[rows, left])
+    if right < width:
+        around.append(grey[rows, right])
+    if inset.top > 0 and top >= 0:
+        around.append(grey[top, columns])
+    if bottom < height:
+        around.append(grey[bottom, columns])
     if not around:
         return False
     surroundings = np.concatenate(around)
@@ -302,18 +306,21 @@ def _goes_on_behind(grey: Grey, inset: Inset) -> bool:
     """Test whether one picture goes on behind the border, as behind the lines of a map's grid."""
     common = []
     for left, right in _both_sides(grey, inset):
+        left_spread = left.std(axis=0).max()
+        right_spread = right.std(axis=0).max()
         # A thick frame has no texture that could go on.
-        if min(left.std(axis=0).max(), right.std(axis=0).max()) > _PLAIN_SD:
+        if min(left_spread, right_spread) > _PLAIN_SD:
             common.append(common_texture(left, right))
     return bool(common) and float(np.median(common)) >= MIN_COMMON_TEXTURE
 
 
 def _differs(grey: Grey, inset: Inset) -> bool:
     """Test whether the picture differs across each side: a part of a roof has the roof's colour."""
-    return all(
-        float(np.abs(right.mean(axis=1) - left.mean(axis=1)).mean()) >= _MIN_MEAN_DIFFERENCE
-        for left, right in _both_sides(grey, inset)
-    )
+    for left, right in _both_sides(grey, inset):
+        difference = right.mean(axis=1) - left.mean(axis=1)
+        if np.abs(difference).mean() < _MIN_MEAN_DIFFERENCE:
+            return False
+    return True
 
 
 def _alternating_share(grey: Grey, inset: Inset) -> float:
@@ -352,8 +359,10 @@ def _both_sides(grey: Grey, inset: Inset) -> Iterator[tuple[Grey, Grey]]:
 def _without_blocks(strengths: Strengths) -> Strengths:
     """Set the borders of visible blocks of a compressed image to zero."""
     mean = strengths.mean(axis=0)
-    usual = np.array([np.median(mean[phase::_BLOCK_PX]) for phase in range(_BLOCK_PX)])
-    for phase in np.flatnonzero(usual - np.median(usual) > _BLOCKY):
+    phases = range(_BLOCK_PX)
+    usual = np.array([np.median(mean[phase::_BLOCK_PX]) for phase in phases])
+    surplus = usual - np.median(usual)
+    for phase in np.flatnonzero(surplus > _BLOCKY):
         strengths[:, phase::_BLOCK_PX] = 0.0
     return strengths
 
@@ -392,18 +401,13 @@ def _best_rectangles(of_columns: Strengths, of_rows: Strengths) -> list[Inset]:
     length_px = max(_MIN_LINE_PX, round(_LINE_SHARE * side))
     x_px = np.array([0, *_candidates(of_columns, length_px), width])
     y_px = np.array([0, *_candidates(of_rows, length_px), height])
-    left, right, top, bottom = (
-        grid.ravel() for grid in np.meshgrid(x_px[:-1], x_px[1:], y_px[:-1], y_px[1:])
-    )
-    least_px = max(_MIN_SIDE_PX, _MIN_SIDE_SHARE * side)
-    columns = right - left
-    rows = bottom - top
-    is_inset = (columns >= least_px) & (rows >= least_px)
-    is_inset &= (columns < width) & (rows < height)
-    is_inset &= columns * rows <= _MAX_AREA_SHARE * width * height
+    # All rectangles between the candidates: a row each of left, right, top and bottom.
+    grids = np.meshgrid(x_px[:-1], x_px[1:], y_px[:-1], y_px[1:])
+    rectangles = np.stack([grid.ravel() for grid in grids])
+    is_inset = _may_be_insets(rectangles, width, height)
     if not is_inset.any():
         return []
-    left, right, top, bottom = left[is_inset], right[is_inset], top[is_inset], bottom[is_inset]
+    left, right, top, bottom = rectangles[:, is_inset]
     beyond_px = max(_MIN_BEYOND_PX, round(_BEYOND_SHARE * side))
     column_sums = _Sums.of(of_columns, beyond_px)
     row_sums = _Sums.of(of_rows, beyond_px)
@@ -432,6 +436,24 @@ def _best_rectangles(of_columns: Strengths, of_rows: Strengths) -> list[Inset]:
         )
         for k in chosen
     ]
+
+
+def _may_be_insets(rectangles: Places, width: int, height: int) -> NDArray[np.bool_]:
+    """Test which rectangles ``[n]`` have the size of an inset.
+
+    Args:
+        rectangles: ``[4, n]`` left, right, top and bottom.
+        width: columns of the image.
+        height: rows of the image.
+    """
+    left, right, top, bottom = rectangles
+    columns = right - left
+    rows = bottom - top
+    least_px = max(_MIN_SIDE_PX, _MIN_SIDE_SHARE * min(height, width))
+    is_large = (columns >= least_px) & (rows >= least_px)
+    is_part = (columns < width) & (rows < height)
+    is_small = columns * rows <= _MAX_AREA_SHARE * width * height
+    return np.asarray(is_large & is_part & is_small)
 
 
 class _Sides(NamedTuple):
@@ -483,7 +505,9 @@ class _Sums(NamedTuple):
         for part_mean, part_length in (before, after):
             goes_on = np.where(is_seen & (part_length >= _MIN_SEEN_PX), part_mean, 0.0)
             beyond = np.maximum(beyond, goes_on)
-        return _Sides(np.where(is_seen, mean, np.nan), np.where(is_seen, length, 0.0), beyond)
+        seen_mean = np.where(is_seen, mean, np.nan)
+        seen_length = np.where(is_seen, length, 0.0)
+        return _Sides(seen_mean, seen_length, beyond)
 
     def _mean(
         self, columns: Places, first: Places, behind: Places

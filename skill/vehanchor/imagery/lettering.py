@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from vehanchor.imagery.raster import Raster
+from vehanchor.imagery.sources.arrays import ArrayRaster
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vehanchor.imagery.raster import RgbImage, StoredPixels, Window
+    from vehanchor.imagery.raster import Raster, RgbImage
 
 # Most pixels that are searched: those of a screen or a film of 3840 x 2160. A choice.
 _MAX_PIXELS = 8_300_000
@@ -38,32 +38,6 @@ _WIDENED_PX = 7
 _REACH_PX = 3.0
 
 
-class PaintedRaster(Raster):
-    """Image with other pixels.
-
-    Args:
-        raster: the image.
-        pixels: ``[h, w, 3]`` RGB.
-    """
-
-    in_memory = True
-
-    def __init__(self, raster: Raster, pixels: RgbImage) -> None:
-        super().__init__(raster.source, raster.width_px, raster.height_px)
-        self._pixels = pixels
-
-    def read(self, window: Window | None = None) -> RgbImage:
-        """Read a window; see ``Raster.read``."""
-        window = self._checked(window)
-        rows = slice(window.y_px, window.y_px + window.height_px)
-        columns = slice(window.x_px, window.x_px + window.width_px)
-        return np.ascontiguousarray(self._pixels[rows, columns])
-
-    def _read_stored(self, window: Window) -> StoredPixels:
-        """Refuse: ``read`` has the pixels."""
-        raise NotImplementedError
-
-
 def paint_over_lettering(raster: Raster) -> Raster:
     """Paint the lettering of an image over; return it unchanged if none is found.
 
@@ -73,7 +47,9 @@ def paint_over_lettering(raster: Raster) -> Raster:
         return raster
     picture = raster.read()
     painted = without_lettering(picture)
-    return raster if painted is picture else PaintedRaster(raster, painted)
+    if painted is picture:
+        return raster
+    return ArrayRaster(painted, raster.source, None, stretch=False)
 
 
 def without_lettering(picture: RgbImage) -> RgbImage:
@@ -110,4 +86,5 @@ def _run_colours(picture: RgbImage) -> NDArray[np.int16]:
     is_common = counts >= max(_MIN_PIXELS, _MIN_SHARE * is_equal.size)
     order = np.argsort(-counts, kind="stable")[:_MAX_COLOURS]
     chosen = packed[order[is_common[order]]]
-    return np.column_stack([chosen >> 16, chosen >> 8 & 255, chosen & 255]).astype(np.int16)
+    colours = [chosen >> 16, chosen >> 8 & 255, chosen & 255]
+    return np.column_stack(colours).astype(np.int16)

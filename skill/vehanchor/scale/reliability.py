@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.odds import chance_of
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 
 if TYPE_CHECKING:
@@ -275,7 +276,7 @@ def court_misfit(quality: float) -> Shared:
         quality: ``Court.quality``.
     """
     log_odds = 9.2 - 18.0 * quality
-    return MISFIT._replace(chance_wrong=1.0 / (1.0 + math.exp(-log_odds)))
+    return MISFIT._replace(chance_wrong=chance_of(log_odds))
 
 
 CALLER = Shared("caller", 0.0, 0.11)
