@@ -51,7 +51,7 @@ from vehanchor.scale.lengths import (
     modal_length,
     statistical_log_sds,
 )
-from vehanchor.scale.paper import paper_scale
+from vehanchor.scale.paper import paper_interval, paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import (
     POINTING,
@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
     from vehanchor.scale.density import Density, Votes
+    from vehanchor.scale.lengths import Interval
     from vehanchor.scale.paper import PaperScale
 
     Boxes: TypeAlias = NDArray[np.float64]
@@ -140,12 +141,24 @@ class VehicleWitness(Witness):
             self.fleet.lengths,
             self.fleet.scores,
             mode_px=self.mode_length_px,
-            aggregation=self.aggregation,
             reference_length_m=reference.stated_m,
-            reference_sd_m=reference.log_sd * reference.stated_m,
             reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
             length_range_px=(shortest_px, longest_px),
+        )
+
+    @property
+    def paper_interval(self) -> Interval:
+        """Interval by the published method; the witness must have vehicles."""
+        assert self.mode_length_px is not None
+        reference = self.reference
+        return paper_interval(
+            self.fleet.lengths,
+            self.fleet.scores,
+            mode_px=self.mode_length_px,
+            aggregation=self.aggregation,
+            reference_length_m=reference.stated_m,
+            reference_sd_m=reference.log_sd * reference.stated_m,
         )
 
     @property
