@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     Body: TypeAlias = NDArray[np.float32]
     """``[336]`` grey values of a body, with mean 0 and length 1; all 0 without contrast."""
 
+# Numbers without a measurement beside them are choices.
+
 # Least correlation of a copy, and the share of vehicles that must repeat another one. Of 80 images
 # in which real cars were pasted in 20 ways, 70 count no more cars than were pasted; in the others
 # most are false alarms. Of 1,086 photographs with two and more vehicles one loses a vehicle.
