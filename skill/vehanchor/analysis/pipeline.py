@@ -372,7 +372,7 @@ def _decision_by_paper(vehicles: VehicleWitness | None) -> _Decision:
     witness = replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px)
     return _Decision(
         paper.gsd_m_per_px,
-        paper.interval,
+        vehicles.paper_interval,
         confidence=paper.confidence,
         reason=paper.reason(vehicles.n),
         leading=vehicles.kind,

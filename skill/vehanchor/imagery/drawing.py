@@ -117,8 +117,9 @@ def measure_drawing_chance(raster: Raster, part: Window | None = None) -> float:
             left = part.x_px + x
             top = part.y_px + y
             patch = raster.read(Window(left, top, width_px=patch_px, height_px=patch_px))
-            if np.mean(_differences(patch) <= _UNIFORM) < _EMPTY_SHARE:
-                measured.append(_measure(patch))
+            differences = _differences(patch)
+            if np.mean(differences <= _UNIFORM) < _EMPTY_SHARE:
+                measured.append(_measure(patch, differences))
     edged = [patch for patch in measured if patch.has_edges]
     if len(edged) < max(1.0, _EDGED_PATCHES * len(measured)):
         return 0.0
@@ -150,7 +151,7 @@ def drawing_chance_around(raster: Raster, boxes: NDArray[np.float64], overall: f
         left = int(np.clip(x - patch_px / 2, 0, raster.width_px - patch_px))
         top = int(np.clip(y - patch_px / 2, 0, raster.height_px - patch_px))
         patch = raster.read(Window(left, top, width_px=patch_px, height_px=patch_px))
-        measured.append(_measure(patch))
+        measured.append(_measure(patch, _differences(patch)))
     around = _chance(measured, _upper_median(measured), _flat_share(measured))
     return min(overall, max(around, _noisy_chance(measured)))
 
@@ -175,14 +176,19 @@ class _Patch(NamedTuple):
     is_on_paper: bool
 
 
-def _measure(patch: RgbImage) -> _Patch:
-    """Measure a patch, at half its resolution where compression would disturb."""
-    flat_share = float(np.mean(_differences(patch) <= _FLAT))
+def _measure(patch: RgbImage, differences: NDArray[np.uint8]) -> _Patch:
+    """Measure a patch, at half its resolution where compression would disturb.
+
+    Args:
+        patch: the patch.
+        differences: ``[h, w]`` largest difference among the neighbours of each pixel.
+    """
+    flat_share = float(np.mean(differences <= _FLAT))
     halved = _halved(patch)
-    differences = _differences(halved)
-    has_edges = bool(np.mean(differences > _SHARP) > _EDGE_SHARE)
+    halved_differences = _differences(halved)
+    has_edges = bool(np.mean(halved_differences > _SHARP) > _EDGE_SHARE)
     return _Patch(
-        _flattest(differences),
+        _flattest(halved_differences),
         _flattest(_differences(_halved(halved))),
         flat_share=flat_share,
         two_tones=_two_tone_share(halved),
@@ -264,7 +270,8 @@ def _differences(patch: RgbImage) -> NDArray[np.uint8]:
     neighbours = np.ones((3, 3), np.uint8)
     highest = cv2.dilate(patch, neighbours)
     lowest = cv2.erode(patch, neighbours)
-    return np.asarray(cv2.subtract(highest, lowest).max(axis=2), np.uint8)
+    red, green, blue = cv2.split(cv2.subtract(highest, lowest))
+    return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
 
 
 def _two_tone_share(patch: RgbImage) -> float:

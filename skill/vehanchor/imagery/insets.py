@@ -164,24 +164,33 @@ def find_inset(grey: Grey, *, with_frames: bool = True) -> Inset | None:
         is_grid = _lies_on_ground(grey, inset, 0) or _goes_on_behind(grey, inset)
         if inset.strength >= _LEAST_OF_LINES and not is_grid:
             return inset
+    # Most images have no rectangle that a third map could confirm.
+    weak = [inset for inset in (*by_lines, *by_steps) if _may_be_weak(grey, inset)]
+    if not weak:
+        return None
     of_columns = _without_blocks(_wide_step_strengths(grey))
     of_rows = _without_blocks(_wide_step_strengths(transposed))
-    return _agreed(grey, by_steps, by_lines, _best_rectangles(of_columns, of_rows))
+    return _agreed(grey, weak, by_lines, _best_rectangles(of_columns, of_rows))
+
+
+def _may_be_weak(grey: Grey, inset: Inset) -> bool:
+    """Test whether a rectangle is clear enough for an inset with a weak border."""
+    return inset.strength >= _MIN_AGREEING and _differs(grey, inset)
 
 
 def _agreed(
-    grey: Grey, by_steps: list[Inset], by_lines: list[Inset], by_wide_steps: list[Inset]
+    grey: Grey, weak: list[Inset], by_lines: list[Inset], by_wide_steps: list[Inset]
 ) -> Inset | None:
     """Find an inset with a weak border that two maps show; None without one.
 
     Args:
         grey: the image.
-        by_steps: rectangles whose borders are steps.
+        weak: rectangles whose borders are steps or lines, and may be weak.
         by_lines: rectangles whose borders are lines.
         by_wide_steps: rectangles whose borders are steps over two pixels.
     """
-    for inset, wide in product([*by_lines, *by_steps], by_wide_steps):
-        if not _agree(inset, wide) or not _differs(grey, inset):
+    for inset, wide in product(weak, by_wide_steps):
+        if not _agree(inset, wide):
             continue
         if _is_thing(grey, inset) or _lies_on_ground(grey, inset, 0):
             continue
@@ -411,8 +420,8 @@ def _best_rectangles(of_columns: Strengths, of_rows: Strengths) -> list[Inset]:
         return []
     left, right, top, bottom = rectangles[:, is_inset]
     beyond_px = max(_MIN_BEYOND_PX, round(_BEYOND_SHARE * side))
-    column_sums = _Sums.of(of_columns, beyond_px)
-    row_sums = _Sums.of(of_rows, beyond_px)
+    column_sums = _Sums.of(of_columns, x_px, beyond_px)
+    row_sums = _Sums.of(of_rows, y_px, beyond_px)
     sides = (
         column_sums.side(left, top, bottom),
         column_sums.side(right, top, bottom),
@@ -473,23 +482,24 @@ class _Sides(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Sums of strengths along columns.
+    """Sums of strengths along those columns that bound rectangles.
 
     Attributes:
-        sums: ``[h + 1, w + 1]`` sums over the rows above.
+        columns: ``[n]`` rising; the first and the last one are the borders of the image.
+        sums: ``[h + 1, n]`` sums over the rows above.
         beyond_px: pixels beyond a corner that are looked at.
     """
 
+    columns: Places
     sums: NDArray[np.float64]
     beyond_px: int
 
     @classmethod
-    def of(cls, strengths: Strengths, beyond_px: int) -> _Sums:
+    def of(cls, strengths: Strengths, columns: Places, beyond_px: int) -> _Sums:
         """Sum strengths along columns."""
-        height, width = strengths.shape
-        sums = np.zeros((height + 1, width + 1))
-        np.cumsum(strengths, axis=0, out=sums[1:, :width])
-        return cls(sums, beyond_px)
+        sums = np.zeros((len(strengths) + 1, len(columns)))
+        np.cumsum(strengths[:, columns[:-1]], axis=0, out=sums[1:, :-1])
+        return cls(columns, sums, beyond_px)
 
     def side(self, columns: Places, first: Places, behind: Places) -> _Sides:
         """Measure one side of each rectangle.
@@ -499,10 +509,11 @@ class _Sums(NamedTuple):
             first: its first row.
             behind: the row behind its last one.
         """
-        is_seen = (columns > 0) & (columns < self.sums.shape[1] - 1)
-        mean, length = self._mean(columns, first, behind)
-        before = self._mean(columns, first - self.beyond_px, first - _CORNER_PX)
-        after = self._mean(columns, behind + _CORNER_PX, behind + self.beyond_px)
+        places = np.searchsorted(self.columns, columns)
+        is_seen = (places > 0) & (places < len(self.columns) - 1)
+        mean, length = self._mean(places, first, behind)
+        before = self._mean(places, first - self.beyond_px, first - _CORNER_PX)
+        after = self._mean(places, behind + _CORNER_PX, behind + self.beyond_px)
         beyond = np.zeros(len(columns))
         for part_mean, part_length in (before, after):
             goes_on = np.where(is_seen & (part_length >= _MIN_SEEN_PX), part_mean, 0.0)
@@ -512,14 +523,14 @@ class _Sums(NamedTuple):
         return _Sides(seen_mean, seen_length, beyond)
 
     def _mean(
-        self, columns: Places, first: Places, behind: Places
+        self, places: Places, first: Places, behind: Places
     ) -> tuple[PerRectangle, PerRectangle]:
         """Average strengths over rows inside the image, and count these rows."""
         last = len(self.sums) - 1
         start = np.clip(first, 0, last)
         end = np.clip(behind, 0, last)
         length = np.maximum(end - start, 0).astype(np.float64)
-        total = self.sums[end, columns] - self.sums[start, columns]
+        total = self.sums[end, places] - self.sums[start, places]
         return total / np.maximum(length, 1.0), length
 
 

@@ -57,6 +57,9 @@ MAX_CHANCE = 0.99
 SAME_NUMBER = 0.02
 """Largest relative difference at which one number repeats another. A choice."""
 
+_MIN_SCATTERED = 3
+"""Vehicles from which their scatter counts. A choice."""
+
 _NOT_MEASURED = 0.05
 """Chance that a fact is wrong if its errors have not been counted. A choice."""
 
@@ -203,6 +206,31 @@ def appearance_error(scores: ArrayLike, *, fair_odds: float, doubt_power: float)
     p_car = np.clip(scores, 1 - MAX_CHANCE, MAX_CHANCE)
     relative_odds = fair_odds * (1 - p_car) / p_car
     return np.asarray(relative_odds**doubt_power)
+
+
+def excess_scatter(log_scales: ArrayLike, log_sds: ArrayLike, *, usual_n: float) -> float:
+    """Compute how far measurements scatter beyond what their errors state.
+
+    It is the Birge ratio (R. T. Birge, "The calculation of errors by the method of least squares",
+    Physical Review 40, 1932), as if ``usual_n`` more measurements scattered as stated. Its lower
+    limit is 1: alike vehicles with one and the same error agree, too.
+
+    Args:
+        log_scales: ``[n]`` logs of the scale by each vehicle.
+        log_sds: ``[n]`` their standard deviations.
+        usual_n: number of measurements that stand for the usual scatter.
+
+    Returns:
+        Factor on standard deviations, at least 1; 1 for fewer than three vehicles.
+    """
+    values = np.asarray(log_scales, dtype=np.float64)
+    if len(values) < _MIN_SCATTERED:
+        return 1.0
+    weights = np.asarray(log_sds, dtype=np.float64) ** -2
+    mean = np.average(values, weights=weights)
+    chi_squared = np.sum(weights * (values - mean) ** 2)
+    ratio_squared = (usual_n + chi_squared) / (usual_n + len(values) - 1)
+    return math.sqrt(max(1.0, ratio_squared))
 
 
 class Shared(NamedTuple):
