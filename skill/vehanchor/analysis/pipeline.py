@@ -25,7 +25,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
-from vehanchor.imagery.lettering import paint_over_lettering
+from vehanchor.imagery.overlaid_lettering import paint_over_lettering
 from vehanchor.imagery.photograph import find_photographs
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.reading import CoordinateFrame
