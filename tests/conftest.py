@@ -163,6 +163,14 @@ def real_data() -> Path:
     return folder
 
 
+@pytest.fixture
+def plain_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print commands as to a terminal of 120 columns without colours, and errors in short."""
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
+
+
 @pytest.fixture(scope="session")
 def car_park() -> NDArray[np.uint8]:
     """``[640, 640, 3]`` RGB of ``examples/car_park.jpg``, at 0.12 m/px, with more than 80 cars."""

@@ -95,7 +95,7 @@ def render_look_alikes(kind: str, seed: int) -> LookAlikes:
     gsd_m_per_px = model.length_m / length_px
     width_px, height_px = pick(place_rng, _SIZES_PX)
     size_m = (width_px * gsd_m_per_px, height_px * gsd_m_per_px)
-    sun = Sun(place_rng.uniform(0, 2 * math.pi), math.radians(place_rng.uniform(33, 64)))
+    sun = Sun.draw(place_rng)
     world = World()
     centre = Frame(size_m[0] / 2, size_m[1] / 2, 0.0)
     fleet = Fleet(4.6, place_rng, "passenger")

@@ -25,7 +25,7 @@ from vehanchor.errors import InvalidParameterError
 from vehanchor.imagery.detail import measure_detail_share
 from vehanchor.imagery.drawing import measure_drawing_chance
 from vehanchor.imagery.facts import image_facts
-from vehanchor.imagery.lettering import paint_over_lettering
+from vehanchor.imagery.overlaid_lettering import paint_over_lettering
 from vehanchor.imagery.photograph import find_photographs
 from vehanchor.imagery.sources.opening import open_raster
 from vehanchor.options.reading import CoordinateFrame
@@ -372,7 +372,7 @@ def _decision_by_paper(vehicles: VehicleWitness | None) -> _Decision:
     witness = replace(vehicles, gsd_m_per_px=paper.gsd_m_per_px)
     return _Decision(
         paper.gsd_m_per_px,
-        paper.interval,
+        vehicles.paper_interval,
         confidence=paper.confidence,
         reason=paper.reason(vehicles.n),
         leading=vehicles.kind,

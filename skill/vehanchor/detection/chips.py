@@ -23,7 +23,7 @@ from vehanchor.detection.detections import Appearance, Objects
 from vehanchor.detection.hidden_ends import cut_chances, edge_strengths, hidden_errors
 from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
-from vehanchor.scale.odds import chances_of
+from vehanchor.odds import chances_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     Grey: TypeAlias = NDArray[np.float32]
     """``[side, side]``, or ``[n, side, side]``, grey values."""
 
+# Numbers without a measurement beside them are choices.
+
 # Root mean square difference over the spread of a vehicle's own pixels, below which two are copies.
 # The most similar pair of each of 312 photographs has 0.24 and more. Copies of eight cars that were
 # compressed again (JPEG quality 85) have less. A choice between both.

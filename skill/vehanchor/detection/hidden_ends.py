@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from vehanchor.scale.odds import chances_of, log_odds_of
+from vehanchor.odds import chances_of, log_odds_of
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -119,7 +119,7 @@ def hidden_errors(strengths: Strengths, chances: Chances) -> tuple[Errors, Error
     # Variance of a mixture: that of the cut ones, and that of not knowing which one it is.
     variances = chances * _HIDDEN_LOG_SD**2 + chances * (1 - chances) * _HIDDEN_LOG_MEAN**2
     excess = (strengths - _HALF_STRENGTH) / _STRENGTH_WIDTH
-    edge_sds = _EDGE_LOG_SD / (1.0 + np.exp(-excess))
+    edge_sds = _EDGE_LOG_SD * chances_of(excess)
     return means, np.sqrt(variances + edge_sds**2)
 
 

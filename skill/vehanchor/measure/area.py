@@ -238,7 +238,9 @@ def _segmented_object(
     length_px, width_px = rotated_extents(mask)
     circle = inscribed_circle(mask)
     if circle is not None:
-        circle = circle._replace(x=circle.x + window.x_px, y=circle.y + window.y_px)
+        x = circle.x + window.x_px
+        y = circle.y + window.y_px
+        circle = circle._replace(x=x, y=y)
     doubts = mask_notices(raster, segmentation, prompt=prompt, card=card, width_px=width_px)
     return _Object(
         pixels=segmentation,
@@ -450,7 +452,9 @@ def _traced_outline(pixels: ObjectMask, grid: PixelGrid) -> tuple[OutlinePolygon
     """Trace the outline of a mask, in pixels of the file."""
     window = pixels.window
     origin = (window.x_px, window.y_px)
-    parts = [[np.add(ring, origin) for ring in rings] for rings in trace_outline(pixels.mask)]
+    parts = []
+    for rings in trace_outline(pixels.mask):
+        parts.append([np.add(ring, origin) for ring in rings])
     return _outline(parts, grid)
 
 

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.odds import chance_of
 from vehanchor.scale.reliability import normal_density
 
 if TYPE_CHECKING:
@@ -108,13 +109,13 @@ def chance_of_look_alikes(
             log_odds += light * rise
     log_odds += errors.spread_power * evidence
     bounded = min(max(log_odds, -_MAX_LOG_ODDS), _MAX_LOG_ODDS)
-    return 1.0 / (1.0 + math.exp(-bounded))
+    return chance_of(bounded)
 
 
 def _light_share(tones: Values) -> float:
     """Compute how much paints ``[n, 3]`` tell, 0 to 1: little in deep shadow."""
     surplus = float(np.mean(tones[:, 0])) - _EVEN_LIGHTNESS
-    return 1.0 / (1.0 + math.exp(-surplus / _LIGHTNESS_WIDTH))
+    return chance_of(surplus / _LIGHTNESS_WIDTH)
 
 
 def _log_telling_number(n: int) -> float:
