@@ -38,8 +38,8 @@ def detector(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _hasty_ray() -> Iterator[None]:
     """Start Ray so that its workers get their share of a full machine, and it sees a node die.
 
-    Its workers have niceness 15: beside the other lanes of ``.ci/run`` they got a thirtieth of a
-    core. It knocks at a node every 3 s, and gives it up at the fifth knock that is refused.
+    Its workers have niceness 15, a seventh of the share of the other lanes of ``.ci/run``. It
+    knocks at a node every 3 s, and gives it up at the fifth knock that is refused.
     """
     with pytest.MonkeyPatch.context() as patches:
         patches.setenv("RAY_worker_niceness", "0")
