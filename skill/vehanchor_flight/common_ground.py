@@ -120,7 +120,8 @@ def n_distinct(placements: Sequence[Placement]) -> float:
         bottom = fourth + across * (third - fourth)
         own = top + down * (bottom - top)
         points = placement.in_frame(own.ravel())
-        total += float(np.mean(1.0 / _n_showing(points, placement.ground, placements)))
+        n_showing = _n_showing(points, placement.ground, placements)
+        total += float(np.mean(1.0 / n_showing))
     return total
 
 
@@ -250,9 +251,11 @@ def _cars(boxes: _Boxes) -> list[_Car]:
     """List the cars of a ground, as many as the strongest photographs of its parts show."""
     numbers = _same_car(boxes)
     cars = []
-    for number in range(int(numbers.max(initial=-1)) + 1):
+    n_numbers = int(numbers.max(initial=-1)) + 1
+    for number in range(n_numbers):
         own = np.flatnonzero(numbers == number)
-        by_length = own[np.argsort(boxes.lengths[own], kind="stable")]
+        order = np.argsort(boxes.lengths[own], kind="stable")
+        by_length = own[order]
         car = _Car(
             share=float(boxes.shares[own].sum()),
             score=float(boxes.scores[own].mean()),
@@ -299,9 +302,11 @@ def _same_car(boxes: _Boxes) -> Indices:
 
 def _same_place(boxes: _Boxes, box: int, others: Indices) -> Indices:
     """Select the boxes at the place of a box and of about its size, the nearest first."""
+    length = boxes.lengths[box]
+    lengths = boxes.lengths[others]
     distances = np.abs(boxes.centres[others] - boxes.centres[box])
-    shorter = np.minimum(boxes.lengths[others], boxes.lengths[box])
-    log_ratios = np.log(boxes.lengths[others] / boxes.lengths[box])
+    shorter = np.minimum(lengths, length)
+    log_ratios = np.log(lengths / length)
     is_near = distances <= _SAME_PLACE * shorter
     is_alike = np.abs(log_ratios) <= GROUP_LOG_REACH
     is_same = is_near & is_alike

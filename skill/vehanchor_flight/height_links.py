@@ -88,7 +88,8 @@ def link_by_height(
         if photograph.analysis.estimate.status == "ok"
     }
     steps = _chain(supporting, groups, stations, positions)
-    supporting |= {group for group, size in Counter(groups).items() if size > 1}
+    sizes = Counter(groups)
+    supporting |= {group for group, size in sizes.items() if size > 1}
     steps += _chain(supporting, groups, stations, positions)
     return [_overlap(station, neighbour, photographs) for station, neighbour in steps]
 

@@ -105,7 +105,9 @@ def sample_video(
         InvalidParameterError: the seconds are not a number above zero.
     """
     step_s = Limits(above=0).check("every", every_s)
-    last_s = math.inf if first_s is None else Limits(above=0).check("first", first_s)
+    last_s = math.inf
+    if first_s is not None:
+        last_s = Limits(above=0).check("first", first_s)
     if not Path(path).is_file():
         raise ImageNotFoundError(f"cannot open the video {path!r}: there is no such file")
     facts = read_film_facts(path, last_s)

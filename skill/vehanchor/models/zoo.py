@@ -160,7 +160,8 @@ def resolve_segmenter(files: tuple[str | Path, str | Path] | None = None) -> tup
     """
     if files is None:
         return bundled_file("segmenter-encoder"), bundled_file("segmenter-decoder")
-    encoder, decoder = (Path(file) for file in files)
+    encoder = Path(files[0])
+    decoder = Path(files[1])
     for path in (encoder, decoder):
         if not path.is_file():
             raise ModelNotFoundError(

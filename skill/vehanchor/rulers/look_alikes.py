@@ -197,7 +197,8 @@ def _log_likelihood_of_trend(
         errors: the spread around the trend.
     """
     # A box has the same length when it is turned by half a turn: the angles are doubled.
-    axes = np.column_stack([np.cos(2.0 * headings), np.sin(2.0 * headings)])
+    doubled = 2.0 * headings
+    axes = np.column_stack([np.cos(doubled), np.sin(doubled)])
     axes -= axes.mean(axis=0)
     deviations = log_lengths - log_lengths.mean()
     n_free = len(log_lengths) - 1
@@ -225,7 +226,8 @@ def proportion_evidence(bodies: Boxes, errors: ProportionErrors, usual: float) -
         errors: proportions of images of cars and of things.
         usual: length over width of cars.
     """
-    mean = float(np.log(bodies[:, 2] / bodies[:, 3]).mean())
+    proportions = bodies[:, 2] / bodies[:, 3]
+    mean = float(np.log(proportions).mean())
     own_sd = errors.vehicle_sd / math.sqrt(len(bodies))
     from_cars = mean - math.log(usual)
     from_things = mean - math.log(errors.things)
@@ -257,7 +259,8 @@ def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> fl
     aligned = np.where(is_turned[:, None, None], end_tones[:, ::-1], end_tones)
     deviations = np.abs(aligned - np.median(aligned, axis=0))
     per_axis = _SD_PER_DEVIATION * np.median(deviations, axis=0)
-    log_spreads = np.log(np.linalg.norm(per_axis, axis=-1) + _TONE_NOISE)
+    spreads = np.linalg.norm(per_axis, axis=-1)
+    log_spreads = np.log(spreads + _TONE_NOISE)
 
     car_sd = math.hypot(errors.log_sd, errors.vehicle_log_sd / math.sqrt(n))
     shadow_sd = math.hypot(errors.things_log_sd, errors.things_vehicle_log_sd / math.sqrt(n))
@@ -268,7 +271,8 @@ def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> fl
         of_usual_cars = normal_density(from_cars, car_sd)
         of_others = normal_density(from_cars, errors.outlier_log_sd)
         of_cars = (1.0 - errors.outliers) * of_usual_cars + errors.outliers * of_others
-        ratios.append(normal_density(one - math.log(errors.things), shadow_sd) / of_cars)
+        of_things = normal_density(one - math.log(errors.things), shadow_sd)
+        ratios.append(of_things / of_cars)
     # Either end can be the shadow's.
     return math.log1p((ratios[0] + ratios[1]) / 2.0)
 
