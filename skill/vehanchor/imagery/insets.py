@@ -268,10 +268,11 @@ def _grey(image: cv2.typing.MatLike) -> Grey:
 
 def _contrast(signal: Grey, noise: Grey, levels: float) -> Strengths:
     """Divide the difference of two grey values by their sum, from -0.5 on."""
-    difference = cv2.subtract(signal, noise, dtype=cv2.CV_32F)
-    total = cv2.add(signal, noise, dtype=cv2.CV_32F)
-    contrast = np.asarray(difference, np.float32) / (total + np.float32(levels))
-    return np.maximum(contrast, np.float32(_LEAST_STRENGTH))
+    contrast = np.asarray(cv2.subtract(signal, noise, dtype=cv2.CV_32F), np.float32)
+    total = np.asarray(cv2.add(signal, noise, dtype=cv2.CV_32F), np.float32)
+    total += np.float32(levels)
+    contrast /= total
+    return np.maximum(contrast, np.float32(_LEAST_STRENGTH), out=contrast)
 
 
 def _is_plain(grey: Grey, inset: Inset) -> bool:
