@@ -85,9 +85,7 @@ def seen_from_above(photograph: Photograph, points: NDArray[np.float64]) -> Poin
     """Convert pixels ``[n, 2]`` of a photograph to those of a nadir view, as complex numbers."""
     plane = photograph.view.plane
     if plane is not None:
-        image = photograph.view.image
-        centre = np.array([image.width_px, image.height_px]) / 2
-        points = plane.from_above(points) + centre
+        points = plane.from_above(points) + photograph.centre_px
     return np.asarray(points[:, 0] + 1j * points[:, 1])
 
 

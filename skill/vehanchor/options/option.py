@@ -38,7 +38,7 @@ __all__ = [
 
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
 _INCH_M = 0.0254
-_FOOT_M = 0.3048
+FOOT_M = 0.3048
 _YARD_M = 0.9144
 _METRES = {
     "mm": 1e-3,
@@ -46,7 +46,7 @@ _METRES = {
     "km": 1e3,
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("in", "inches"), _INCH_M),
-    **dict.fromkeys(("ft", "foot", "feet"), _FOOT_M),
+    **dict.fromkeys(("ft", "foot", "feet"), FOOT_M),
     **dict.fromkeys(("yd", "yards"), _YARD_M),
 }
 # Factors of the units that a text may name, by the unit of the option.

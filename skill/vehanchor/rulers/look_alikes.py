@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.odds import chance_of
-from vehanchor.scale.reliability import normal_density
+from vehanchor.scale.reliability import SD_PER_MEDIAN_DEVIATION, normal_density
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -60,8 +60,6 @@ _EVEN_LIGHTNESS = 52.0
 _LIGHTNESS_WIDTH = 3.0
 # Fewest vehicles whose lengths can show a trend over their directions, or whose ends are compared.
 _MIN_OF_TREND = 3
-# A standard deviation over the median deviation, for normal errors.
-_SD_PER_DEVIATION = 1.48
 # Spread of one colour by noise and compression, in CIELAB from 0 to 255. A choice.
 _TONE_NOISE = 2.0
 # Largest absolute log odds: no doubt is certain, and none is excluded.
@@ -258,7 +256,7 @@ def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> fl
     is_turned = np.cos(headings - axis) < 0
     aligned = np.where(is_turned[:, None, None], end_tones[:, ::-1], end_tones)
     deviations = np.abs(aligned - np.median(aligned, axis=0))
-    per_axis = _SD_PER_DEVIATION * np.median(deviations, axis=0)
+    per_axis = SD_PER_MEDIAN_DEVIATION * np.median(deviations, axis=0)
     spreads = np.linalg.norm(per_axis, axis=-1)
     log_spreads = np.log(spreads + _TONE_NOISE)
 
