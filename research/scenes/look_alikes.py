@@ -35,10 +35,7 @@ ALL_THINGS = LOOK_ALIKES | SMALL_VEHICLES
 """All kinds of things."""
 
 FIRST_RECORDED_SEED = 0
-"""Seeds from here on are those of the recorded set."""
-
-FIRST_FITTING_SEED = 10_000
-"""Seeds from here on are for fitting."""
+"""Seeds from here on are those of the recorded set; those from 10,000 on are for fitting."""
 
 _SIZES_PX = ((640, 480), (800, 600), (960, 720))
 _MIN_THINGS = 3
