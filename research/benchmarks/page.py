@@ -3,7 +3,8 @@
 Prints Markdown; ``--record`` keeps it. A rendered photograph of two megapixels is shifted into
 several, so that no result is known before. The first warms the program. Of each other one, three
 times are measured from the click on its name: until the photograph is on screen, until its answer
-is, and, in a second round, until a measured photograph is shown again. Needs the extra ``browser``.
+is, and, in a second round, until a measured photograph is shown again. ``--other`` names a checkout
+of another commit, whose page takes turns with this one. Needs the extra ``browser``.
 """
 
 from __future__ import annotations
@@ -15,19 +16,21 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from research.results.record import add_record_option, header, recording
+from research.benchmarks.starts import commit_of, environment
+from research.results.record import add_record_option, header, recording, spread
 from research.scenes import render_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+_ROOT = Path(__file__).parents[2]
 _SIZE_PX = (1632, 1224)
 _GSD_M_PER_PX = 0.1
 # Seconds that we aim for, on two quiet cores.
@@ -80,10 +83,11 @@ def write_photographs(folder: Path, count: int) -> list[str]:
 
 
 @contextmanager
-def viewer(folder: Path) -> Iterator[str]:
-    """Run ``vehanchor view`` on a folder, and yield the address of its page."""
+def viewer(folder: Path, checkout: Path = _ROOT) -> Iterator[str]:
+    """Run ``vehanchor view`` of a checkout on a folder, and yield the address of its page."""
     command = [sys.executable, "-m", "vehanchor", "view", str(folder), "--no-browser"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+    variables = environment(checkout)
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=variables) as program:
         assert program.stderr is not None
         try:
             yield program.stderr.readline().split()[1]
@@ -91,34 +95,53 @@ def viewer(folder: Path) -> Iterator[str]:
             program.terminate()
 
 
-def measure_page(browser: Any, url: str, names: Sequence[str]) -> list[Times]:
-    """Measure all photographs but the first, which is measured when the page opens.
+def measure_pages(browser: Any, urls: Sequence[str], names: Sequence[str]) -> list[list[Times]]:
+    """Measure all photographs but the first, which is measured when a page opens.
 
     Args:
         browser: a browser of Playwright.
-        url: address of the page.
-        names: names of its photographs.
+        urls: addresses of pages, which take turns.
+        names: names of their photographs.
+
+    Returns:
+        The times of each page.
     """
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.goto(url)
-    page.locator(".sheet").wait_for()
-    fresh = [page.evaluate(_CHOOSE, name) for name in names[1:]]
-    again = [page.evaluate(_CHOOSE, name) for name in names[1:]]
-    page.close()
-    times = []
-    for first, second in zip(fresh, again, strict=True):
-        seconds = [first["photograph"], first["answer"], second["photograph"]]
-        times.append(Times(*[value / 1000 for value in seconds]))
+    pages = [_opened(browser, url) for url in urls]
+    # Each photograph is new in the first turn, and measured in the second.
+    turns = [
+        [[page.evaluate(_CHOOSE, name) for page in pages] for name in names[1:]] for _ in range(2)
+    ]
+    for page in pages:
+        page.close()
+    times: list[list[Times]] = [[] for _ in pages]
+    for fresh, again in zip(*turns, strict=True):
+        for measured, first, second in zip(times, fresh, again, strict=True):
+            milliseconds = (first["photograph"], first["answer"], second["photograph"])
+            measured.append(Times(*[value / 1000 for value in milliseconds]))
     return times
 
 
-def table(times: Sequence[Times]) -> str:
-    """Make a table of least, median and largest seconds."""
-    lines = [header("seconds until", "least", "median", "most", "aim")]
+def _opened(browser: Any, url: str) -> Any:
+    """Open a page, and wait for the answer on its first photograph."""
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(url)
+    page.locator(".sheet").wait_for()
+    return page
+
+
+def table(times: Sequence[Sequence[Times]]) -> str:
+    """Make a table of least, median and largest seconds; of a second page only the medians."""
+    columns = ["seconds until", "least", "median", "most", "aim"]
+    if len(times) > 1:
+        columns += ["other commit: median", "over the other commit's"]
+    lines = [header(*columns)]
     for name, aim in _AIMS_S.items():
-        values = [getattr(each, name) for each in times]
-        cells = [min(values), statistics.median(values), max(values), aim]
-        lines.append(f"| {name} | {' | '.join(f'{value:.2f}' for value in cells)} |")
+        own, *others = [[getattr(each, name) for each in of_page] for of_page in times]
+        cells = [name, *spread(own), f"{aim:.2f}"]
+        for other in others:
+            ratios = [mine / theirs for mine, theirs in zip(own, other, strict=True)]
+            cells += [f"{statistics.median(other):.2f}", f"{statistics.median(ratios):.2f}"]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -128,19 +151,25 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--photographs", type=int, default=9)
+    parser.add_argument("--other", type=Path, help="checkout of another commit")
     options = add_record_option(parser).parse_args()
+    checkouts = [_ROOT]
+    facts: dict[str, Any] = {"title": "The page: a photograph of two megapixels in Chromium"}
+    if options.other is not None:
+        checkouts.append(options.other.resolve())
+        facts["other_commit"] = commit_of(options.other)
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium")
-    title = "The page: a photograph of two megapixels in Chromium"
     with (
-        recording("speed", ["page"], options.record, title=title),
+        recording("speed", ["page"], options.record, **facts),
         tempfile.TemporaryDirectory() as name,
         sync_playwright() as playwright,
     ):
         folder = Path(name)
         names = write_photographs(folder, options.photographs + 1)
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        with viewer(folder) as url:
-            times = measure_page(browser, url, names)
+        with ExitStack() as running:
+            urls = [running.enter_context(viewer(folder, each)) for each in checkouts]
+            times = measure_pages(browser, urls, names)
         browser.close()
         print(table(times))
 

@@ -1,14 +1,13 @@
 """Measure speed and memory: ``python -m research.benchmarks.speed``.
 
 Prints Markdown; ``--record`` keeps it. The whole pipeline on a 4096 x 4096 scene is timed against
-bare ONNX Runtime on the same tiles, in turns, and against all of its own networks; ``--detector``
-names other files that take turns with it.
+bare ONNX Runtime on the same tiles, in turns, and against all of its own networks; the value is the
+median of the rounds. ``--detector`` names other files that take turns with it.
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -23,7 +22,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from research.results.record import add_record_option, recording
+from research.results.record import add_record_option, header, recording, spread
 from research.scenes import render_scene
 from vehanchor import analyse_scale
 from vehanchor.detection.detector import Detector
@@ -132,25 +131,29 @@ def pipeline(rounds: int, others: list[str]) -> list[str]:
     lines = []
     for k, detector in enumerate(detectors):
         name = detector.path.stem
-        ratio = _median_ratio(whole[k], bare[k])
+        n_tiles = len(tiles)
         lines += [
-            f"| {name}: pipeline, 4096 x 4096, s | {statistics.median(whole[k]):.2f} |",
-            f"| {name}: vehicles found | {n_boxes} |",
-            f"| {name}: bare ONNX Runtime, the same {len(tiles)} tiles, s | "
-            f"{statistics.median(bare[k]):.2f} |",
-            f"| {name}: pipeline / bare | {ratio:.3f} |",
-            f"| {name}: pipeline / all its networks | {statistics.median(added[k]):.3f} |",
+            _line(f"{name}: pipeline, 4096 x 4096, s", whole[k]),
+            _line(f"{name}: vehicles found", [n_boxes], 0),
+            _line(f"{name}: bare ONNX Runtime, the same {n_tiles} tiles, s", bare[k]),
+            _line(f"{name}: pipeline / bare", _ratios(whole[k], bare[k]), 3),
+            _line(f"{name}: pipeline / all its networks", added[k], 3),
         ]
         if k:
             for what, times in (("pipeline", whole), ("bare", bare)):
-                share = _median_ratio(times[k], times[0])
-                lines.append(f"| {what}, {name} / {detectors[0].path.stem} | {share:.3f} |")
+                shares = _ratios(times[k], times[0])
+                lines.append(_line(f"{what}, {name} / {detectors[0].path.stem}", shares, 3))
     return lines
 
 
-def _median_ratio(times: Sequence[float], others: Sequence[float]) -> float:
-    """Compute the median ratio of two runs that took turns."""
-    return statistics.median(time / other for time, other in zip(times, others, strict=True))
+def _line(name: str, values: Sequence[float], decimals: int = 2) -> str:
+    """Write a line of the table."""
+    return f"| {name} | {' | '.join(spread(values, decimals))} |"
+
+
+def _ratios(times: Sequence[float], others: Sequence[float]) -> list[float]:
+    """Compute the ratios of two runs that took turns."""
+    return [time / other for time, other in zip(times, others, strict=True)]
 
 
 def peak_memory() -> str:
@@ -169,19 +172,19 @@ def peak_memory() -> str:
                 [sys.executable, "-c", code], check=True, capture_output=True, text=True
             ).stdout
         )
-    return f"| peak memory, 4096 x 4096 PNG, MiB | {kib / 1024:.0f} |"
+    return _line("peak memory, 4096 x 4096 PNG, MiB", [kib / 1024], 0)
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument(
         "--detector", action="append", default=[], help="file or name; may be repeated"
     )
     options = add_record_option(parser).parse_args()
     with recording("speed", ["pipeline_all"], options.record, rounds=options.rounds):
-        print("| quantity | value |\n|---|---|")
+        print(header("quantity", "least", "value", "most"))
         for line in [*pipeline(options.rounds, options.detector), peak_memory()]:
             print(line, flush=True)
 

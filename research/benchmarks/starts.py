@@ -16,11 +16,11 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 
-from research.results.record import add_record_option, header, recording
+from research.results.record import add_record_option, header, recording, spread
 from research.scenes import render_scene
 
 if TYPE_CHECKING:
@@ -65,6 +65,12 @@ def environment(checkout: Path) -> Mapping[str, str]:
     variables.pop("PYTHONDONTWRITEBYTECODE", None)
     variables["PYTHONPATH"] = os.pathsep.join(str(checkout / name) for name in ("skill", "server"))
     return variables
+
+
+def commit_of(checkout: Path) -> str:
+    """Name the commit of a checkout."""
+    command = ["git", "-C", str(checkout), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def seconds(start: Start, variables: Mapping[str, str]) -> float:
@@ -119,11 +125,13 @@ def main() -> None:
     options = add_record_option(parser).parse_args()
     checkouts = [_ROOT]
     columns = ["seconds", "least", "median", "most", "aim"]
+    facts: dict[str, Any] = {"title": "Starts of commands", "runs": options.runs}
     if options.other is not None:
         checkouts.append(options.other.resolve())
         columns += ["other commit: median", "over the other commit's"]
+        facts["other_commit"] = commit_of(options.other)
     with (
-        recording("speed", ["starts"], options.record, title="Starts of commands"),
+        recording("speed", ["starts"], options.record, **facts),
         tempfile.TemporaryDirectory() as folder,
     ):
         print(header(*columns))
@@ -135,8 +143,7 @@ def main() -> None:
                     if number:  # the first one compiles
                         measured.append(taken)
             own = times[0]
-            numbers = [f"{value:.2f}" for value in (min(own), statistics.median(own), max(own))]
-            cells = [start.name, *numbers, start.aim]
+            cells = [start.name, *spread(own), start.aim]
             if len(times) > 1:
                 other = times[1]
                 ratios = [mine / theirs for mine, theirs in zip(own, other, strict=True)]

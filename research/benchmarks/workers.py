@@ -3,14 +3,13 @@
 Prints Markdown; ``--record`` keeps it. Rendered photographs of two megapixels with 200 cars: the
 rate of two workers over that of one, in turns; the cores that one worker keeps busy; the same for
 the bare detector in processes of one thread, which tells what the machine allows; and the memory of
-a worker.
+a worker. Values are medians of the rounds.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -19,7 +18,7 @@ from pathlib import Path
 
 from research.benchmarks.batch import run_rows
 from research.benchmarks.page import write_photographs
-from research.results.record import add_record_option, header, recording
+from research.results.record import add_record_option, header, recording, spread
 
 # One thread runs the detector on one tile; prints the seconds.
 _BARE = """
@@ -51,7 +50,9 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
 status = Path("/proc/self/status").read_text().splitlines()
 print(next(line.split()[1] for line in status if line.startswith("VmHWM")))
 """
-_N_TILES = 60
+_N_TILES = 30
+# Processes whose peak memory is measured.
+_N_PEAKS = 3
 
 
 def bare_seconds(processes: int) -> float:
@@ -88,12 +89,12 @@ def cores_of_one(folder: Path) -> tuple[float, float]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--photographs", type=int, default=32)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--photographs", type=int, default=24)
+    parser.add_argument("--rounds", type=int, default=9)
     options = add_record_option(parser).parse_args()
     title = "Workers of a batch: photographs of two megapixels"
     with (
-        recording("speed", ["workers"], options.record, title=title),
+        recording("speed", ["workers"], options.record, title=title, rounds=options.rounds),
         tempfile.TemporaryDirectory() as name,
     ):
         folder = Path(name)
@@ -109,14 +110,16 @@ def main() -> None:
             bare_ratios.append(2 * bare_seconds(1) / bare_seconds(2))
         for path in sorted(folder.iterdir())[8:]:
             path.unlink()
-        print(header("quantity", "value", "aim"))
-        print(f"| two workers over one | {statistics.median(ratios):.2f} | 1.9 |")
-        print(f"| cores that one worker keeps busy | {statistics.median(cores):.2f} | |")
-        print(
-            "| the bare detector in two processes of one thread over one | "
-            f"{statistics.median(bare_ratios):.2f} | |"
-        )
-        print(f"| peak memory of a worker, MiB | {peak_mib(folder):.0f} | 220 |")
+        print(header("quantity", "least", "value", "most", "aim"))
+        bare = "the bare detector in two processes of one thread over one"
+        for name, values, aim in (
+            ("two workers over one", ratios, "1.9"),
+            ("cores that one worker keeps busy", cores, ""),
+            (bare, bare_ratios, ""),
+        ):
+            print(f"| {name} | {' | '.join(spread(values))} | {aim} |")
+        peaks = [peak_mib(folder) for _ in range(_N_PEAKS)]
+        print(f"| peak memory of a worker, MiB | {' | '.join(spread(peaks, 0))} | 220 |")
 
 
 if __name__ == "__main__":

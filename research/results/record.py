@@ -23,6 +23,7 @@ import math
 import os
 import platform
 import re
+import statistics
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -41,6 +42,7 @@ __all__ = [
     "load",
     "names_of",
     "recording",
+    "spread",
     "tables_of",
     "values_table",
     "write",
@@ -173,6 +175,12 @@ def recording(
 def header(*columns: str) -> str:
     """Format the two lines that begin a Markdown table."""
     return f"| {' | '.join(columns)} |\n|" + "---|" * len(columns)
+
+
+def spread(values: Sequence[float], decimals: int = 2) -> list[str]:
+    """Format the least, the median and the largest of repeated measurements."""
+    numbers = (min(values), statistics.median(values), max(values))
+    return [f"{number:.{decimals}f}" for number in numbers]
 
 
 def values_table(

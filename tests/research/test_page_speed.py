@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from research.benchmarks.page import measure_page, table, viewer, write_photographs
+from research.benchmarks.page import measure_pages, table, viewer, write_photographs
 
 pytestmark = pytest.mark.browser
 
@@ -19,8 +19,8 @@ def test_the_page_shows_a_photograph_before_its_answer(
 ) -> None:
     names = write_photographs(tmp_path, 2)
     with viewer(tmp_path) as url:
-        times = measure_page(chromium, url, names)
+        [times] = measure_pages(chromium, [url], names)
     [only] = times
     assert 0 < only.photograph <= only.answer
     with capsys.disabled():
-        print(f"\n{table(times)}")
+        print(f"\n{table([times])}")

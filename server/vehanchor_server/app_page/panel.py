@@ -152,11 +152,14 @@ def drawing_of(analysis: ScaleEvidence) -> Drawing:
         rows.tolist(), analysis.kept, detections.numbers, detections.stated, strict=False
     ):
         x, y, length, width, angle = row
-        vehicles.append((x, y, length, width, angle, int(kept), int(number), int(added)))
+        flags = (int(kept), int(number), int(added))
+        vehicles.append((x, y, length, width, angle, *flags))
     lines = []
     for mark in analysis.marks[:MAX_LINES]:
-        points = tuple((round(float(x), 1), round(float(y), 1)) for x, y in mark.points)
-        lines.append(DrawnLine(points=points, label=mark.label, closed=mark.closed))
+        points = []
+        for x, y in mark.points:
+            points.append((round(float(x), 1), round(float(y), 1)))
+        lines.append(DrawnLine(points=tuple(points), label=mark.label, closed=mark.closed))
     length_over_width = None
     if analysis.vehicles is not None:
         length_over_width = analysis.vehicles.card.errors.boxes.length_over_width

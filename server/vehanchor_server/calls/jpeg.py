@@ -45,6 +45,7 @@ def _within(picture: NDArray[np.uint8], side_px: int) -> NDArray[np.uint8]:
     factor = side_px / max(height, width)
     if factor >= 1:
         return picture
-    size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    reduced = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    reduced_width = max(1, round(width * factor))
+    reduced_height = max(1, round(height * factor))
+    reduced = cv2.resize(picture, (reduced_width, reduced_height), interpolation=cv2.INTER_AREA)
     return cast("NDArray[np.uint8]", reduced)

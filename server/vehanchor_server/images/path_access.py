@@ -71,7 +71,8 @@ class PathAccess:
     def __init__(self, roots: Sequence[Path], spellings: Sequence[Path] = ()) -> None:
         self.roots = tuple(roots)
         # Each accepted spelling of a root, with the root.
-        self._spellings = [*zip(roots, roots, strict=True), *zip(spellings, roots, strict=False)]
+        self._spellings = [(root, root) for root in roots]
+        self._spellings += zip(spellings, roots, strict=False)
 
     @contextmanager
     def open(self, named: str) -> Iterator[str | BinaryIO]:

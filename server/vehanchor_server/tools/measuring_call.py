@@ -155,7 +155,8 @@ def _hints_about_coordinates(
     width = record.image_width_px
     height = record.image_height_px
     size = f"The image has {width} x {height} px"
-    if max(width, height) > _LARGE_PX and all(x <= _PER_CENT and y <= _PER_CENT for x, y in points):
+    may_be_shares = all(x <= _PER_CENT and y <= _PER_CENT for x, y in points)
+    if max(width, height) > _LARGE_PX and may_be_shares:
         return [
             f"{size}, all coordinates lie in 0 to 100. If they are pixels, give coordinates: "
             '"pixels".'

@@ -96,7 +96,8 @@ def answer_of(records: Sequence[AnyRecord], hints: Sequence[str], detail: Detail
     prefixed = [f"{_PREFIX}{warning}" for warning in warnings]
     if contradiction is not None and stated_code is not None:
         warnings = [f"{stated_code}: {contradiction.text}.", *warnings]
-    return Answer(" ".join([*words, *prefixed, *hints]), (*warnings, *hints))
+    text = " ".join([*words, *prefixed, *hints])
+    return Answer(text, (*warnings, *hints))
 
 
 def _details_in_words(record: AnyRecord) -> list[str]:

@@ -71,8 +71,10 @@ class Target(FrozenModel):
         if self.box is not None:
             return list(self.box.corners)
         if self.polygon is not None:
+            x = self.polygon[::2]
+            y = self.polygon[1::2]
             # An odd number is refused with the prompt.
-            return list(zip(self.polygon[::2], self.polygon[1::2], strict=False))
+            return list(zip(x, y, strict=False))
         return [(point.x, point.y) for point in self.points or ()]
 
     @model_validator(mode="before")

@@ -273,7 +273,14 @@ def _without_vehicles(
     """Drop doubtful vehicles that another ruler contradicts, or those that may not be cars."""
     if not vehicles.found:
         return
-    nothing = replace(vehicles, gsd_m_per_px=None, right=None, guess=None, lacks=(), notices=())
+    nothing = replace(
+        vehicles,
+        gsd_m_per_px=None,
+        right=None,
+        guess=None,
+        lacks=(),
+        notices=(),
+    )
     others_set_scale = any(
         witness.found and witness.sets_scale for witness in witnesses if witness is not vehicles
     )

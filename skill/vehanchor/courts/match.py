@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vehanchor.courts.templates import Pose
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     """``[h, w]`` strength of the line through each pixel, 0..1."""
 
     Indices: TypeAlias = NDArray[np.intp]
-    """Indices into the cumulative sums of the lines."""
+    """Rows and columns of the cumulative sums of the lines."""
 
 # A line is brighter than the pixels this far to either side.
 _HALF_LINE_PX = 2
@@ -136,8 +137,8 @@ def _rotated_sums(
     """Compute cumulative sums of the lines around a pose, rotated so that it lies along rows.
 
     Returns:
-        Flat array of rows of ``2 half_x + 2`` values. The first ``2 half_y + 1`` rows hold lines
-        along rows. The next ``2 half_y + 2`` rows hold lines across; their last column is empty.
+        ``[4 half_y + 3, 2 half_x + 2]``. The first ``2 half_y + 1`` rows hold lines along rows. The
+        others hold lines across; their last column is empty.
     """
     cos = np.cos(angle)
     sin = np.sin(angle)
@@ -164,24 +165,25 @@ def _rotated_sums(
     sums_across = sums[rows + 1 :, :-1]
     np.cumsum(wide_along, axis=1, out=sums_along)
     np.cumsum(wide_across, axis=0, out=sums_across)
-    return sums.ravel()
+    return sums
 
 
 class _Ends(NamedTuple):
-    """Indices into the cumulative sums for the segments of a template.
+    """Places in the cumulative sums for the segments of a template.
 
     Attributes:
-        first: ``[sizes, lines]`` index of each segment's start, for a court at the patch's centre.
-        last: ``[sizes, lines]`` index of each segment's end.
-        weights: ``[sizes, lines]`` share of the score divided by the length in pixels; negative for
+        first: ``[2, lines, sizes]`` row and column of each segment's start, for a court at the
+            first place down and across.
+        last: ``[2, lines, sizes]`` row and column of each segment's end.
+        weights: ``[lines, sizes]`` share of the score divided by the length in pixels; negative for
             blanks.
-        shift: ``[places, places]`` offsets of the indices for a court that far down and across.
+        places: pixels to try to either side, along and across, at even steps.
     """
 
     first: Indices
     last: Indices
     weights: NDArray[np.float32]
-    shift: Indices
+    places: Indices
 
     @classmethod
     def of(
@@ -192,12 +194,12 @@ class _Ends(NamedTuple):
         half_x: int,
         half_y: int,
     ) -> _Ends:
-        """Compute the indices of a template for every size.
+        """Compute the places of a template for every size.
 
         Args:
             template: the template.
             sizes: ``[sizes]`` pixels per metre.
-            places: pixels to try to either side, along and across.
+            places: pixels to try to either side, along and across, at even steps.
             half_x: columns of the patch on either side of its centre.
             half_y: rows of the patch on either side of its centre.
         """
@@ -210,37 +212,40 @@ class _Ends(NamedTuple):
         paint_m = metres[is_paint].sum()
         blank_m = metres[~is_paint].sum()
         shares = np.where(is_paint, metres / paint_m, -metres / blank_m)
-        lines_px = np.rint(lines[None] * sizes[:, None, None])
+        lines_px = np.rint(lines[:, None] * sizes[:, None])
         x1, y1, x2, y2 = np.moveaxis(lines_px.astype(np.intp), 2, 0)
+        is_along = is_along[:, None]
         n_pixels = np.where(is_along, x2 - x1, y2 - y1) + 1
         # The sum up to a segment's end is one place ahead of its pixel: to the right, or down.
         right = np.where(is_along, 1, 0)
         down = 1 - right
-        pitch = 2 * half_x + 2
         first_row = np.where(is_along, 0, 2 * half_y + 1)
-        base = (first_row + half_y) * pitch + half_x
-        first = base + y1 * pitch + x1
-        last = base + (y2 + down) * pitch + x2 + right
+        row = first_row + half_y + places[0]
+        column = half_x + places[0]
         return cls(
-            first=first,
-            last=last,
-            weights=np.asarray(shares / n_pixels, np.float32),
-            shift=pitch * places[:, None] + places,
+            first=np.stack([row + y1, column + x1]),
+            last=np.stack([row + y2 + down, column + x2 + right]),
+            weights=np.asarray(shares[:, None] / n_pixels, np.float32),
+            places=places,
         )
 
     def best(self, sums: NDArray[np.float32]) -> tuple[float, int, int, int]:
         """Find the best score over all positions, and the indices of its size, row and column."""
-        # For each line: the paint below it at all sizes and places.
-        firsts = self.first.T[:, :, None, None]
-        lasts = self.last.T[:, :, None, None]
-        weights = self.weights.T[:, :, None, None]
-        n_sizes = len(self.first)
-        scores = np.zeros((n_sizes, *self.shift.shape), np.float32)
-        for first, last, weight in zip(firsts, lasts, weights, strict=True):
-            sum_before = sums.take(first + self.shift)
-            sum_after = sums.take(last + self.shift)
-            paint = sum_after - sum_before
-            scores += weight * paint
+        step = self.places[1] - self.places[0]
+        side = self.places[-1] - self.places[0] + 1
+        # The sums at all positions, for each place of a court at the first one.
+        windows = sliding_window_view(sums, (side, side))[:, :, ::step, ::step]
+        n_sizes = self.weights.shape[1]
+        n_places = len(self.places)
+        scores = np.zeros((n_sizes, n_places, n_places), np.float32)
+        # For each line: the paint below it at all sizes and positions.
+        firsts = zip(*self.first, strict=True)
+        lasts = zip(*self.last, strict=True)
+        for first, last, weights in zip(firsts, lasts, self.weights, strict=True):
+            paint = windows[last]
+            paint -= windows[first]
+            paint *= weights[:, None, None]
+            scores += paint
         best = int(scores.argmax())
         size, row, column = np.unravel_index(best, scores.shape)
         best_score = float(scores[size, row, column])

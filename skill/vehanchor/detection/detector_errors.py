@@ -94,6 +94,8 @@ class AppearanceErrors(_Errors):
         kind_cars: number of cars at which half of the variance of ``kind_log_sd`` is left.
         work_log_sd: standard deviation that is added to ``kind_log_sd``, as independent errors add,
             if all vehicles are vans, lorries or other work vehicles; of fewer, in proportion.
+        scatter_cars: number of cars that stand for the usual scatter of lengths by appearance; the
+            more it is, the less a larger scatter widens the fleet's error.
         fair_odds: odds of a car at which its length by appearance errs as the network states.
         doubt_power: power of that error at other odds.
     """
@@ -104,6 +106,7 @@ class AppearanceErrors(_Errors):
     kind_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.06
     kind_cars: Annotated[float, Field(ge=0.1, le=1000.0)] = 2.0
     work_log_sd: Annotated[float, Field(ge=0.0, le=2.0)] = 0.28
+    scatter_cars: Annotated[float, Field(ge=0.1, le=1000.0)] = 10.0
     fair_odds: Annotated[float, Field(ge=0.001, le=1e6)] = 20.0
     doubt_power: Annotated[float, Field(ge=0.0, le=2.0)] = 0.125
 

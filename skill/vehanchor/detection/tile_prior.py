@@ -13,6 +13,7 @@ import numpy as np
 
 from vehanchor.imagery.raster import Window
 from vehanchor.imagery.tiles import read_preview
+from vehanchor.odds import chances_of
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -83,7 +84,7 @@ def car_prior(coarse: Preview, odds: TilePriorOdds) -> Chances:
     means = np.array(rows, dtype=np.float64)
     log_gradients = np.log(means + NOISE_GRADIENT)
     log_odds = odds.log_odds_at_one + odds.log_odds_slope * log_gradients
-    return np.asarray(1 / (1 + np.exp(-log_odds)))
+    return chances_of(log_odds)
 
 
 def tile_prior_map(raster: Raster, odds: TilePriorOdds) -> Chances:

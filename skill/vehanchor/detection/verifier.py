@@ -19,6 +19,7 @@ from vehanchor.errors import ModelContractError
 from vehanchor.models.files import models_sha256, read_model
 from vehanchor.models.runtime import LoadedModel, Runtime
 from vehanchor.models.session import open_session, run_session
+from vehanchor.odds import chances_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -183,12 +184,11 @@ class Weights(NamedTuple):
         detector = np.clip(detector, _SCORE_MARGIN, 1 - _SCORE_MARGIN)
         verifier = np.asarray(logits, np.float64)
         size = np.asarray(size_odds, np.float64)
-        odds = detector / (1 - detector)
-        total = (
-            self.detector * np.log(odds) + self.verifier * verifier + self.bias + self.size * size
-        )
+        by_detector = self.detector * np.log(detector / (1 - detector))
+        by_verifier = self.verifier * verifier
+        total = by_detector + by_verifier + self.bias + self.size * size
         logit = np.clip(total, -_MAX_LOGIT, _MAX_LOGIT)
-        return np.asarray(1 / (1 + np.exp(-logit)))
+        return chances_of(logit)
 
 
 class AuxiliaryModel(LoadedModel, Generic[_CardT]):

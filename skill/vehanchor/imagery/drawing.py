@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from vehanchor.imagery.raster import Window
+from vehanchor.odds import chance_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,6 +33,8 @@ PATCH_PX = 128
 
 SMALL_PATCH_PX = 64
 """Side of the patches of an image that is smaller than ``PATCH_PX``."""
+
+# Numbers without a measurement beside them are choices.
 
 # Patches along a side of the image, at even steps.
 _MAX_ALONG = 6
@@ -114,8 +117,9 @@ def measure_drawing_chance(raster: Raster, part: Window | None = None) -> float:
             left = part.x_px + x
             top = part.y_px + y
             patch = raster.read(Window(left, top, width_px=patch_px, height_px=patch_px))
-            if np.mean(_differences(patch) <= _UNIFORM) < _EMPTY_SHARE:
-                measured.append(_measure(patch))
+            differences = _differences(patch)
+            if np.mean(differences <= _UNIFORM) < _EMPTY_SHARE:
+                measured.append(_measure(patch, differences))
     edged = [patch for patch in measured if patch.has_edges]
     if len(edged) < max(1.0, _EDGED_PATCHES * len(measured)):
         return 0.0
@@ -147,7 +151,7 @@ def drawing_chance_around(raster: Raster, boxes: NDArray[np.float64], overall: f
         left = int(np.clip(x - patch_px / 2, 0, raster.width_px - patch_px))
         top = int(np.clip(y - patch_px / 2, 0, raster.height_px - patch_px))
         patch = raster.read(Window(left, top, width_px=patch_px, height_px=patch_px))
-        measured.append(_measure(patch))
+        measured.append(_measure(patch, _differences(patch)))
     around = _chance(measured, _upper_median(measured), _flat_share(measured))
     return min(overall, max(around, _noisy_chance(measured)))
 
@@ -172,14 +176,19 @@ class _Patch(NamedTuple):
     is_on_paper: bool
 
 
-def _measure(patch: RgbImage) -> _Patch:
-    """Measure a patch, at half its resolution where compression would disturb."""
-    flat_share = float(np.mean(_differences(patch) <= _FLAT))
+def _measure(patch: RgbImage, differences: NDArray[np.uint8]) -> _Patch:
+    """Measure a patch, at half its resolution where compression would disturb.
+
+    Args:
+        patch: the patch.
+        differences: ``[h, w]`` largest difference among the neighbours of each pixel.
+    """
+    flat_share = float(np.mean(differences <= _FLAT))
     halved = _halved(patch)
-    differences = _differences(halved)
-    has_edges = bool(np.mean(differences > _SHARP) > _EDGE_SHARE)
+    halved_differences = _differences(halved)
+    has_edges = bool(np.mean(halved_differences > _SHARP) > _EDGE_SHARE)
     return _Patch(
-        _flattest(differences),
+        _flattest(halved_differences),
         _flattest(_differences(_halved(halved))),
         flat_share=flat_share,
         two_tones=_two_tone_share(halved),
@@ -216,7 +225,8 @@ def _chance(patches: Sequence[_Patch], difference: float, flat_share: float) -> 
     two_tones = float(np.quantile([patch.two_tones for patch in patches], 0.5, method="lower"))
     of_tones = _chance_of_tones(_WEIGHTS, difference, two_tones)
     least, enough = _FLAT_SHARES
-    return float(of_tones * np.clip((flat_share - least) / (enough - least), 0.0, 1.0))
+    flatness = (flat_share - least) / (enough - least)
+    return float(of_tones * np.clip(flatness, 0.0, 1.0))
 
 
 def _noisy_chance(patches: Sequence[_Patch]) -> float:
@@ -238,8 +248,7 @@ def _chance_of_tones(weights: DrawingWeights, difference: float, two_tones: floa
         + weights.two_tones * two_tones
         + weights.offset
     )
-    # The logistic function, by a formula that does not overflow.
-    return (1.0 + math.tanh(log_odds / 2)) / 2
+    return chance_of(log_odds)
 
 
 def _halved(patch: RgbImage) -> RgbImage:
@@ -251,7 +260,8 @@ def _halved(patch: RgbImage) -> RgbImage:
 def _starts(side_px: int, patch_px: int) -> list[int]:
     """Choose the first pixels of patches along a side, at even steps."""
     count = min(_MAX_ALONG, side_px // patch_px)
-    starts: list[int] = np.linspace(0, side_px - patch_px, count).astype(int).tolist()
+    places = np.linspace(0, side_px - patch_px, count)
+    starts: list[int] = places.astype(int).tolist()
     return starts
 
 
@@ -260,7 +270,8 @@ def _differences(patch: RgbImage) -> NDArray[np.uint8]:
     neighbours = np.ones((3, 3), np.uint8)
     highest = cv2.dilate(patch, neighbours)
     lowest = cv2.erode(patch, neighbours)
-    return np.asarray(cv2.subtract(highest, lowest).max(axis=2), np.uint8)
+    red, green, blue = cv2.split(cv2.subtract(highest, lowest))
+    return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
 
 
 def _two_tone_share(patch: RgbImage) -> float:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     Rows: TypeAlias = NDArray[np.float64]
     """``[w]`` rows, one for each column."""
 
+# Numbers without a measurement beside them are choices.
+
 # Longest side of the reduced image in which the horizon is looked for.
 _SIDE_PX = 256
 _MIN_SIDE_PX = 40
@@ -95,7 +97,10 @@ def _horizon(grey: Plane) -> float | None:
     # In nadir photographs, what lies beside a bright smooth surface has its full contrast.
     strip = ground & (rows < line + _STRIP * height)
     lower_half = rows > line + (height - line) / 2
-    if not strip.any() or slopes[strip].mean() > _MAX_CONTRAST * slopes[lower_half].mean():
+    if not strip.any():
+        return None
+    full_contrast = slopes[lower_half].mean()
+    if slopes[strip].mean() > _MAX_CONTRAST * full_contrast:
         return None
     return middle
 
@@ -105,7 +110,8 @@ def _slopes(grey: Plane) -> Plane:
     across = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3)
     down = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3)
     # The weights of the kernel add up to eight.
-    return np.asarray(cv2.blur(np.hypot(across, down) / 8, (3, 3)))
+    slopes = np.hypot(across, down) / 8
+    return np.asarray(cv2.blur(slopes, (3, 3)))
 
 
 def _fitted_line(rows: Rows) -> Rows:
@@ -115,6 +121,7 @@ def _fitted_line(rows: Rows) -> Rows:
     line = np.full(width, np.median(rows))
     for _ in range(_N_STEPS):
         weights = 1.0 / (1.0 + ((line - rows) / _GAP_PX) ** 2)
-        coefficients, *_ = np.linalg.lstsq(design * weights[:, None], rows * weights, rcond=None)
+        weighted = design * weights[:, None]
+        coefficients, *_ = np.linalg.lstsq(weighted, rows * weights, rcond=None)
         line = design @ coefficients
     return line

@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     """``[n]`` one number for each rectangle."""
 
     Places: TypeAlias = NDArray[np.intp]
-    """``[n]`` rows or columns."""
+    """``[n]``, or one row for each side, rows or columns."""
+
+# Numbers without a measurement beside them are choices.
 
 # Least strengths of a rectangle whose borders are steps, and lines. The formula was chosen on 300
 # insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
@@ -162,24 +164,33 @@ def find_inset(grey: Grey, *, with_frames: bool = True) -> Inset | None:
         is_grid = _lies_on_ground(grey, inset, 0) or _goes_on_behind(grey, inset)
         if inset.strength >= _LEAST_OF_LINES and not is_grid:
             return inset
+    # Most images have no rectangle that a third map could confirm.
+    weak = [inset for inset in (*by_lines, *by_steps) if _may_be_weak(grey, inset)]
+    if not weak:
+        return None
     of_columns = _without_blocks(_wide_step_strengths(grey))
     of_rows = _without_blocks(_wide_step_strengths(transposed))
-    return _agreed(grey, by_steps, by_lines, _best_rectangles(of_columns, of_rows))
+    return _agreed(grey, weak, by_lines, _best_rectangles(of_columns, of_rows))
+
+
+def _may_be_weak(grey: Grey, inset: Inset) -> bool:
+    """Test whether a rectangle is clear enough for an inset with a weak border."""
+    return inset.strength >= _MIN_AGREEING and _differs(grey, inset)
 
 
 def _agreed(
-    grey: Grey, by_steps: list[Inset], by_lines: list[Inset], by_wide_steps: list[Inset]
+    grey: Grey, weak: list[Inset], by_lines: list[Inset], by_wide_steps: list[Inset]
 ) -> Inset | None:
     """Find an inset with a weak border that two maps show; None without one.
 
     Args:
         grey: the image.
-        by_steps: rectangles whose borders are steps.
+        weak: rectangles whose borders are steps or lines, and may be weak.
         by_lines: rectangles whose borders are lines.
         by_wide_steps: rectangles whose borders are steps over two pixels.
     """
-    for inset, wide in product([*by_lines, *by_steps], by_wide_steps):
-        if not _agree(inset, wide) or not _differs(grey, inset):
+    for inset, wide in product(weak, by_wide_steps):
+        if not _agree(inset, wide):
             continue
         if _is_thing(grey, inset) or _lies_on_ground(grey, inset, 0):
             continue
@@ -257,10 +268,11 @@ def _grey(image: cv2.typing.MatLike) -> Grey:
 
 def _contrast(signal: Grey, noise: Grey, levels: float) -> Strengths:
     """Divide the difference of two grey values by their sum, from -0.5 on."""
-    difference = cv2.subtract(signal, noise, dtype=cv2.CV_32F)
-    total = cv2.add(signal, noise, dtype=cv2.CV_32F)
-    contrast = np.asarray(difference, np.float32) / (total + np.float32(levels))
-    return np.maximum(contrast, np.float32(_LEAST_STRENGTH))
+    contrast = np.asarray(cv2.subtract(signal, noise, dtype=cv2.CV_32F), np.float32)
+    total = np.asarray(cv2.add(signal, noise, dtype=cv2.CV_32F), np.float32)
+    total += np.float32(levels)
+    contrast /= total
+    return np.maximum(contrast, np.float32(_LEAST_STRENGTH), out=contrast)
 
 
 def _is_plain(grey: Grey, inset: Inset) -> bool:
@@ -280,15 +292,19 @@ def _lies_on_ground(grey: Grey, inset: Inset, distance_px: int) -> bool:
     height, width = grey.shape
     rows = slice(inset.top, inset.bottom)
     columns = slice(inset.left, inset.right)
+    left = inset.left - distance_px
+    right = inset.right + distance_px
+    top = inset.top - distance_px
+    bottom = inset.bottom + distance_px
     around = []
-    if inset.left >= distance_px and inset.left > 0:
-        around.append(grey[rows, inset.left - distance_px])
-    if inset.right + distance_px < width:
-        around.append(grey[rows, inset.right + distance_px])
-    if inset.top >= distance_px and inset.top > 0:
-        around.append(grey[inset.top - distance_px, columns])
-    if inset.bottom + distance_px < height:
-        around.append(grey[inset.bottom + distance_px, columns])
+    if inset.left > 0 and left >= 0:
+        around.append(grey[rows, left])
+    if right < width:
+        around.append(grey[rows, right])
+    if inset.top > 0 and top >= 0:
+        around.append(grey[top, columns])
+    if bottom < height:
+        around.append(grey[bottom, columns])
     if not around:
         return False
     surroundings = np.concatenate(around)
@@ -302,18 +318,21 @@ def _goes_on_behind(grey: Grey, inset: Inset) -> bool:
     """Test whether one picture goes on behind the border, as behind the lines of a map's grid."""
     common = []
     for left, right in _both_sides(grey, inset):
+        left_spread = left.std(axis=0).max()
+        right_spread = right.std(axis=0).max()
         # A thick frame has no texture that could go on.
-        if min(left.std(axis=0).max(), right.std(axis=0).max()) > _PLAIN_SD:
+        if min(left_spread, right_spread) > _PLAIN_SD:
             common.append(common_texture(left, right))
     return bool(common) and float(np.median(common)) >= MIN_COMMON_TEXTURE
 
 
 def _differs(grey: Grey, inset: Inset) -> bool:
     """Test whether the picture differs across each side: a part of a roof has the roof's colour."""
-    return all(
-        float(np.abs(right.mean(axis=1) - left.mean(axis=1)).mean()) >= _MIN_MEAN_DIFFERENCE
-        for left, right in _both_sides(grey, inset)
-    )
+    for left, right in _both_sides(grey, inset):
+        difference = right.mean(axis=1) - left.mean(axis=1)
+        if np.abs(difference).mean() < _MIN_MEAN_DIFFERENCE:
+            return False
+    return True
 
 
 def _alternating_share(grey: Grey, inset: Inset) -> float:
@@ -352,8 +371,10 @@ def _both_sides(grey: Grey, inset: Inset) -> Iterator[tuple[Grey, Grey]]:
 def _without_blocks(strengths: Strengths) -> Strengths:
     """Set the borders of visible blocks of a compressed image to zero."""
     mean = strengths.mean(axis=0)
-    usual = np.array([np.median(mean[phase::_BLOCK_PX]) for phase in range(_BLOCK_PX)])
-    for phase in np.flatnonzero(usual - np.median(usual) > _BLOCKY):
+    phases = range(_BLOCK_PX)
+    usual = np.array([np.median(mean[phase::_BLOCK_PX]) for phase in phases])
+    surplus = usual - np.median(usual)
+    for phase in np.flatnonzero(surplus > _BLOCKY):
         strengths[:, phase::_BLOCK_PX] = 0.0
     return strengths
 
@@ -392,21 +413,16 @@ def _best_rectangles(of_columns: Strengths, of_rows: Strengths) -> list[Inset]:
     length_px = max(_MIN_LINE_PX, round(_LINE_SHARE * side))
     x_px = np.array([0, *_candidates(of_columns, length_px), width])
     y_px = np.array([0, *_candidates(of_rows, length_px), height])
-    left, right, top, bottom = (
-        grid.ravel() for grid in np.meshgrid(x_px[:-1], x_px[1:], y_px[:-1], y_px[1:])
-    )
-    least_px = max(_MIN_SIDE_PX, _MIN_SIDE_SHARE * side)
-    columns = right - left
-    rows = bottom - top
-    is_inset = (columns >= least_px) & (rows >= least_px)
-    is_inset &= (columns < width) & (rows < height)
-    is_inset &= columns * rows <= _MAX_AREA_SHARE * width * height
+    # All rectangles between the candidates: a row each of left, right, top and bottom.
+    grids = np.meshgrid(x_px[:-1], x_px[1:], y_px[:-1], y_px[1:])
+    rectangles = np.stack([grid.ravel() for grid in grids])
+    is_inset = _may_be_insets(rectangles, width, height)
     if not is_inset.any():
         return []
-    left, right, top, bottom = left[is_inset], right[is_inset], top[is_inset], bottom[is_inset]
+    left, right, top, bottom = rectangles[:, is_inset]
     beyond_px = max(_MIN_BEYOND_PX, round(_BEYOND_SHARE * side))
-    column_sums = _Sums.of(of_columns, beyond_px)
-    row_sums = _Sums.of(of_rows, beyond_px)
+    column_sums = _Sums.of(of_columns, x_px, beyond_px)
+    row_sums = _Sums.of(of_rows, y_px, beyond_px)
     sides = (
         column_sums.side(left, top, bottom),
         column_sums.side(right, top, bottom),
@@ -434,6 +450,24 @@ def _best_rectangles(of_columns: Strengths, of_rows: Strengths) -> list[Inset]:
     ]
 
 
+def _may_be_insets(rectangles: Places, width: int, height: int) -> NDArray[np.bool_]:
+    """Test which rectangles ``[n]`` have the size of an inset.
+
+    Args:
+        rectangles: ``[4, n]`` left, right, top and bottom.
+        width: columns of the image.
+        height: rows of the image.
+    """
+    left, right, top, bottom = rectangles
+    columns = right - left
+    rows = bottom - top
+    least_px = max(_MIN_SIDE_PX, _MIN_SIDE_SHARE * min(height, width))
+    is_large = (columns >= least_px) & (rows >= least_px)
+    is_part = (columns < width) & (rows < height)
+    is_small = columns * rows <= _MAX_AREA_SHARE * width * height
+    return np.asarray(is_large & is_part & is_small)
+
+
 class _Sides(NamedTuple):
     """One side of each rectangle.
 
@@ -449,23 +483,24 @@ class _Sides(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Sums of strengths along columns.
+    """Sums of strengths along those columns that bound rectangles.
 
     Attributes:
-        sums: ``[h + 1, w + 1]`` sums over the rows above.
+        columns: ``[n]`` rising; the first and the last one are the borders of the image.
+        sums: ``[h + 1, n]`` sums over the rows above.
         beyond_px: pixels beyond a corner that are looked at.
     """
 
+    columns: Places
     sums: NDArray[np.float64]
     beyond_px: int
 
     @classmethod
-    def of(cls, strengths: Strengths, beyond_px: int) -> _Sums:
+    def of(cls, strengths: Strengths, columns: Places, beyond_px: int) -> _Sums:
         """Sum strengths along columns."""
-        height, width = strengths.shape
-        sums = np.zeros((height + 1, width + 1))
-        np.cumsum(strengths, axis=0, out=sums[1:, :width])
-        return cls(sums, beyond_px)
+        sums = np.zeros((len(strengths) + 1, len(columns)))
+        np.cumsum(strengths[:, columns[:-1]], axis=0, out=sums[1:, :-1])
+        return cls(columns, sums, beyond_px)
 
     def side(self, columns: Places, first: Places, behind: Places) -> _Sides:
         """Measure one side of each rectangle.
@@ -475,25 +510,28 @@ class _Sums(NamedTuple):
             first: its first row.
             behind: the row behind its last one.
         """
-        is_seen = (columns > 0) & (columns < self.sums.shape[1] - 1)
-        mean, length = self._mean(columns, first, behind)
-        before = self._mean(columns, first - self.beyond_px, first - _CORNER_PX)
-        after = self._mean(columns, behind + _CORNER_PX, behind + self.beyond_px)
+        places = np.searchsorted(self.columns, columns)
+        is_seen = (places > 0) & (places < len(self.columns) - 1)
+        mean, length = self._mean(places, first, behind)
+        before = self._mean(places, first - self.beyond_px, first - _CORNER_PX)
+        after = self._mean(places, behind + _CORNER_PX, behind + self.beyond_px)
         beyond = np.zeros(len(columns))
         for part_mean, part_length in (before, after):
             goes_on = np.where(is_seen & (part_length >= _MIN_SEEN_PX), part_mean, 0.0)
             beyond = np.maximum(beyond, goes_on)
-        return _Sides(np.where(is_seen, mean, np.nan), np.where(is_seen, length, 0.0), beyond)
+        seen_mean = np.where(is_seen, mean, np.nan)
+        seen_length = np.where(is_seen, length, 0.0)
+        return _Sides(seen_mean, seen_length, beyond)
 
     def _mean(
-        self, columns: Places, first: Places, behind: Places
+        self, places: Places, first: Places, behind: Places
     ) -> tuple[PerRectangle, PerRectangle]:
         """Average strengths over rows inside the image, and count these rows."""
         last = len(self.sums) - 1
         start = np.clip(first, 0, last)
         end = np.clip(behind, 0, last)
         length = np.maximum(end - start, 0).astype(np.float64)
-        total = self.sums[end, columns] - self.sums[start, columns]
+        total = self.sums[end, places] - self.sums[start, places]
         return total / np.maximum(length, 1.0), length
 
 

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 _Value = TypeVar("_Value", bound=np.generic)
 
 _N_GREYS = 256
+# Numbers without a measurement beside them are choices.
+
 # Longest side of the reduced image that is cut; pictures of screens are hardly larger.
 _SIDE_PX = 2048
 # Least side of a photograph, pixels of the reduced image. A choice: the network of the scene-scale
@@ -118,7 +120,8 @@ def find_photographs(raster: Raster) -> list[Raster]:
     is_panel = _in_panel_colours(grey, equal)
     if is_panel is None:
         return [raster]
-    whole = _Piece(0, 0, right=grey.shape[1], bottom=grey.shape[0])
+    height, width = grey.shape
+    whole = _Piece(0, 0, right=width, bottom=height)
     pieces = sorted(_cut(is_panel, whole), key=_area, reverse=True)
     photographs: list[_Piece] = []
     for piece in pieces:
@@ -200,11 +203,13 @@ def _cut(is_panel: Mask, piece: _Piece) -> list[_Piece]:
     pixels = piece.of(is_panel)
     if min(pixels.shape) < _MIN_SIDE_PX:
         return []
-    of_rows = _runs_between(pixels.mean(axis=1) >= _PLAIN_SHARE)
-    parts = [piece._replace(top=piece.top + a, bottom=piece.top + b) for a, b in of_rows]
+    parts = []
+    for first, behind in _runs_between(pixels.mean(axis=1) >= _PLAIN_SHARE):
+        parts.append(piece._replace(top=piece.top + first, bottom=piece.top + behind))
     if parts == [piece]:
-        of_columns = _runs_between(pixels.mean(axis=0) >= _PLAIN_SHARE)
-        parts = [piece._replace(left=piece.left + a, right=piece.left + b) for a, b in of_columns]
+        parts = []
+        for first, behind in _runs_between(pixels.mean(axis=0) >= _PLAIN_SHARE):
+            parts.append(piece._replace(left=piece.left + first, right=piece.left + behind))
     if parts == [piece]:
         return [piece]
     return [smaller for part in parts for smaller in _cut(is_panel, part)]
@@ -234,21 +239,20 @@ def _without_frame(grey: Grey, piece: _Piece) -> _Piece:
     """Take the lines of a drawn frame from the border of a piece."""
     for _ in range(_MAX_FRAME_PX):
         pixels = piece.of(grey)
-        left, right = (int(_is_line(pixels[:, column])) for column in (0, -1))
-        top, bottom = (int(_is_line(pixels[row])) for row in (0, -1))
         piece = _Piece(
-            piece.left + left,
-            piece.top + top,
-            right=piece.right - right,
-            bottom=piece.bottom - bottom,
+            piece.left + _line_px(pixels[:, 0]),
+            piece.top + _line_px(pixels[0]),
+            right=piece.right - _line_px(pixels[:, -1]),
+            bottom=piece.bottom - _line_px(pixels[-1]),
         )
     return piece
 
 
-def _is_line(values: NDArray[np.uint8]) -> bool:
-    """Test whether a row or column hardly changes along itself."""
+def _line_px(values: NDArray[np.uint8]) -> int:
+    """Return 1 for a row or column that hardly changes along itself, and 0 for another one."""
     steps = cv2.absdiff(values[1:], values[:-1])
-    return bool((steps <= _FLAT_LEVELS).mean() >= _PLAIN_SHARE)
+    flat_share = (steps <= _FLAT_LEVELS).mean()
+    return int(flat_share >= _PLAIN_SHARE)
 
 
 def _flat_share(pixels: Grey) -> float:

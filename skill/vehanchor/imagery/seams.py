@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     Line: TypeAlias = NDArray[np.float32]
     """``[n]`` a number for each pixel of a line, or for each line."""
 
+# Numbers without a measurement beside them are choices.
+
 # Longest side of the reduced image that is searched. A choice.
 _SIDE_PX = 1024
 # A side must have this many pixels after constant margins are cut off.
@@ -103,7 +105,8 @@ def find_seam(raster: Raster) -> Seam | None:
         return None
     # A picture that was composed and then resized has blurred seams, sharp at half the size.
     half = cv2.resize(content, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    for copy, reduction in ((content, 1), (np.asarray(half, np.uint8), 2)):
+    copies = ((content, 1), (np.asarray(half, np.uint8), 2))
+    for copy, reduction in copies:
         seam = _seam(copy, with_frames=reduction == 1)
         if seam is not None:
             return _in_image(seam, factor * reduction, factor * left, factor * top)
@@ -252,7 +255,9 @@ def _strip_between(grey: Grey, share: Line) -> int | None:
         # picture and its caption: between the letters, it goes on.
         colour = float(grey[:, first:behind].mean())
         has_colour = np.abs(grey - colour) <= _MARGIN_SD
-        beside = has_colour[:, [max(0, first - 2), min(behind + 1, len(share) - 1)]]
+        column_before = max(0, first - 2)
+        column_behind = min(behind + 1, len(share) - 1)
+        beside = has_colour[:, [column_before, column_behind]]
         if beside.mean(axis=0).max() > 1.0 - _MIN_STRIP_EDGE:
             continue
         if _goes_on_behind(grey, first, behind):
@@ -306,15 +311,20 @@ def _differ(grey: Grey, column: int) -> bool:
         grey: ``[h, w]``.
         column: at least eleven columns from the border.
     """
-    far_left, left, right, far_right = (
-        grey[:, column + first : column + first + _COMPARED_PX].mean(axis=1, dtype=np.float32)
-        for first in _COMPARED_FROM_PX
-    )
+    means = []
+    for first in _COMPARED_FROM_PX:
+        compared = grey[:, column + first : column + first + _COMPARED_PX]
+        means.append(compared.mean(axis=1, dtype=np.float32))
+    far_left, left, right, far_right = means
     across = float(np.abs(right - left).mean())
-    beside = float(np.abs(left - far_left).mean() + np.abs(right - far_right).mean()) / 2
+    left_of_it = np.abs(left - far_left).mean()
+    right_of_it = np.abs(right - far_right).mean()
+    beside = float(left_of_it + right_of_it) / 2
     deviations_left = left - left.mean()
     deviations_right = right - right.mean()
-    power = float((deviations_left**2).sum()) * float((deviations_right**2).sum())
+    power_left = float((deviations_left**2).sum())
+    power_right = float((deviations_right**2).sum())
+    power = power_left * power_right
     correlation = 0.0
     if power > 0.0:
         correlation = float((deviations_left * deviations_right).sum()) / math.sqrt(power)
@@ -323,4 +333,6 @@ def _differ(grey: Grey, column: int) -> bool:
 
 def _common_texture(grey: Grey, column: int) -> float:
     """Correlate the texture of both sides of a column, -1 to 1."""
-    return common_texture(grey[:, column - 2 : column], grey[:, column + 1 : column + 3])
+    left = grey[:, column - 2 : column]
+    right = grey[:, column + 1 : column + 3]
+    return common_texture(left, right)

@@ -49,10 +49,10 @@ def is_sphere(raster: Raster) -> bool:
         return False
     step = grey.shape[1] // _APART
     border_difference = _difference(grey[:, 0], grey[:, -1])
-    usual_difference = float(np.abs(grey - np.roll(grey, step, axis=1)).mean())
+    usual_difference = _difference(grey, np.roll(grey, step, axis=1))
     return border_difference <= _MAX_SEAM * usual_difference
 
 
 def _difference(first: Grey, second: Grey) -> float:
-    """Compute the mean difference of two columns."""
+    """Compute the mean difference of two columns, or of all columns of two pictures."""
     return float(np.abs(first - second).mean())

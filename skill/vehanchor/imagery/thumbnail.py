@@ -138,7 +138,9 @@ def _without_bars(thumbnail: Grey) -> Grey:
         if not len(rows):
             return thumbnail
         if len(rows) < len(is_picture) or len(columns) < is_picture.shape[1]:
-            return thumbnail[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            picture_rows = slice(rows[0], rows[-1] + 1)
+            picture_columns = slice(columns[0], columns[-1] + 1)
+            return thumbnail[picture_rows, picture_columns]
     return thumbnail
 
 

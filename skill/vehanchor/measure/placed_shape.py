@@ -21,6 +21,7 @@ from vehanchor.measure.polygon import (
 )
 from vehanchor.measure.run_lengths import mask_of_runs
 from vehanchor.measure.shapes import CallerMask, CallerPolygon
+from vehanchor.options.option import is_number
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.segmentation.object_mask import ObjectMask
 from vehanchor.segmentation.shape import (
@@ -45,6 +46,8 @@ MASK_EDGE_PX = 1.0
 # Cells along the longer side of a polygon's box, for its largest circle, and most cells a pixel.
 _FINE_SIDE = 512
 _MOST_CELLS_PER_PX = 8
+# Largest longitude and latitude, degrees: PROJ takes hours for coordinates far off the Earth.
+_MAX_DEGREES = (360, 90)
 # The pixels of a valid polygon differ from its area by less than this share of its perimeter.
 _MAX_AREA_DIFFERENCE = 0.5
 
@@ -191,8 +194,8 @@ def _parts_in_degrees(polygon: CallerPolygon, raster: Raster) -> tuple[Part, ...
     assert ground is not None
     parts = []
     for part in polygon.parts:
-        # PROJ takes hours for coordinates far off the Earth.
-        if any((np.abs(ring) > (360, 90)).any() for ring in part):
+        corners = np.concatenate(part)
+        if (np.abs(corners) > _MAX_DEGREES).any():
             raise PromptError(
                 "the polygon is not in degrees of WGS 84, as GeoJSON of a georeferenced image is: "
                 "longitude first, or state pixels by the crs that --outline writes"
@@ -355,10 +358,12 @@ def _pixels_of(crop: CallerMask) -> ObjectMask:
     if bounds is None:
         raise PromptError("the mask is empty: leave it out")
     x1, y1, x2, y2 = bounds
-    window = Window(crop.left + x1, crop.top + y1, width_px=x2 - x1, height_px=y2 - y1)
+    left = crop.left + x1
+    top = crop.top + y1
+    window = Window(left, top, width_px=x2 - x1, height_px=y2 - y1)
     width, height = crop.size
-    right = window.x_px + window.width_px
-    bottom = window.y_px + window.height_px
+    right = crop.left + x2
+    bottom = crop.top + y2
     if window.x_px < 0 or window.y_px < 0 or right > width or bottom > height:
         raise PromptError("the mask's crop reaches outside its image: give crops inside it")
     return ObjectMask(np.ascontiguousarray(crop.mask[y1:y2, x1:x2]), window)
@@ -411,6 +416,5 @@ def check_edge(edge_px: float | None) -> None:
     """
     if edge_px is None:
         return
-    is_number = isinstance(edge_px, int | float | np.number) and not isinstance(edge_px, bool)
-    if not is_number or not 0 <= edge_px < np.inf:
+    if not is_number(edge_px) or not 0 <= edge_px < np.inf:
         raise PromptError(f"edge_px is {edge_px!r}: use pixels of at least 0")

@@ -75,8 +75,10 @@ def extents_of(parts: Iterable[Part]) -> tuple[float, float]:
 def bounds_of(parts: Iterable[Part]) -> Bounds:
     """Return the smallest box of whole pixels around a polygon: x1, y1, x2, y2."""
     corners = np.concatenate([part[0] for part in parts])
-    left, top = np.floor(corners.min(axis=0)).astype(int).tolist()
-    right, bottom = np.ceil(corners.max(axis=0)).astype(int).tolist()
+    lowest = np.floor(corners.min(axis=0))
+    highest = np.ceil(corners.max(axis=0))
+    left, top = lowest.astype(int).tolist()
+    right, bottom = highest.astype(int).tolist()
     return left, top, right, bottom
 
 
@@ -122,9 +124,10 @@ def _count_crossings(crossings: NDArray[np.uint8], ring: Corners) -> None:
         return
     n_before = np.repeat(np.cumsum(n_rows) - n_rows, n_rows)
     rows = np.arange(len(sides)) - n_before + first_rows[sides]
-    rise = ends[sides, 1] - starts[sides, 1]
-    run = ends[sides, 0] - starts[sides, 0]
-    x = starts[sides, 0] + (rows + 0.5 - starts[sides, 1]) / rise * run
+    start_x, start_y = starts[sides].T
+    end_x, end_y = ends[sides].T
+    share = (rows + 0.5 - start_y) / (end_y - start_y)
+    x = start_x + share * (end_x - start_x)
     columns = np.clip(np.ceil(x - 0.5), 0, n_columns - 1).astype(int)
     np.bitwise_xor.at(crossings, (rows, columns), 1)
 
@@ -149,7 +152,11 @@ def find_crossing(rings: Sequence[Corners]) -> tuple[float, float] | None:
         is_near = begins_before & ends_behind
         near = first + np.flatnonzero(is_near.all(axis=1)[first:])
         crossing = _first_crossing(
-            starts[block, None], ends[block, None], starts[None, near], ends[None, near], least
+            starts[block, None],
+            ends[block, None],
+            starts[None, near],
+            ends[None, near],
+            least,
         )
         if crossing is not None:
             return crossing
@@ -161,8 +168,12 @@ def _first_crossing(
 ) -> tuple[float, float] | None:
     """Find the first crossing of the sides a to b ``[n, 1, 2]`` with c to d ``[1, m, 2]``."""
     # Both ends of each side lie on different sides of the other one.
-    splits_second = _on_both_sides(_turn(a, b, c), _turn(a, b, d), least)
-    splits_first = _on_both_sides(_turn(c, d, a), _turn(c, d, b), least)
+    turn_to_c = _turn(a, b, c)
+    turn_to_d = _turn(a, b, d)
+    splits_second = _on_both_sides(turn_to_c, turn_to_d, least)
+    turn_to_a = _turn(c, d, a)
+    turn_to_b = _turn(c, d, b)
+    splits_first = _on_both_sides(turn_to_a, turn_to_b, least)
     crossing = np.argwhere(splits_second & splits_first)
     if not len(crossing):
         return None
@@ -174,7 +185,11 @@ def _turn(a: Corners, b: Corners, c: Corners) -> NDArray[np.float64]:
     """Compute twice the signed area of the triangles a, b, c."""
     first = b - a
     second = c - a
-    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+    first_x = first[..., 0]
+    first_y = first[..., 1]
+    second_x = second[..., 0]
+    second_y = second[..., 1]
+    return np.asarray(first_x * second_y - first_y * second_x)
 
 
 def _on_both_sides(
@@ -188,7 +203,8 @@ def _on_both_sides(
         least: smaller turns are rounding.
     """
     are_apart = (np.abs(one) > least) & (np.abs(other) > least)
-    return np.asarray(are_apart & ((one > 0) != (other > 0)))
+    are_opposite = (one > 0) != (other > 0)
+    return np.asarray(are_apart & are_opposite)
 
 
 def _meeting_point(a: Corners, b: Corners, c: Corners, d: Corners) -> tuple[float, float]:

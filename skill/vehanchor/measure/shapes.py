@@ -209,19 +209,19 @@ def _read_lists(values: list[Any], name: str = "") -> CallerPolygon:
     return _checked_polygon([[_flat_ring(value)] for value in values], name=name)
 
 
-def _read_mapping(shape: Mapping[str, Any], name: str = "") -> list[CallerShape]:
+def _read_mapping(shape: Mapping[str, Any]) -> list[CallerShape]:
     """Read run lengths, an annotation or GeoJSON."""
     if "segmentation" in shape:
-        return _read_segmentation(shape["segmentation"], name)
+        return _read_segmentation(shape["segmentation"])
     if "counts" in shape:
-        return _read_segmentation(shape, name)
+        return _read_segmentation(shape)
     if "type" in shape:
         return _read_geojson(shape, in_degrees=True)
     keys = ", ".join(map(str, shape)) or "no key"
     raise PromptError(f"it has {keys}: {_EXPECTED}")
 
 
-def _read_segmentation(segmentation: Any, name: str) -> list[CallerShape]:
+def _read_segmentation(segmentation: Any, name: str = "") -> list[CallerShape]:
     """Read the ``segmentation`` of an annotation of COCO, or of SAM's automatic masks."""
     if isinstance(segmentation, Mapping):
         runs, (height, width) = read_run_lengths(segmentation)
@@ -253,7 +253,8 @@ def _read_masks(array: NDArray[Any], *, one: bool = False) -> list[CallerShape]:
     """Read masks ``[n, h, w]``, or one ``[h, w]``."""
     if array.ndim == 2:
         array = array[None]
-    if array.ndim != 3 or 0 in array.shape[1:] or (one and len(array) != 1):
+    has_pixels = array.ndim == 3 and 0 not in array.shape[1:]
+    if not has_pixels or (one and len(array) != 1):
         expected = "[h, w]" if one else "[n, h, w] or [h, w]"
         raise PromptError(f"the mask has the shape {array.shape}: use {expected}")
     height, width = array.shape[1:]
@@ -283,7 +284,10 @@ def _binary(mask: NDArray[Any]) -> Mask:
 
 
 def _is_flat(values: Sequence[Any]) -> bool:
-    return bool(values) and all(isinstance(value, int | float | np.number) for value in values)
+    """Test whether values are numbers, at least one."""
+    if not values:
+        return False
+    return all(isinstance(value, int | float | np.number) for value in values)
 
 
 def _is_pair(value: Any) -> bool:
@@ -313,7 +317,8 @@ def _ring(points: Any) -> Corners:
         raise PromptError("the polygon has NaN or infinite coordinates: use finite numbers")
     if np.abs(corners).max(initial=0) > _MAX_COORDINATE:
         raise PromptError("the polygon lies outside any image: give pixels, or degrees of WGS 84")
-    is_new = (corners != np.roll(corners, 1, axis=0)).any(axis=1)
+    before = np.roll(corners, 1, axis=0)
+    is_new = (corners != before).any(axis=1)
     corners = np.asarray(corners[is_new])
     if len(corners) < MIN_CORNERS:
         raise PromptError(

@@ -99,8 +99,10 @@ class PixelGrid:
         import numpy as np  # late, as above
 
         across, down = self.square_per_file
-        columns = ((np.arange(self.width_px) + 0.5) * across).astype(np.intp)
-        rows = ((np.arange(self.height_px) + 0.5) * down).astype(np.intp)
+        x = (np.arange(self.width_px) + 0.5) * across
+        y = (np.arange(self.height_px) + 0.5) * down
+        columns = x.astype(np.intp)
+        rows = y.astype(np.intp)
         in_file: NDArray[np.bool_] = mask[rows[:, None], columns]
         return in_file
 

@@ -46,7 +46,8 @@ def text_width(text: str, capital_px: float, stroke: int | None = None) -> int:
             one.
     """
     scale = font_scale(capital_px)
-    (width_px, _), _ = cv2.getTextSize(text, FONT, scale, stroke or stroke_px(capital_px))
+    thickness = stroke or stroke_px(capital_px)
+    (width_px, _), _ = cv2.getTextSize(text, FONT, scale, thickness)
     return int(width_px)
 
 

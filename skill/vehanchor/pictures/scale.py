@@ -370,11 +370,14 @@ def _free_place(
     # Beside the sides of a slanted box, where its bounding box has room.
     middles = (corners + np.roll(corners, -1, axis=0)) / 2
     outwards = middles - corners.mean(axis=0)
-    lengths = np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1.0)
-    reach = _NUMBER_GAP_PX + np.abs(outwards / lengths) @ np.array([width, height]) / 2
-    centres = middles + outwards / lengths * reach[:, None]
-    beside = np.rint(centres - np.array([width, height]) / 2).astype(int).tolist()
-    places = [*(tuple(place) for place in beside), *places]
+    lengths = np.linalg.norm(outwards, axis=1, keepdims=True)
+    directions = outwards / np.maximum(lengths, 1.0)
+    label = np.array([width, height])
+    reach = _NUMBER_GAP_PX + np.abs(directions) @ label / 2
+    centres = middles + directions * reach[:, None]
+    corners_beside = np.rint(centres - label / 2).astype(int)
+    beside = [(x, y) for x, y in corners_beside.tolist()]
+    places = [*beside, *places]
     best = None
     least_covered = _MAX_COVERED_SHARE * width * height
     picture_height, picture_width = is_vehicle.shape

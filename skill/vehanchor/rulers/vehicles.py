@@ -51,7 +51,7 @@ from vehanchor.scale.lengths import (
     modal_length,
     statistical_log_sds,
 )
-from vehanchor.scale.paper import paper_scale
+from vehanchor.scale.paper import paper_interval, paper_scale
 from vehanchor.scale.posterior import Lack, Witness
 from vehanchor.scale.reliability import (
     POINTING,
@@ -59,6 +59,7 @@ from vehanchor.scale.reliability import (
     ROUGH,
     CoarseErrors,
     appearance_error,
+    excess_scatter,
     log_odds_by_density,
     uncalibrated_wrong,
     unresolved,
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from vehanchor.rulers.ruler import View
     from vehanchor.scale.defaults import Aggregation, Reason
     from vehanchor.scale.density import Density, Votes
+    from vehanchor.scale.lengths import Interval
     from vehanchor.scale.paper import PaperScale
 
     Boxes: TypeAlias = NDArray[np.float64]
@@ -84,6 +86,9 @@ if TYPE_CHECKING:
 
     Scores: TypeAlias = NDArray[np.float64]
     """``[n]`` scores of all detections."""
+
+    Lengths: TypeAlias = NDArray[np.float64]
+    """``[n]`` lengths in metres, or errors of their logs."""
 
 # Share of the fleet that fits a scale, below which the scale is that of other vehicles. A choice.
 _FITTING_SHARE = 0.5
@@ -136,12 +141,24 @@ class VehicleWitness(Witness):
             self.fleet.lengths,
             self.fleet.scores,
             mode_px=self.mode_length_px,
-            aggregation=self.aggregation,
             reference_length_m=reference.stated_m,
-            reference_sd_m=reference.log_sd * reference.stated_m,
             reduction=self.fleet.main_reduction or 1.0,
             guard_length_px=self.guard_length_px,
             length_range_px=(shortest_px, longest_px),
+        )
+
+    @property
+    def paper_interval(self) -> Interval:
+        """Interval by the published method; the witness must have vehicles."""
+        assert self.mode_length_px is not None
+        reference = self.reference
+        return paper_interval(
+            self.fleet.lengths,
+            self.fleet.scores,
+            mode_px=self.mode_length_px,
+            aggregation=self.aggregation,
+            reference_length_m=reference.stated_m,
+            reference_sd_m=reference.log_sd * reference.stated_m,
         )
 
     @property
@@ -275,6 +292,26 @@ class VehicleWitness(Witness):
         Args:
             scores: ``[n]`` scores of all detections.
         """
+        boxes = self.fleet.detections.boxes
+        lengths_m, log_sds = self._lengths_of_cars(scores)
+        voting = self.fleet.kept if self.only_kept else slice(None)
+        return vehicle_likelihood(
+            boxes[voting, 2],
+            scores[voting],
+            lengths_m=lengths_m[voting],
+            votes=self._votes,
+            log_sds=log_sds[voting],
+        )
+
+    def _lengths_of_cars(self, scores: Scores) -> tuple[Lengths, Lengths]:
+        """Collect the length of each detection if it is a car, and the error of its log.
+
+        Args:
+            scores: ``[n]`` scores of all detections.
+
+        Returns:
+            ``[n]`` metres, and ``[n]`` standard deviations of their logs.
+        """
         detections = self.fleet.detections
         appearance = detections.appearance
         errors = self.card.errors
@@ -296,13 +333,21 @@ class VehicleWitness(Witness):
         if detections.corrections is not None:
             # Lengths of added vehicles have the error of the caller's pointing, too.
             log_sds = np.hypot(log_sds, detections.corrections.pointed_log_sds)
-        voting = self.fleet.kept if self.only_kept else slice(None)
-        return vehicle_likelihood(
-            detections.boxes[voting, 2],
-            scores[voting],
-            lengths_m=lengths_m[voting],
-            votes=self._votes,
-            log_sds=log_sds[voting],
+        return lengths_m, log_sds
+
+    @cached_property
+    def _excess_scatter(self) -> float:
+        """Factor, at least 1, on the error of the fleet's length by appearance."""
+        detections = self.fleet.detections
+        appearance = detections.appearance
+        if self.reference.by_appearance is None or appearance is None:
+            return 1.0
+        lengths_m, log_sds = self._lengths_of_cars(detections.scores)
+        # Only the first detections have an appearance.
+        seen = np.flatnonzero(self.fleet.kept[: len(appearance)])
+        log_scales = np.log(lengths_m[seen] / detections.boxes[seen, 2])
+        return excess_scatter(
+            log_scales, log_sds[seen], usual_n=self.card.errors.appearance.scatter_cars
         )
 
     @property
@@ -323,7 +368,8 @@ class VehicleWitness(Witness):
     def _widened(self, likelihood: Density) -> Density:
         """Widen a likelihood ``[g]`` by the errors of the reference length and of coarseness."""
         reference = self.reference
-        log_sd = math.hypot(reference.log_sd, self._coarse_errors.log_sd)
+        reference_log_sd = reference.log_sd * self._excess_scatter
+        log_sd = math.hypot(reference_log_sd, self._coarse_errors.log_sd)
         return blurred(likelihood, log_sd, reference.log_mean)
 
     def _guessed_length(self) -> Witness | None:

@@ -57,14 +57,12 @@ class PaperScale(NamedTuple):
 
     Attributes:
         gsd_m_per_px: ``L_ref / P_mode``; None without vehicles.
-        interval: bootstrap interval; None without vehicles.
         confidence: composite C, under the resolution guard at most 0.3.
         terms: of the confidence.
         guarded: whether the resolution guard applies.
     """
 
     gsd_m_per_px: float | None
-    interval: Interval | None
     confidence: float
     terms: Terms
     guarded: bool
@@ -85,9 +83,7 @@ def paper_scale(
     scores: ArrayLike,
     *,
     mode_px: float | None,
-    aggregation: Aggregation,
     reference_length_m: float,
-    reference_sd_m: float,
     reduction: float,
     guard_length_px: float,
     length_range_px: tuple[float, float],
@@ -98,25 +94,13 @@ def paper_scale(
         lengths: ``[n]`` lengths of the kept vehicles, pixels.
         scores: ``[n]`` detection scores of the kept vehicles.
         mode_px: ``P_mode`` of ``vehanchor.scale.lengths.modal_length``; None without vehicles.
-        aggregation: its statistic.
         reference_length_m: ``L_ref``.
-        reference_sd_m: standard deviation of ``L_ref`` between regions, metres.
         reduction: reduction of the image copy that the model saw.
         guard_length_px: ``P_thresh``, in pixels of that copy.
         length_range_px: shortest and longest vehicle in the model's training data.
     """
     if mode_px is None:
-        return PaperScale(None, None, confidence=0.0, terms=Terms(), guarded=False)
-    gsd = reference_length_m / mode_px
-
-    # The interval is lognormal, with three independent errors: of the mode, of the few cars, and of
-    # the reference length.
-    resampling, fleet = statistical_log_sds(lengths, scores, mode_px, aggregation)
-    region = reference_sd_m / reference_length_m
-    log_variance = resampling**2 + fleet**2 + region**2
-    log_sd = np.sqrt(log_variance)
-    factor = float(np.exp(Z95 * log_sd))
-
+        return PaperScale(None, confidence=0.0, terms=Terms(), guarded=False)
     reduced_px = mode_px * reduction
     guarded = reduced_px < guard_length_px
     terms = confidence_terms(
@@ -126,12 +110,41 @@ def paper_scale(
         length_range_px=length_range_px,
     )
     return PaperScale(
-        gsd,
-        Interval(gsd / factor, gsd * factor),
+        reference_length_m / mode_px,
         confidence=composite(terms, guarded=guarded),
         terms=terms,
         guarded=guarded,
     )
+
+
+def paper_interval(
+    lengths: ArrayLike,
+    scores: ArrayLike,
+    *,
+    mode_px: float,
+    aggregation: Aggregation,
+    reference_length_m: float,
+    reference_sd_m: float,
+) -> Interval:
+    """Compute the bootstrap interval of the scale; only the preset ``paper`` states it.
+
+    Args:
+        lengths: ``[n]`` lengths of the kept vehicles, pixels, n >= 1.
+        scores: ``[n]`` detection scores of the kept vehicles.
+        mode_px: ``P_mode`` of ``vehanchor.scale.lengths.modal_length``.
+        aggregation: its statistic.
+        reference_length_m: ``L_ref``.
+        reference_sd_m: standard deviation of ``L_ref`` between regions, metres.
+    """
+    # The interval is lognormal, with three independent errors: of the mode, of the few cars, and of
+    # the reference length.
+    resampling, fleet = statistical_log_sds(lengths, scores, mode_px, aggregation)
+    region = reference_sd_m / reference_length_m
+    log_variance = resampling**2 + fleet**2 + region**2
+    log_sd = np.sqrt(log_variance)
+    factor = float(np.exp(Z95 * log_sd))
+    gsd = reference_length_m / mode_px
+    return Interval(gsd / factor, gsd * factor)
 
 
 def confidence_terms(

@@ -420,8 +420,11 @@ def _contradictions(
         for k, witness in enumerate(witnesses)
         if witness.sets_scale and p_right[k] >= PROBABLY_RIGHT
     ]
-    pairs = combinations(setting, 2)
-    return tuple((a, b) for a, b in pairs if _exclude_each_other(witnesses[a], witnesses[b]))
+    excluding = []
+    for first, second in combinations(setting, 2):
+        if _exclude_each_other(witnesses[first], witnesses[second]):
+            excluding.append((first, second))
+    return tuple(excluding)
 
 
 def _chance_between(
@@ -473,9 +476,10 @@ def _weakness(
     best_gain = _MIN_GAIN
     for k, witness in enumerate(witnesses):
         others = _all_but(witnesses, k)
-        remedied: list[tuple[Reason, Answer | None]] = [
-            (lack.reason, judge([*others, lack.without])) for lack in witness.lacks
-        ]
+        remedied: list[tuple[Reason, Answer | None]] = []
+        for lack in witness.lacks:
+            without_lack = judge([*others, lack.without])
+            remedied.append((lack.reason, without_lack))
         # A witness without which the chance rises contradicts the others.
         remedied.append(("disagree", answers_without[k]))
         for reason, better in remedied:
@@ -519,7 +523,8 @@ class _Posterior:
         guesses = [_index_of_guess(k) for k in wrong]
         logs = []
         for case in self._cases:
-            logs.append(math.log(case.weight) + case.log_product([*wrong, *guesses]))
+            log_product = case.log_product([*wrong, *guesses])
+            logs.append(math.log(case.weight) + log_product)
         return np.asarray(np.logaddexp.reduce(logs, axis=0))
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehanchor.odds import chance_of
 from vehanchor.scale.lengths import MIN_KDE_VEHICLES
 
 if TYPE_CHECKING:
@@ -55,6 +56,9 @@ MAX_CHANCE = 0.99
 
 SAME_NUMBER = 0.02
 """Largest relative difference at which one number repeats another. A choice."""
+
+_MIN_SCATTERED = 3
+"""Vehicles from which their scatter counts. A choice."""
 
 _NOT_MEASURED = 0.05
 """Chance that a fact is wrong if its errors have not been counted. A choice."""
@@ -204,6 +208,31 @@ def appearance_error(scores: ArrayLike, *, fair_odds: float, doubt_power: float)
     return np.asarray(relative_odds**doubt_power)
 
 
+def excess_scatter(log_scales: ArrayLike, log_sds: ArrayLike, *, usual_n: float) -> float:
+    """Compute how far measurements scatter beyond what their errors state.
+
+    It is the Birge ratio (R. T. Birge, "The calculation of errors by the method of least squares",
+    Physical Review 40, 1932), as if ``usual_n`` more measurements scattered as stated. Its lower
+    limit is 1: alike vehicles with one and the same error agree, too.
+
+    Args:
+        log_scales: ``[n]`` logs of the scale by each vehicle.
+        log_sds: ``[n]`` their standard deviations.
+        usual_n: number of measurements that stand for the usual scatter.
+
+    Returns:
+        Factor on standard deviations, at least 1; 1 for fewer than three vehicles.
+    """
+    values = np.asarray(log_scales, dtype=np.float64)
+    if len(values) < _MIN_SCATTERED:
+        return 1.0
+    weights = np.asarray(log_sds, dtype=np.float64) ** -2
+    mean = np.average(values, weights=weights)
+    chi_squared = np.sum(weights * (values - mean) ** 2)
+    ratio_squared = (usual_n + chi_squared) / (usual_n + len(values) - 1)
+    return math.sqrt(max(1.0, ratio_squared))
+
+
 class Shared(NamedTuple):
     """Error that several witnesses have in common.
 
@@ -247,7 +276,7 @@ def court_misfit(quality: float) -> Shared:
         quality: ``Court.quality``.
     """
     log_odds = 9.2 - 18.0 * quality
-    return MISFIT._replace(chance_wrong=1.0 / (1.0 + math.exp(-log_odds)))
+    return MISFIT._replace(chance_wrong=chance_of(log_odds))
 
 
 CALLER = Shared("caller", 0.0, 0.11)
@@ -353,6 +382,10 @@ def detail_likelihoods(difference: float | None) -> ProportionLikelihoods:
         too_wide=normal_density(difference + _DETAIL_SHIFT, _DETAIL_SHIFT_SD),
         too_high=normal_density(difference - _DETAIL_SHIFT, _DETAIL_SHIFT_SD),
     )
+
+
+SD_PER_MEDIAN_DEVIATION = 1.48
+"""Standard deviation of a normal distribution over its median deviation."""
 
 
 def normal_density(deviation: float, sd: float) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from vehanchor.odds import chance_of, log_odds_of
 from vehanchor.scale.defaults import USABLE_CHANCE
 from vehanchor.scale.density import TOLERANCE
 from vehanchor.scale.lengths import Z95, Interval
@@ -107,7 +108,7 @@ class FilterState(NamedTuple):
         tolerance = math.log1p(TOLERANCE)
         width = self.log_sd * math.sqrt(2)
         within = math.erf(tolerance / width)
-        chance = within / (1 + math.exp(-self.log_odds))
+        chance = within * chance_of(self.log_odds)
         return chance * _CONTRADICTION_FACTOR**self.contradictions
 
     @property
@@ -222,5 +223,5 @@ def _log_odds(chance: float) -> float:
     """Convert a chance to log odds, within limits."""
     inside = max(chance, _MIN_CHANCE)
     inside = min(inside, 1 - _MIN_CHANCE)
-    log_odds = math.log(inside / (1 - inside))
+    log_odds = log_odds_of(inside)
     return min(log_odds, _MAX_LOG_ODDS)

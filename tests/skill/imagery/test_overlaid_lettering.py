@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from research.scenes import render_scene
 from research.scenes.captions import CAPTIONS
 from research.scenes.lettering import own_fonts
-from vehanchor.imagery.lettering import paint_over_lettering, without_lettering
+from vehanchor.imagery.overlaid_lettering import paint_over_lettering, without_lettering
 from vehanchor.imagery.sources.opening import open_raster
 
 Picture = NDArray[np.uint8]
@@ -48,9 +48,10 @@ def test_a_page_is_not_painted_over() -> None:
     assert without_lettering(page) is page
 
 
-def test_a_window_of_a_painted_image_has_its_pixels(scene: Picture) -> None:
-    lettered = CAPTIONS["labels"](scene, np.random.default_rng(5), own_fonts())
+@pytest.mark.parametrize("darker", [1, 8])
+def test_a_painted_image_has_the_brightness_of_the_image(scene: Picture, darker: int) -> None:
+    lettered = CAPTIONS["labels"](scene // darker, np.random.default_rng(5), own_fonts())
     with open_raster(lettered) as raster:
         painted = paint_over_lettering(raster)
         assert painted is not raster
-        assert (painted.read() == without_lettering(lettered)).all()
+        assert (painted.read() == without_lettering(raster.read())).all()

@@ -393,6 +393,26 @@ def test_the_errors_of_the_appearance_are_the_detectors(
     assert after.log_mean == 0.0
 
 
+def _fleet_of(card: DetectorCard, lengths_m: list[float]) -> View:
+    """A view of vehicles of one length in pixels, and of these lengths by appearance."""
+    n = len(lengths_m)
+    view = replace(_view([40.0] * n), card=card)
+    appearance = Appearance(np.log(lengths_m), np.full(n, 0.07), np.full(n, 4.0))
+    return replace(view, detections=replace(view.detections, appearance=appearance))
+
+
+def test_vehicles_that_scatter_widen_the_interval(card: DetectorCard) -> None:
+    scattered = _fleet_of(card, [3.5, 3.6, 4.0, 4.4, 4.9, 5.4, 5.5])
+    usual = _with_errors(scattered, "appearance", scatter_cars=1000.0)
+    assert log_sd(Vehicles().measure(scattered)) > 1.05 * log_sd(Vehicles().measure(usual))
+
+
+def test_vehicles_that_agree_do_not_narrow_the_interval(card: DetectorCard) -> None:
+    alike = _fleet_of(card, [4.4] * 7)
+    usual = _with_errors(alike, "appearance", scatter_cars=1000.0)
+    assert log_sd(Vehicles().measure(alike)) == log_sd(Vehicles().measure(usual))
+
+
 @pytest.mark.parametrize(
     "numbers", [{"fair_odds": 2000.0, "doubt_power": 0.5}, {"doubt_power": 1.0}]
 )

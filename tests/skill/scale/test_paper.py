@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vehanchor.scale.lengths import (
-    modal_length,
-)
+from vehanchor.scale.lengths import Interval, modal_length
 from vehanchor.scale.paper import (
     FALLBACK_CONFIDENCE,
     PaperScale,
     composite,
     confidence_terms,
+    paper_interval,
     paper_scale,
 )
 
@@ -27,21 +26,20 @@ def _fleet(seed: int, n: int = 60) -> np.ndarray:
 @settings(max_examples=30)
 def test_the_interval_scales_with_the_lengths(n: int, factor: float) -> None:
     lengths = _fleet(n, n)
-    paper = _paper(lengths.tolist(), [0.9] * n)
-    scaled = _paper((factor * lengths).tolist(), [0.9] * n)
-    assert paper.interval is not None
-    assert scaled.interval is not None
+    interval = _interval(lengths.tolist(), [0.9] * n)
+    scaled = _interval((factor * lengths).tolist(), [0.9] * n)
     # a length on a histogram cell's edge may round
-    assert scaled.interval.low == pytest.approx(paper.interval.low / factor, rel=5e-3)
+    assert scaled.low == pytest.approx(interval.low / factor, rel=5e-3)
 
 
 @given(st.integers(1, 200))
 @settings(max_examples=30)
 def test_the_interval_holds_the_estimate(n: int) -> None:
-    paper = _paper(_fleet(n, n).tolist(), [0.9] * n)
+    lengths = _fleet(n, n).tolist()
+    paper = _paper(lengths, [0.9] * n)
+    interval = _interval(lengths, [0.9] * n)
     assert paper.gsd_m_per_px is not None
-    assert paper.interval is not None
-    assert 0 < paper.interval.low < paper.gsd_m_per_px < paper.interval.high
+    assert 0 < interval.low < paper.gsd_m_per_px < interval.high
 
 
 @given(st.integers(1, 200))
@@ -49,6 +47,7 @@ def test_the_interval_holds_the_estimate(n: int) -> None:
 def test_the_same_lengths_give_the_same_scale(n: int) -> None:
     lengths = _fleet(n, n).tolist()
     assert _paper(lengths, [0.9] * n) == _paper(lengths, [0.9] * n)
+    assert _interval(lengths, [0.9] * n) == _interval(lengths, [0.9] * n)
 
 
 _RANGE = (12.0, 64.0)
@@ -69,16 +68,27 @@ def test_the_confidence_lies_between_0_and_1(
 
 def _paper(lengths: list[float], scores: list[float], **more: float) -> PaperScale:
     seen = {"reduction": 1.0, "guard_length_px": 15.0} | more
-    mode_px, aggregation = modal_length(lengths, scores)
+    mode_px, _ = modal_length(lengths, scores)
     return paper_scale(
+        lengths,
+        scores,
+        mode_px=mode_px,
+        reference_length_m=4.5,
+        length_range_px=_RANGE,
+        **seen,
+    )
+
+
+def _interval(lengths: list[float], scores: list[float]) -> Interval:
+    mode_px, aggregation = modal_length(lengths, scores)
+    assert mode_px is not None
+    return paper_interval(
         lengths,
         scores,
         mode_px=mode_px,
         aggregation=aggregation,
         reference_length_m=4.5,
         reference_sd_m=0.45,
-        length_range_px=_RANGE,
-        **seen,
     )
 
 

@@ -155,12 +155,13 @@ def _work(items: _Items, number: int, *, level: int, done: dict[int, _Work]) -> 
     else:
         if level > _MAX_LEVELS:
             raise _too_deep()
-        works = [
-            _work(items, part, level=level + 1, done=done) for part in items.parts.get(number, ())
-        ]
+        works = []
+        for part in items.parts.get(number, ()):
+            works.append(_work(items, part, level=level + 1, done=done))
         own_px = max(_MIN_PICTURE_PX, items.pixels.get(number, 0))
         pixels = own_px + sum(part.pixels for part in works)
-        work = _Work(pixels, 1 + max((part.levels for part in works), default=0))
+        levels_below = max((part.levels for part in works), default=0)
+        work = _Work(pixels, levels_below + 1)
         done[number] = work
     if level + work.levels - 1 > _MAX_LEVELS:
         raise _too_deep()

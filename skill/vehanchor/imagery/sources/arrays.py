@@ -41,6 +41,8 @@ class ArrayRaster(Raster):
         alpha: whether the last of two or four bands is alpha. If this is unknown, its values
             decide.
         valid: ``[h, w]``, whether a pixel holds data; None if all do.
+        stretch: whether faint pixels, and those of more than 8 bits, are stretched. Pixels that
+            another raster has read are not: it has stretched them, if they were faint.
 
     Raises:
         InvalidParameterError: ``bands`` names a missing band.
@@ -59,6 +61,7 @@ class ArrayRaster(Raster):
         orientation: int = 1,
         alpha: bool = False,
         valid: IsValid | None = None,
+        stretch: bool = True,
     ) -> None:
         pixels = _check_array(pixels)
         height, width, n_bands = pixels.shape
@@ -73,23 +76,26 @@ class ArrayRaster(Raster):
 
         # Alpha and stretch depend on a sample of evenly spaced pixels, which bounds their cost.
         step = math.ceil(math.sqrt(width * height / SAMPLE_PX))
-        sample = pixels[::step, ::step]
-        self._alpha = self._find_alpha(sample, is_declared=alpha)
-        if pixels.dtype == np.uint8:
-            # A coarser sample shows as well whether an image is faint.
-            sample = sample[::_FAINT_STEP, ::_FAINT_STEP]
+        self._alpha = self._find_alpha(pixels[::step, ::step], is_declared=alpha)
         for channel in sorted(set(self._channels)):
             check_finite(pixels[:, :, channel])
+        if not stretch:
+            return
+        if pixels.dtype == np.uint8:
+            # A coarser sample shows as well whether an image is faint.
+            step *= _FAINT_STEP
+        sample = self._visible_sample(step)
+        self._choose_stretch(sample[:, list(self._channels)])
+
+    def _visible_sample(self, step: int) -> NDArray[Any]:
+        """Select the pixels ``[n, bands]`` with data of every ``step``-th row and column."""
+        sample = self._pixels[::step, ::step]
         is_visible = np.ones(sample.shape[:2], np.bool_)
         if self._alpha is not None:
-            is_visible = sample[..., -1] != 0
-        if valid is not None:
-            columns = valid[::step, ::step]
-            if pixels.dtype == np.uint8:
-                columns = columns[::_FAINT_STEP, ::_FAINT_STEP]
-            is_visible &= columns
-        visible = sample[is_visible]
-        self._choose_stretch(visible[:, list(self._channels)])
+            is_visible = sample[..., self._alpha] != 0
+        if self._valid is not None:
+            is_visible &= self._valid[::step, ::step]
+        return sample[is_visible]
 
     def _find_alpha(self, sample: NDArray[Any], *, is_declared: bool) -> int | None:
         """Find the alpha band: the last of two or four, unless the caller reads it as a colour.
