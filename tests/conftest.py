@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import math
 import os
 import re
 import tomllib
@@ -142,6 +143,14 @@ def _each_image_is_looked_at_once() -> Iterator[None]:
         for module in _MODULES_OF_NETWORKS:
             patches.setattr(f"vehanchor.{module}.run_session", remembered.run)
         patches.setattr("vehanchor.courts.find.courts_among", fitted)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _progress_says_no_line() -> Iterator[None]:
+    """Let no line of progress come into what a command writes because a machine is slow."""
+    with pytest.MonkeyPatch.context() as patches:
+        patches.setattr("vehanchor.cli.terminal._LINE_EVERY_S", math.inf)
         yield
 
 
