@@ -71,12 +71,12 @@ def _page_and_ink(rng: Generator) -> tuple[Picture, Colour]:
     return _sheet(rng, paper), ink
 
 
-def _number(rng: Generator, low: int, stop: int) -> int:
+def draw_number(rng: Generator, low: int, stop: int) -> int:
     """Draw a whole number from ``low`` to below ``stop``."""
     return int(rng.integers(low, stop))
 
 
-def _rectangle(
+def draw_rectangle(
     page: Picture,
     start: tuple[float, float],
     end: tuple[float, float],
@@ -124,7 +124,7 @@ def text_page(rng: Generator, fonts: Fonts) -> Picture:
     margin = rng.uniform(0.03, 0.1) * width
     write(page, words(rng, 3), (margin, margin / 2), heading)
     top = margin / 2 + 2 * heading.size_px
-    n_columns = _number(rng, 1, 3)
+    n_columns = draw_number(rng, 1, 3)
     column = (width - 2 * margin) / n_columns
     for k in range(n_columns):
         left = margin + k * column
@@ -140,25 +140,25 @@ def chart(rng: Generator, fonts: Fonts) -> Picture:
     font = choose_font(rng, fonts)
     pen = Pen(font, draw_size(rng, 10, 30), ink)
     title = pen._replace(size_px=draw_size(rng, 16, 48))
-    n_words = _number(rng, 2, 6)
+    n_words = draw_number(rng, 2, 6)
     write(page, words(rng, n_words), (0.15 * width, 0.02 * height), title)
     left = int(0.12 * width)
     right = int(0.95 * width)
     top = int(0.15 * height)
     bottom = int(0.85 * height)
-    _rectangle(page, (left, top), (right, bottom), ink, _number(rng, 1, 3))
-    n_ticks = _number(rng, 4, 9)
+    draw_rectangle(page, (left, top), (right, bottom), ink, draw_number(rng, 1, 3))
+    n_ticks = draw_number(rng, 4, 9)
     for share in np.linspace(0, 1, n_ticks):
         y = round(bottom + share * (top - bottom))
         cv2.line(page, (left - 6, y), (right, y), _grey(rng), 1)
         write(page, f"{100 * share:.0f}", (0.03 * width, y - pen.size_px / 2), pen)
-    n_values = _number(rng, 3, 12)
+    n_values = draw_number(rng, 3, 12)
     area = (left, top, right, bottom)
     values = rng.uniform(0.1, 0.95, size=n_values)
     if rng.random() < 0.6:
         _draw_bars(page, rng, values, area)
     else:
-        for _ in range(_number(rng, 1, 4)):
+        for _ in range(draw_number(rng, 1, 4)):
             values = rng.uniform(0.1, 0.95, size=n_values)
             _draw_line(page, rng, values, area)
     step = (right - left) / n_values
@@ -181,7 +181,7 @@ def _draw_bars(page: Picture, rng: Generator, values: Values, area: Area) -> Non
         colour = one_colour or _colour(rng)
         x = left + k * step
         y = bottom + value * (top - bottom)
-        _rectangle(page, (x + 0.15 * step, y), (x + 0.85 * step, bottom), colour)
+        draw_rectangle(page, (x + 0.15 * step, y), (x + 0.85 * step, bottom), colour)
 
 
 def _draw_line(page: Picture, rng: Generator, values: Values, area: Area) -> None:
@@ -211,18 +211,18 @@ def slide(rng: Generator, fonts: Fonts) -> Picture:
     ink = _colour(rng, 200) if is_dark else _colour(rng, 0, 60)
     title = Pen(choose_font(rng, fonts), draw_size(rng, 30, 70), ink)
     write(page, words(rng, 3), (0.06 * width, 0.05 * height), title)
-    for _ in range(_number(rng, 0, 3)):
+    for _ in range(draw_number(rng, 0, 3)):
         x = rng.uniform(0.05, 0.6) * width
         y = rng.uniform(0.25, 0.6) * height
         right = x + rng.uniform(0.15, 0.35) * width
-        _rectangle(page, (x, y), (right, y + 0.25 * height), _colour(rng))
+        draw_rectangle(page, (x, y), (right, y + 0.25 * height), _colour(rng))
     pen = title._replace(size_px=draw_size(rng, 16, 44))
     y = 0.25 * height
     while y < 0.9 * height:
         radius = max(2, round(pen.size_px / 6))
         dot = (round(0.08 * width), round(y + pen.size_px / 2))
         cv2.circle(page, dot, radius, ink, -1, cv2.LINE_AA)
-        n_words = _number(rng, 2, 7)
+        n_words = draw_number(rng, 2, 7)
         write(page, words(rng, n_words), (0.11 * width, y), pen)
         y += 1.8 * pen.size_px
     return compressed(page, rng)
@@ -232,9 +232,9 @@ def street_map(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a street map with areas of flat colours, roads, and labels along them."""
     page = _sheet(rng, _colour(rng, 215))
     height, width = page.shape[:2]
-    for _ in range(_number(rng, 4, 12)):
+    for _ in range(draw_number(rng, 4, 12)):
         centre = rng.uniform(0, 1, 2) * (width, height)
-        n_corners = _number(rng, 3, 7)
+        n_corners = draw_number(rng, 3, 7)
         corners = centre + rng.normal(0, 0.12 * width, size=(n_corners, 2))
         hull = cv2.convexHull(corners.astype(np.int32))
         cv2.fillPoly(page, [hull], _colour(rng, 150), cv2.LINE_AA)
@@ -245,17 +245,17 @@ def street_map(rng: Generator, fonts: Fonts) -> Picture:
         edge=_WHITE,
         edge_px=1,
     )
-    for _ in range(_number(rng, 5, 14)):
+    for _ in range(draw_number(rng, 5, 14)):
         ends = rng.uniform(0, 1, (2, 2)) * (width, height)
         first, last = ends.astype(int).tolist()
-        road_px = _number(rng, 3, 24)
+        road_px = draw_number(rng, 3, 24)
         cv2.line(page, first, last, _grey(rng), road_px + 2, cv2.LINE_AA)
         cv2.line(page, first, last, _colour(rng, 190), road_px, cv2.LINE_AA)
         middle = ends.mean(axis=0)
         along = ends[1] - ends[0]
         turn = -float(np.degrees(np.arctan2(along[1], along[0])))
         write(page, words(rng, 2), (middle[0], middle[1]), pen, turn=turn)
-    for _ in range(_number(rng, 4, 15)):
+    for _ in range(draw_number(rng, 4, 15)):
         x, y = rng.uniform(0, 0.9, 2) * (width, height)
         draw_icon(page, rng, (x, y), draw_size(rng, 8, 36))
         write(page, words(rng, 1), (x + 14, y), pen)
@@ -268,7 +268,7 @@ def window(rng: Generator, fonts: Fonts) -> Picture:
     height, width = page.shape[:2]
     pen = Pen(choose_font(rng, fonts), draw_size(rng, 11, 26), ink)
     bar = round(2.0 * pen.size_px)
-    _rectangle(page, (0, 0), (width, bar), _colour(rng))
+    draw_rectangle(page, (0, 0), (width, bar), _colour(rng))
     write(page, words(rng, 3), (bar, 0.3 * pen.size_px), pen)
     write(page, words(rng, 7), (8, 1.2 * bar), pen)
     side = draw_size(rng, 14, 44)
@@ -276,27 +276,27 @@ def window(rng: Generator, fonts: Fonts) -> Picture:
         draw_icon(page, rng, (6 + 1.6 * side * k, 2.2 * bar), side)
     top = 2.4 * bar + 1.3 * side
     list_width = 0.28 * width
-    _rectangle(page, (0, top), (list_width, height), _grey(rng), 1)
+    draw_rectangle(page, (0, top), (list_width, height), _grey(rng), 1)
     y = top + 4
     while y < height - pen.size_px:
         draw_icon(page, rng, (6, y), pen.size_px)
         write(page, words(rng, 2), (10 + 1.4 * pen.size_px, y), pen)
         y += 1.7 * pen.size_px
-    n_columns = _number(rng, 2, 6)
+    n_columns = draw_number(rng, 2, 6)
     cell = (width - list_width - 20) / n_columns
     y = top + 4
     while y < height - 4 * pen.size_px:
         for k in range(n_columns):
             x = list_width + 12 + k * cell
             end = (x + cell, y + 1.7 * pen.size_px)
-            _rectangle(page, (x, y), end, _grey(rng), 1)
+            draw_rectangle(page, (x, y), end, _grey(rng), 1)
             write(page, words(rng, 1), (x + 4, y + 3), pen)
         y += 1.7 * pen.size_px
     for k in range(3):
         x = width - (k + 1) * 7.5 * pen.size_px
         y = height - 2.4 * pen.size_px
         end = (x + 6.5 * pen.size_px, y + 2 * pen.size_px)
-        _rectangle(page, (x, y), end, _colour(rng))
+        draw_rectangle(page, (x, y), end, _colour(rng))
         write(page, words(rng, 1), (x + 5, y + 4), pen)
     return compressed(page, rng)
 
@@ -306,14 +306,14 @@ def plan(rng: Generator, fonts: Fonts) -> Picture:
     page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     pen = Pen(choose_font(rng, fonts), draw_size(rng, 10, 32), ink)
-    for _ in range(_number(rng, 5, 14)):
+    for _ in range(draw_number(rng, 5, 14)):
         x, y = rng.uniform(0.02, 0.7, 2) * (width, height)
         right = x + rng.uniform(0.08, 0.3) * width
         bottom = y + rng.uniform(0.08, 0.3) * height
-        _rectangle(page, (x, y), (right, bottom), ink, _number(rng, 1, 5))
+        draw_rectangle(page, (x, y), (right, bottom), ink, draw_number(rng, 1, 5))
         write(page, words(rng, 1), (x + 6, y + 6), pen)
         write(page, f"{rng.uniform(1, 9):.2f} m", (x, round(bottom) + 3), pen)
-    for _ in range(_number(rng, 3, 12)):
+    for _ in range(draw_number(rng, 3, 12)):
         x, y = rng.uniform(0.02, 0.9, 2) * (width, height)
         draw_icon(page, rng, (x, y), draw_size(rng, 10, 50), ink)
     return compressed(page, rng)
@@ -354,10 +354,10 @@ def board(rng: Generator, fonts: Fonts) -> Picture:
             start = (x, y)
             end = (x + side, y + side)
             if is_chequered:
-                _rectangle(page, start, end, colours[(row + column) % 2])
+                draw_rectangle(page, start, end, colours[(row + column) % 2])
             elif rng.random() < filled_share:
-                _rectangle(page, start, end, colours[0])
-            _rectangle(page, start, end, ink, 1)
+                draw_rectangle(page, start, end, colours[0])
+            draw_rectangle(page, start, end, ink, 1)
             if rng.random() > 0.6:
                 continue
             if has_discs:
@@ -379,12 +379,12 @@ def schedule(rng: Generator, fonts: Fonts) -> Picture:
     is_coloured = rng.random() < 0.5
     for y in np.arange(step, height - step, step):
         write(page, words(rng, 2), (0.02 * width, y), pen)
-        for _ in range(_number(rng, 1, 4)):
+        for _ in range(draw_number(rng, 1, 4)):
             x = rng.uniform(left, 0.9 * width)
             right = min(x + rng.uniform(0.02, 0.2) * width, width - 2)
             filling = _colour(rng) if is_coloured else colour
-            _rectangle(page, (x, y), (right, y + 0.7 * step), filling)
-    _rectangle(page, (left, 4), (width - 4, height - 4), ink, 1)
+            draw_rectangle(page, (x, y), (right, y + 0.7 * step), filling)
+    draw_rectangle(page, (left, 4), (width - 4, height - 4), ink, 1)
     return compressed(page, rng)
 
 
@@ -400,7 +400,7 @@ def keyboard(rng: Generator, fonts: Fonts) -> Picture:
         for column in range(12):
             x = (0.4 * row + 1.12 * column + 0.5) * side
             y = (1.12 * row + 0.5) * side
-            _rectangle(page, (x, y), (x + side, y + side), key)
+            draw_rectangle(page, (x, y), (x + side, y + side), key)
             letter = words(rng, 1)[:1].upper()
             write(page, letter, (x + 0.3 * side, y + 0.25 * side), pen)
     text = pen._replace(ink=ink)
