@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import math
 import os
 import re
 import tomllib
@@ -145,6 +146,14 @@ def _each_image_is_looked_at_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _progress_says_no_line() -> Iterator[None]:
+    """Let no line of progress come into what a command writes because a machine is slow."""
+    with pytest.MonkeyPatch.context() as patches:
+        patches.setattr("vehanchor.cli.terminal._LINE_EVERY_S", math.inf)
+        yield
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of real images; a test that asks for it is skipped where there is none."""
@@ -152,6 +161,14 @@ def real_data() -> Path:
     if not (folder / "gsd" / "table.csv").is_file():
         pytest.skip(f"no real images at {folder}; set VEHANCHOR_DATA")
     return folder
+
+
+@pytest.fixture
+def plain_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print commands as to a terminal of 120 columns without colours, and errors in short."""
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
 
 
 @pytest.fixture(scope="session")

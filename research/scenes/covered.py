@@ -79,7 +79,7 @@ def render_covered(cover: str, seed: int) -> Covered:
     gsd_m_per_px = float(np.exp(place_rng.uniform(math.log(_MIN_GSD), math.log(_MAX_GSD))))
     width_px, height_px = pick(place_rng, _SIZES_PX)
     size_m = (width_px * gsd_m_per_px, height_px * gsd_m_per_px)
-    sun = Sun(place_rng.uniform(0, 2 * math.pi), math.radians(place_rng.uniform(33, 64)))
+    sun = Sun.draw(place_rng)
     n_cut = int(place_rng.integers(1, _MAX_CUT + 1))
     n_whole = 0
     if place_rng.random() < 0.5:

@@ -35,10 +35,7 @@ ALL_THINGS = LOOK_ALIKES | SMALL_VEHICLES
 """All kinds of things."""
 
 FIRST_RECORDED_SEED = 0
-"""Seeds from here on are those of the recorded set."""
-
-FIRST_FITTING_SEED = 10_000
-"""Seeds from here on are for fitting."""
+"""Seeds from here on are those of the recorded set; those from 10,000 on are for fitting."""
 
 _SIZES_PX = ((640, 480), (800, 600), (960, 720))
 _MIN_THINGS = 3
@@ -95,7 +92,7 @@ def render_look_alikes(kind: str, seed: int) -> LookAlikes:
     gsd_m_per_px = model.length_m / length_px
     width_px, height_px = pick(place_rng, _SIZES_PX)
     size_m = (width_px * gsd_m_per_px, height_px * gsd_m_per_px)
-    sun = Sun(place_rng.uniform(0, 2 * math.pi), math.radians(place_rng.uniform(33, 64)))
+    sun = Sun.draw(place_rng)
     world = World()
     centre = Frame(size_m[0] / 2, size_m[1] / 2, 0.0)
     fleet = Fleet(4.6, place_rng, "passenger")

@@ -98,9 +98,7 @@ def render_scene(
     place_rng, thin_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(4)
     random_layout = int(place_rng.choice(3, p=(0.45, 0.3, 0.25)))
     layout = layout or cast("Layout", get_args(Layout)[random_layout])
-    azimuth = place_rng.uniform(0, 2 * math.pi)
-    elevation_deg = place_rng.uniform(33, 64)
-    sun = Sun(azimuth, math.radians(elevation_deg))
+    sun = Sun.draw(place_rng)
     fleet = Fleet(mean_vehicle_length_m, place_rng, fleet_kind)
     width_m = width_px * gsd_m_per_px
     height_m = height_px * gsd_m_per_px

@@ -8,6 +8,7 @@ light.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -32,6 +33,13 @@ class Sun:
     """Direction of shadows in the image, radians from +x towards +y."""
     elevation: float
     """Angle above the horizon, radians."""
+
+    @classmethod
+    def draw(cls, rng: Generator) -> Sun:
+        """Draw a direction as on a day of clear shadows, 33 to 64 degrees above the horizon."""
+        azimuth = rng.uniform(0, 2 * math.pi)
+        elevation_deg = rng.uniform(33, 64)
+        return cls(azimuth, math.radians(elevation_deg))
 
     def shadow(self, height: float) -> tuple[float, float]:
         """Compute the offset of the shadow of a point at this height."""

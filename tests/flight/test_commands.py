@@ -29,13 +29,11 @@ def _invoke(*arguments: object) -> Result:
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def run(tmp_path: Path, plain_terminal: None, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Run ``vehanchor`` in a folder with a flight of four photographs, one of them without cars."""
     write_flight(tmp_path, [FLEET[0::3], FLEET[1::3], [], FLEET[2::3]])
     write_detector(tmp_path / "detector.onnx")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setenv("NO_COLOR", "1")
     # Report each step of the progress in a log.
     monkeypatch.setattr("vehanchor.cli.terminal._LINE_EVERY_S", 0.0)
     return _invoke

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
 
 from tests.fuzz import isolated
+from tests.fuzz.crashing import serve_crashing
 from tests.fuzz.isolated import Isolated
 from tests.fuzz.structures import Mutator, format_name, structure_of
 from tests.skill.imagery.samples import SAMPLES
@@ -17,25 +17,10 @@ from vehanchor.imagery.formats.header import IMAGE_FORMATS
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc")
 
 
-def _serve_crashing(connection: Connection, findings: Path) -> None:
-    """End the process at one image, and never answer to another."""
-    import os
-
-    del findings
-    connection.send_bytes(b"ready")
-    while True:
-        data = connection.recv_bytes()
-        if data == b"crash":
-            os.abort()
-        while data == b"hang":
-            pass
-        connection.send_bytes(b"done")
-
-
 @pytest.fixture
 def child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Isolated:
     """A child that crashes and hangs."""
-    monkeypatch.setattr(isolated, "serve", _serve_crashing)
+    monkeypatch.setattr(isolated, "serve", serve_crashing)
     monkeypatch.setattr(isolated, "_HANG_IN_C_S", 1.0)
     monkeypatch.setattr(isolated, "_POLL_S", 0.1)
     return Isolated(tmp_path)

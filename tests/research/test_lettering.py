@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from research.scenes import render_scene
 from research.scenes.captions import CAPTIONS
 from research.scenes.lettering import own_fonts
 from research.scenes.pages import PAGES
+
+
+@pytest.fixture(scope="module")
+def scene() -> NDArray[np.uint8]:
+    return render_scene(0.1, width_px=400, height_px=300, seed=3).image
 
 
 @pytest.mark.parametrize("kind", sorted(PAGES))
@@ -19,8 +25,9 @@ def test_a_seed_draws_the_same_page_again(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", sorted(CAPTIONS))
-def test_lettering_leaves_most_of_the_photograph_as_it_is(kind: str) -> None:
-    scene = render_scene(0.1, width_px=400, height_px=300, seed=3).image
+def test_lettering_leaves_most_of_the_photograph_as_it_is(
+    kind: str, scene: NDArray[np.uint8]
+) -> None:
     before = scene.copy()
     lettered = CAPTIONS[kind](scene, np.random.default_rng(5), own_fonts())
     assert np.array_equal(scene, before)

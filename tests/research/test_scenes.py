@@ -281,12 +281,9 @@ def test_the_same_seed_draws_the_same_mixed_scene_and_names_bodies() -> None:
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def run(tmp_path: Path, plain_terminal: None, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Runs ``python -m research.scenes`` in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
     return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 

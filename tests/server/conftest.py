@@ -123,15 +123,22 @@ def images(_images: Path) -> Path:
     return _images
 
 
-@pytest.fixture(scope="session")
-def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
+def settings_with_models(
+    roots: tuple[Path, ...], detector_path: Path, segmenter_paths: SamFiles
+) -> Settings:
+    """Settings of a server that works in its own process with the models of the tests."""
     return Settings(
-        roots=(images,),
+        roots=roots,
         detector=str(detector_path),
         segmenter=segmenter_paths,
         threads=1,
         isolation="in-process",
     )
+
+
+@pytest.fixture(scope="session")
+def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
+    return settings_with_models((images,), detector_path, segmenter_paths)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -241,10 +242,22 @@ def address(
         yield address
 
 
+@pytest.fixture(scope="module")
+def in_python(_images: Path, detector_path: Path) -> Callable[[str], Outcome]:
+    """What Python answers to a case, computed once."""
+
+    @cache
+    def outcome(name: str) -> Outcome:
+        case = CASES[name]
+        return _by_python(_images / case.image, detector_path, case.facts)
+
+    return outcome
+
+
 @pytest.mark.parametrize("name", CASES)
-def test_facts_give_the_right_scale(name: str, images: Path, detector_path: Path) -> None:
+def test_facts_give_the_right_scale(name: str, in_python: Callable[[str], Outcome]) -> None:
     case = CASES[name]
-    outcome = _by_python(images / case.image, detector_path, case.facts)
+    outcome = in_python(name)
     assert outcome.status == case.status
     assert outcome.gsd_m_per_px == pytest.approx(case.gsd_m_per_px, rel=0.03)
     assert not case.code or case.code in outcome.codes
@@ -257,6 +270,7 @@ def test_facts_give_the_right_scale(name: str, images: Path, detector_path: Path
 async def test_facts_count_alike_on_all_surfaces(
     name: str,
     surface: str,
+    in_python: Callable[[str], Outcome],
     images: Path,
     detector_path: Path,
     server: MCPServer[object],
@@ -265,7 +279,7 @@ async def test_facts_count_alike_on_all_surfaces(
 ) -> None:
     case = CASES[name]
     image = images / case.image
-    expected = _by_python(image, detector_path, case.facts)
+    expected = in_python(name)
     match surface:
         case "command":
             outcome = _by_command(image, detector_path, case.facts)

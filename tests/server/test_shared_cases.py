@@ -283,7 +283,7 @@ def _check_scale(record: dict[str, Any], row: Row) -> None:
         assert gsd == pytest.approx(row.gsd, rel=row.tolerance)
 
 
-@pytest.mark.parametrize("row", ROWS, ids=_row_name)
+@pytest.mark.parametrize("row", ROWS, ids=_row_name, scope="module")
 def test_the_command_line_is_right(row: Row) -> None:
     code, out, err = _run("estimate", row.path, "--json", *_arguments(row.options))
     if row.error:
@@ -294,7 +294,7 @@ def test_the_command_line_is_right(row: Row) -> None:
     _check(json.loads(out), row)
 
 
-@pytest.mark.parametrize("row", ROWS, ids=_row_name)
+@pytest.mark.parametrize("row", ROWS, ids=_row_name, scope="module")
 def test_python_is_right(row: Row) -> None:
     if row.error:
         with pytest.raises(VehAnchorError) as caught:
@@ -305,7 +305,7 @@ def test_python_is_right(row: Row) -> None:
     _check(record.model_dump(mode="json"), row)
 
 
-@pytest.mark.parametrize("row", ROWS, ids=_row_name)
+@pytest.mark.parametrize("row", ROWS, ids=_row_name, scope="module")
 async def test_mcp_is_right(row: Row, cases_server: MCPServer[object]) -> None:
     options = {name: value for name, value in row.options.items() if name != "rulers"}
     result = await called(cases_server, "estimate_gsd", row.path, **options)
@@ -344,7 +344,7 @@ def _check_line(record: dict[str, Any], metres: float | None) -> None:
     assert record["distance_ci95_low_m"] < metres < record["distance_ci95_high_m"]
 
 
-@pytest.mark.parametrize(("file", "points", "metres"), LINES)
+@pytest.mark.parametrize(("file", "points", "metres"), LINES, scope="module")
 def test_a_line_is_right_by_command_line(file: str, points: Points, metres: float | None) -> None:
     arguments = []
     for point in points:
@@ -354,13 +354,13 @@ def test_a_line_is_right_by_command_line(file: str, points: Points, metres: floa
     _check_line(json.loads(out), metres)
 
 
-@pytest.mark.parametrize(("file", "points", "metres"), LINES)
+@pytest.mark.parametrize(("file", "points", "metres"), LINES, scope="module")
 def test_a_line_is_right_in_python(file: str, points: Points, metres: float | None) -> None:
     record = vehanchor.measure_distance(SECOND / file, points)
     _check_line(record.model_dump(mode="json"), metres)
 
 
-@pytest.mark.parametrize(("file", "points", "metres"), LINES)
+@pytest.mark.parametrize(("file", "points", "metres"), LINES, scope="module")
 async def test_a_line_is_right_over_mcp(
     file: str, points: Points, metres: float | None, cases_server: MCPServer[object]
 ) -> None:

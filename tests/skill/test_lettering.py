@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from research.scenes import render_scene
+from research.scenes import Layout, render_scene
 from research.scenes.captions import CAPTIONS
 from research.scenes.lettering import own_fonts
 from research.scenes.pages import PAGES
 from vehanchor import estimate_gsd
+
+
+@cache
+def _scene(layout: Layout | None = None, n_vehicles: int | None = None) -> NDArray[np.uint8]:
+    return render_scene(
+        0.1, width_px=640, height_px=512, seed=3, layout=layout, n_vehicles=n_vehicles
+    ).image
 
 
 @pytest.mark.parametrize("kind", ["page", "chart"])
@@ -30,15 +40,15 @@ def test_a_line_of_known_length_sets_the_scale_of_a_page() -> None:
 
 @pytest.mark.parametrize("kind", ["caption", "display", "program"])
 def test_lettering_does_not_change_the_scale_of_a_car_park(kind: str) -> None:
-    scene = render_scene(0.1, width_px=640, height_px=512, seed=3, layout="parking")
-    bare = estimate_gsd(scene.image)
-    lettered = estimate_gsd(CAPTIONS[kind](scene.image, np.random.default_rng(2), own_fonts()))
+    scene = _scene("parking")
+    bare = estimate_gsd(scene)
+    lettered = estimate_gsd(CAPTIONS[kind](scene, np.random.default_rng(2), own_fonts()))
     assert bare.status == lettered.status == "ok"
     assert lettered.gsd_m_per_px == pytest.approx(bare.gsd_m_per_px, rel=0.02)
 
 
 @pytest.mark.parametrize("kind", ["caption", "labels", "display"])
 def test_lettering_over_an_empty_scene_has_no_usable_scale(kind: str) -> None:
-    scene = render_scene(0.1, width_px=640, height_px=512, seed=3, n_vehicles=0)
-    lettered = CAPTIONS[kind](scene.image, np.random.default_rng(2), own_fonts())
+    scene = _scene(n_vehicles=0)
+    lettered = CAPTIONS[kind](scene, np.random.default_rng(2), own_fonts())
     assert estimate_gsd(lettered).status != "ok"

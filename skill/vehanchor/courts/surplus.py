@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     Levels: TypeAlias = NDArray[np.float32]
     """``[n]`` grey levels across a court."""
 
+# Numbers without a measurement beside them are choices.
+
 # Samples along a strip.
 _SAMPLES = 48
 # Step across it.

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     Bodies: TypeAlias = NDArray[np.float32]
     """``[n, 336]``, one body in each row."""
 
+# Numbers without a measurement beside them are choices.
+
 # Least correlation of a copy, and the share of vehicles that must repeat another one. Of 80 images
 # in which real cars were pasted in 20 ways, 70 count no more cars than were pasted; in the others
 # most are false alarms. Of 1,086 photographs with two and more vehicles one loses a vehicle.

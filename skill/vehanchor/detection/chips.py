@@ -319,7 +319,8 @@ def body_end_tones(chips: Chips, answers: ChipAnswers) -> EndTones:
     """
     tones = np.zeros((len(chips), 2, 3))
     nearest, farthest = _END_PART
-    for tone, chip, edges in zip(tones, chips, answers.edges * CHIP_LENGTH_PX, strict=True):
+    edges_px = answers.edges * CHIP_LENGTH_PX
+    for tone, chip, edges in zip(tones, chips, edges_px, strict=True):
         back, front, left, right = edges
         rows = _pixels(CHIP_ROWS, left, right, part=_MIDDLE_PART)
         body = cv2.cvtColor(np.ascontiguousarray(chip[rows]), cv2.COLOR_RGB2LAB)
@@ -341,9 +342,11 @@ def _pixels(side: int, low: float, high: float, *, part: tuple[float, float]) ->
     """
     start = side / 2 + low
     size = high - low
-    first = min(max(0, round(start + part[0] * size)), side - 1)
-    last = max(first + 1, round(start + part[1] * size))
-    return slice(first, last)
+    begin, end = part
+    first = round(start + begin * size)
+    first = min(max(0, first), side - 1)
+    last = round(start + end * size)
+    return slice(first, max(first + 1, last))
 
 
 def middle(squares: Chips) -> Chips:

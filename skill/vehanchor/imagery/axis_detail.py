@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     Spectra: TypeAlias = NDArray[np.float32]
     """``[n, 33]`` power at 0, 1, .. 32 cycles per patch in one direction."""
 
+# Numbers without a measurement beside them are choices.
+
 # Side of the window in the middle of the image, and patches across and down it.
 _WINDOW_PX = 1024
 _PATCHES_ACROSS = 8

@@ -34,6 +34,8 @@ PATCH_PX = 128
 SMALL_PATCH_PX = 64
 """Side of the patches of an image that is smaller than ``PATCH_PX``."""
 
+# Numbers without a measurement beside them are choices.
+
 # Patches along a side of the image, at even steps.
 _MAX_ALONG = 6
 # Largest difference of neighbouring pixels (3 x 3, the largest of the bands): in grey levels.

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     Rows: TypeAlias = NDArray[np.float64]
     """``[w]`` rows, one for each column."""
 
+# Numbers without a measurement beside them are choices.
+
 # Longest side of the reduced image in which the horizon is looked for.
 _SIDE_PX = 256
 _MIN_SIDE_PX = 40

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     Places: TypeAlias = NDArray[np.intp]
     """``[n]``, or one row for each side, rows or columns."""
 
+# Numbers without a measurement beside them are choices.
+
 # Least strengths of a rectangle whose borders are steps, and lines. The formula was chosen on 300
 # insets and the usable photographs; ``research/results/notes.md`` has the shares that are found.
 _LEAST_OF_STEPS = 0.61

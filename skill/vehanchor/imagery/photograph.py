@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 _Value = TypeVar("_Value", bound=np.generic)
 
 _N_GREYS = 256
+# Numbers without a measurement beside them are choices.
+
 # Longest side of the reduced image that is cut; pictures of screens are hardly larger.
 _SIDE_PX = 2048
 # Least side of a photograph, pixels of the reduced image. A choice: the network of the scene-scale

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     Line: TypeAlias = NDArray[np.float32]
     """``[n]`` a number for each pixel of a line, or for each line."""
 
+# Numbers without a measurement beside them are choices.
+
 # Longest side of the reduced image that is searched. A choice.
 _SIDE_PX = 1024
 # A side must have this many pixels after constant margins are cut off.

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     """``[s, n]`` for each candidate scale and vehicle."""
 
 _MIN_VEHICLES = 3
+# Numbers without a measurement beside them are choices.
+
 # Pixels by which the box of a vehicle that is not cut may lie outside the image.
 _BEYOND_BORDER_PX = 1.5
 # Least log likelihood ratio. Of 1,061 photographs of known scale that would be usable and right one

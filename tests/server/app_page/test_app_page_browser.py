@@ -20,14 +20,13 @@ from tests.models import paint_vehicles
 from tests.sam_models import SamFiles
 from tests.server.app_page.test_app_page import CAR_AXIS, SHOWS_PAGES
 from tests.server.app_page.viewing import PATIENCE_MS, Person
-from tests.server.conftest import POOL_BOX, paint_scene, write_image
+from tests.server.conftest import POOL_BOX, paint_scene, settings_with_models, write_image
 from tests.server.conversation import by_path
 from vehanchor.records.text import significant
 from vehanchor_server.app import create_server
 from vehanchor_server.app_page.page import page_html
 from vehanchor_server.app_page.panel import PANEL_KEY
 from vehanchor_server.services import create_services
-from vehanchor_server.settings import Settings
 
 pytestmark = pytest.mark.browser
 
@@ -193,13 +192,7 @@ def results(
 ) -> Results:
     """What the server answers to a host that shows pages, as on the wire."""
     roots = (_images, Path(calls["guarded"][1]["image"]["path"]).parent)
-    settings = Settings(
-        roots=roots,
-        detector=str(detector_path),
-        segmenter=segmenter_paths,
-        threads=1,
-        isolation="in-process",
-    )
+    settings = settings_with_models(roots, detector_path, segmenter_paths)
 
     async def ask() -> Results:
         async with Client(

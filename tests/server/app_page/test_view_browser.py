@@ -16,7 +16,13 @@ from rasterio.transform import Affine
 
 from tests.sam_models import SamFiles
 from tests.server.app_page.viewing import Person, viewing
-from tests.server.conftest import POOL_BOX, paint_scene, with_pool, write_image
+from tests.server.conftest import (
+    POOL_BOX,
+    paint_scene,
+    settings_with_models,
+    with_pool,
+    write_image,
+)
 from tests.skill.imagery.files import geotiff, smooth_rgb
 from vehanchor.records.columns import COLUMNS
 from vehanchor_server.settings import Settings
@@ -35,13 +41,7 @@ def address(
     write_image(folder / "pool.png", with_pool(paint_scene(640, 512)))
     write_image(folder / "large.png", cv2.resize(paint_scene(1000, 800), SIZE))
     (folder / "broken.png").write_bytes(b"no image")
-    settings = Settings(
-        roots=(folder,),
-        detector=str(detector_path),
-        segmenter=segmenter_paths,
-        threads=1,
-        isolation="in-process",
-    )
+    settings = settings_with_models((folder,), detector_path, segmenter_paths)
     with viewing(settings, tmp_path_factory.mktemp("dropped").resolve()) as status_of:
         yield status_of
 

@@ -14,7 +14,7 @@ from mcp.server import MCPServer
 from tests.flight.ground import ground, photograph_of
 from tests.models import paint_vehicles
 from tests.sam_models import SamFiles
-from tests.server.conftest import LENGTH_PX, paint_scene, write_image
+from tests.server.conftest import LENGTH_PX, paint_scene, settings_with_models, write_image
 from tests.server.conversation import by_path, called, error_of, picture_of, record_of, text_of
 from vehanchor.options.rulers import StatedScale
 from vehanchor.rulers.stated_scale import stated_witness
@@ -49,13 +49,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def settings(images: Path, detector_path: Path, segmenter_paths: SamFiles) -> Settings:
-    return Settings(
-        roots=(images,),
-        detector=str(detector_path),
-        segmenter=segmenter_paths,
-        threads=1,
-        isolation="in-process",
-    )
+    return settings_with_models((images,), detector_path, segmenter_paths)
 
 
 @pytest.fixture(scope="module")

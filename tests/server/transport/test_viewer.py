@@ -16,8 +16,9 @@ import pytest
 from mcp.server.apps import APP_MIME_TYPE, EXTENSION_ID
 from typer.testing import CliRunner
 
+from tests.sam_models import SamFiles
 from tests.server.app_page.viewing import viewing
-from tests.server.conftest import POOL_BOX
+from tests.server.conftest import POOL_BOX, settings_with_models
 from tests.server.transport.test_http import discover
 from tests.skill.imagery.files import HEIC
 from vehanchor.cli.app import app
@@ -35,16 +36,10 @@ WEB = httpx.Client(timeout=60, verify=False, limits=httpx.Limits(max_keepalive_c
 def address(
     _images: Path,
     detector_path: Path,
-    segmenter_paths: tuple[Path, Path],
+    segmenter_paths: SamFiles,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Address]:
-    settings = Settings(
-        roots=(_images,),
-        detector=str(detector_path),
-        segmenter=segmenter_paths,
-        threads=1,
-        isolation="in-process",
-    )
+    settings = settings_with_models((_images,), detector_path, segmenter_paths)
     with viewing(settings, tmp_path_factory.mktemp("view").resolve() / "dropped") as own_address:
         yield own_address
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -31,6 +32,20 @@ def _in_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def detector(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Path of a detector of painted vehicles."""
     return write_detector(tmp_path_factory.mktemp("model") / "painted.onnx")
+
+
+@pytest.fixture(scope="session")
+def _hasty_ray() -> Iterator[None]:
+    """Start Ray so that its workers get their share of a full machine, and it sees a node die.
+
+    Its workers have niceness 15: beside the other lanes of ``.ci/run`` they got a thirtieth of a
+    core. It knocks at a node every 3 s, and gives it up at the fifth knock that is refused.
+    """
+    with pytest.MonkeyPatch.context() as patches:
+        patches.setenv("RAY_worker_niceness", "0")
+        patches.setenv("RAY_health_check_initial_delay_ms", "0")
+        patches.setenv("RAY_health_check_period_ms", "200")
+        yield
 
 
 @pytest.fixture

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import csv
-import os
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.skill.batch.runs import FILES, assert_same_fields, read_rows
+from tests.skill.batch.runs import (
+    FILES,
+    assert_same_fields,
+    check_names_that_look_alike,
+    read_rows,
+)
 from vehanchor import estimate_gsd
 from vehanchor.batch import BatchJob, run_batch
 from vehanchor.batch.worker import Task, Worker
@@ -78,27 +82,11 @@ def test_an_image_without_cars_has_a_row_without_a_scale(
     assert (empty["status"], empty["gsd_m_per_px"], empty["confidence"]) == ("no_scale", None, 0)
 
 
-def _write_names_that_look_alike(folder: Path, target: Path) -> None:
-    """Write an image with cars and one without; the table shows both names alike."""
-    for name, source in ((b"a\xff.png", "cars.png"), (rb"a\udcff.png", "empty.png")):
-        path = target / os.fsdecode(name)
-        path.write_bytes((folder / source).read_bytes())
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # Ray warns about itself.
-@pytest.mark.parametrize("engine", ["local", pytest.param("ray", marks=pytest.mark.ray)])
 def test_images_whose_names_look_alike_have_their_own_rows(
-    engine: Any, folder: Path, detector: Path, tmp_path: Path
+    folder: Path, detector: Path, tmp_path: Path
 ) -> None:
-    images = tmp_path / "images"
-    images.mkdir()
-    _write_names_that_look_alike(folder, images)
-    table = tmp_path / "table.jsonl"
-    run_batch([str(images)], table, detector=detector, workers=1, engine=engine)
-    rows = read_rows(table)
-    assert len({row["photograph"] for row in rows}) == 1
-    assert sorted(row["status"] for row in rows) == ["no_scale", "ok"]
+    check_names_that_look_alike(folder, detector, tmp_path, engine="local")
 
 
 def test_a_key_is_the_name_with_the_path_and_the_state_of_the_file(folder: Path) -> None:

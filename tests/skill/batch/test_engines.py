@@ -225,6 +225,7 @@ def test_the_same_command_resumes_after_ctrl_c(interrupted: Interrupted) -> None
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("_hasty_ray")
 def test_ray_resumes_a_run_of_the_local_engine(
     expected: bytes, detector: Path, folder: Path, table: Path
 ) -> None:

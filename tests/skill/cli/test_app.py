@@ -49,12 +49,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def run(folder: Path, plain_terminal: None, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Run ``vehanchor`` in the folder of images."""
     monkeypatch.chdir(folder)
-    monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
     return lambda *arguments: CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
 
 

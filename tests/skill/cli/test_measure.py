@@ -35,12 +35,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def run(folder: Path, plain_terminal: None, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Run ``vehanchor measure`` in the folder of images, with its models."""
     monkeypatch.chdir(folder)
-    monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.delenv("VEHANCHOR_TRACEBACK", raising=False)
     models = ["--detector", "detector.onnx", "--segmenter", "encoder.onnx", "decoder.onnx"]
 
     def invoke(*arguments: object) -> Result:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -33,10 +35,15 @@ def test_a_compressed_drawing_is_probably_no_photograph(kind: str) -> None:
     assert _chance(compressed) > 0.5
 
 
+@cache
+def _scene(layout: Layout) -> NDArray[np.uint8]:
+    return render_scene(0.1, width_px=400, height_px=400, seed=4, layout=layout).image
+
+
 @pytest.mark.parametrize("blur_px", [0, 9])
 @pytest.mark.parametrize("layout", ["parking", "countryside"])
 def test_a_scene_is_no_drawing(layout: Layout, blur_px: int) -> None:
-    picture = render_scene(0.1, width_px=400, height_px=400, seed=4, layout=layout).image
+    picture = _scene(layout)
     if blur_px:
         picture = np.asarray(cv2.GaussianBlur(picture, (blur_px, blur_px), 0), np.uint8)
     assert _chance(picture) < 0.05

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ SKY_RGB = (200, 215, 235)
 WATER_RGB = (30, 55, 60)
 
 
+@cache
 def _ground(layout: Layout = "parking") -> NDArray[np.uint8]:
     return render_scene(0.1, width_px=SIDE_PX, height_px=SIDE_PX, seed=4, layout=layout).image
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from research.scenes import render_scene
 from research.scenes.captions import CAPTIONS
 from research.scenes.lettering import own_fonts
-from vehanchor.imagery.lettering import paint_over_lettering, without_lettering
+from vehanchor.imagery.overlaid_lettering import paint_over_lettering, without_lettering
 from vehanchor.imagery.sources.opening import open_raster
 
 Picture = NDArray[np.uint8]

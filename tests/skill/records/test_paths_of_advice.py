@@ -55,8 +55,8 @@ def _one_car() -> Photo:
     return rendered(0.15, 6, "urban", n_cars=1)
 
 
-def _from_space(gsd: float) -> Photo:
-    return _with_better(rendered(gsd, 3, "urban"))
+def _from_space(gsd: float, side_px: int = 640) -> Photo:
+    return _with_better(rendered(gsd, 3, "urban", side_px=side_px))
 
 
 def _with_better(photo: Photo) -> Photo:
@@ -128,9 +128,10 @@ SITUATIONS: dict[str, Callable[[], Call]] = {
     ),
     "car park, chosen rulers": lambda: Call(_car_park(), {"rulers": "scene_scale,courts"}),
     "satellite": lambda: Call(_from_space(0.5), {}),
-    "coarse satellite": lambda: Call(_from_space(1.5), {}),
+    "coarse satellite": lambda: Call(_from_space(1.5, side_px=320), {}),
     "enlarged": lambda: Call(
-        pixels_as_photo(enlarged(_car_park(0.5), 3, 3), 0.5 / 3, better=_car_park()), {}
+        pixels_as_photo(enlarged(_car_park(0.5, side_px=400), 3, 3), 0.5 / 3, better=_car_park()),
+        {},
     ),
     "blurred": lambda: Call(_spoilt(_blurred, 0.125), {}),
     "stretched": lambda: Call(_spoilt(lambda photo: enlarged(photo, 1.5, 1)), {}),

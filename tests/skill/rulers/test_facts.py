@@ -98,6 +98,7 @@ def _log_width(record: GsdEstimate) -> float:
     return math.log(record.gsd_ci95_high_m_per_px / record.gsd_ci95_low_m_per_px)
 
 
+@pytest.mark.slow
 @given(
     gsd=st.floats(0.05, 0.2),
     n_parts=st.integers(1, 6),
@@ -127,6 +128,7 @@ def _check_no_surer(repeated: GsdEstimate, once: GsdEstimate) -> None:
     assert low <= repeated.gsd_m_per_px <= high
 
 
+@pytest.mark.slow
 @given(
     gsd=st.floats(0.09, 0.11),
     n_steps=st.sampled_from([1, 2, 4]),
@@ -141,6 +143,7 @@ def test_a_smaller_copy_makes_no_line_surer(gsd: float, n_steps: int, basis: str
     _check_no_surer(record_of(12, known_lengths=[in_copy], frame=frame), once)
 
 
+@pytest.mark.slow
 @given(
     gsd=st.floats(0.05, 0.2),
     what=st.sampled_from(["tennis_court_length", "iso_container_40ft", "motorway_lane_width"]),
@@ -160,6 +163,7 @@ def test_no_repetition_of_a_named_thing_makes_a_scale_surer(
     _check_no_surer(record_of(12, known_lengths=copies), once)
 
 
+@pytest.mark.slow
 @given(factor=st.floats(0.5, 2.0), repeated=st.floats(0.985, 1.015))
 def test_a_height_that_repeats_the_file_makes_no_scale_surer(
     factor: float, repeated: float
@@ -173,6 +177,7 @@ def test_a_height_that_repeats_the_file_makes_no_scale_surer(
     _check_no_surer(record_of(12, camera=camera, **given_height), once)
 
 
+@pytest.mark.slow
 @given(factor=st.floats(0.5, 2.0))
 def test_a_scale_that_is_given_back_makes_no_scale_surer(factor: float) -> None:
     line = _measured(LINE, factor * CARS_GSD, "assumed")

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     Packed: TypeAlias = NDArray[np.uint32]
     """``[h, w]`` one number for each colour."""
 
+# Numbers without a measurement beside them are choices.
+
 # Most pixels that are searched: those of a screen or a film of 3840 x 2160. A choice.
 _MAX_PIXELS = 8_300_000
 # Fewest pixels of a colour of lettering whose right neighbour has it, too, and their least share.
