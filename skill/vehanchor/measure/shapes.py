@@ -285,7 +285,8 @@ def _binary(mask: NDArray[Any]) -> Mask:
 
 def _is_flat(values: Sequence[Any]) -> bool:
     """Test whether values are numbers, at least one."""
-    if not values:
+    # Not "if not values": a value may be an array.
+    if len(values) == 0:
         return False
     return all(isinstance(value, int | float | np.number) for value in values)
 
