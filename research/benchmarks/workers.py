@@ -66,12 +66,14 @@ def bare_seconds(processes: int) -> float:
 
 def peak_mib(folder: Path) -> float:
     """Measure the peak memory of a worker for the photographs of a folder."""
+    from vehanchor.analysis.heap import huge_pages_in_new_processes
     from vehanchor.detection.detector import Detector, networks_sha256
     from vehanchor.models.zoo import resolve_model
 
     sha256 = networks_sha256(Detector(resolve_model()).card)
     command = [sys.executable, "-c", _WORKER, str(folder), sha256]
-    kib = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    with huge_pages_in_new_processes():
+        kib = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     return int(kib) / 1024
 
 

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.random import Generator
 
 from research.scenes.lettering import Colour, Pen, Picture, words, write
-from research.scenes.pages import Fonts, choose_font, draw_icon, draw_size
+from research.scenes.pages import (
+    Fonts,
+    choose_font,
+    draw_icon,
+    draw_number,
+    draw_rectangle,
+    draw_size,
+)
 
 Captioned: TypeAlias = Callable[[Picture, Generator, Fonts], Picture]
 
@@ -30,7 +37,7 @@ def _signal_pen(rng: Generator, fonts: Fonts, low: float = 10, high: float = 48)
     pen = Pen(choose_font(rng, fonts), draw_size(rng, low, high), ink)
     if rng.random() < 0.6:
         edge = _WHITE if sum(ink) < 200 else _BLACK
-        pen = pen._replace(edge=edge, edge_px=int(rng.integers(1, 4)))
+        pen = pen._replace(edge=edge, edge_px=draw_number(rng, 1, 4))
     return pen
 
 
@@ -44,7 +51,8 @@ def caption(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
     strip_px = round(pen.size_px * rng.uniform(1.4, 2.5))
     strip = np.full((strip_px, photograph.shape[1], 3), paper, np.uint8)
     x = rng.uniform(0.01, 0.2) * photograph.shape[1]
-    write(strip, words(rng, int(rng.integers(2, 8))), (x, 0.2 * pen.size_px), pen)
+    n_words = draw_number(rng, 2, 8)
+    write(strip, words(rng, n_words), (x, 0.2 * pen.size_px), pen)
     return np.concatenate([photograph, strip])
 
 
@@ -54,13 +62,14 @@ def labels(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
     height, width = picture.shape[:2]
     pen = _signal_pen(rng, fonts)
     has_plate = rng.random() < 0.25
-    for _ in range(int(rng.integers(2, 7))):
+    for _ in range(draw_number(rng, 2, 7)):
         x, y = rng.uniform(0.05, 0.8, 2) * (width, height)
-        line = words(rng, int(rng.integers(1, 3)))
+        line = words(rng, draw_number(rng, 1, 3))
         if has_plate:
-            end = (round(x + 0.6 * pen.size_px * len(line)), round(y + 1.3 * pen.size_px))
+            start = (round(x) - 3, round(y) - 3)
+            end = (x + 0.6 * pen.size_px * len(line), y + 1.3 * pen.size_px)
             plate = _BLACK if sum(pen.ink) > 380 else _WHITE
-            cv2.rectangle(picture, (round(x) - 3, round(y) - 3), end, plate, -1)
+            draw_rectangle(picture, start, end, plate)
         turn = float(rng.uniform(-90, 90)) if rng.random() < 0.3 else 0.0
         write(picture, line, (x, y), pen, turn=turn)
     return picture
@@ -104,7 +113,7 @@ def watermark(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
     height, width = picture.shape[:2]
     pen = Pen(choose_font(rng, fonts), draw_size(rng, 14, 60), _WHITE)
     pen = pen._replace(opacity=float(rng.uniform(0.3, 0.9)))
-    line = words(rng, int(rng.integers(1, 3)))
+    line = words(rng, draw_number(rng, 1, 3))
     if rng.random() < 0.5:
         write(picture, line, (0.6 * width, 0.9 * height), pen)
         return picture
@@ -120,12 +129,13 @@ def markers(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
     picture = photograph.copy()
     height, width = picture.shape[:2]
     pen = _signal_pen(rng, fonts, 12, 32)
-    for _ in range(int(rng.integers(3, 10))):
+    for _ in range(draw_number(rng, 3, 10)):
         x, y = rng.uniform(0.03, 0.9, 2) * (width, height)
         draw_icon(picture, rng, (x, y), draw_size(rng, 10, 48))
-    x, y = 0.05 * width, 0.92 * height
-    end = (round(x + rng.uniform(0.1, 0.3) * width), round(y) + 6)
-    cv2.rectangle(picture, (round(x), round(y)), end, pen.ink, -1)
+    x = 0.05 * width
+    y = 0.92 * height
+    end = (x + rng.uniform(0.1, 0.3) * width, round(y) + 6)
+    draw_rectangle(picture, (x, y), end, pen.ink)
     write(picture, f"{rng.integers(1, 40) * 5} m", (x, y - 1.3 * pen.size_px), pen)
     return picture
 
@@ -135,15 +145,16 @@ def boxes(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
     picture = photograph.copy()
     height, width = picture.shape[:2]
     pen = _signal_pen(rng, fonts, 9, 20)
-    for _ in range(int(rng.integers(3, 25))):
+    for _ in range(draw_number(rng, 3, 25)):
         x, y = rng.uniform(0, 1, 2) * (width, height)
         size = (draw_size(rng, 15, 60), draw_size(rng, 15, 60))
         turn = float(rng.uniform(0, 180)) if rng.random() < 0.5 else 0.0
         corners = cv2.boxPoints(((x, y), size, turn))
         outline = np.rint(corners).astype(np.int32)
-        cv2.polylines(picture, [outline], True, pen.ink, int(rng.integers(1, 4)))
+        cv2.polylines(picture, [outline], True, pen.ink, draw_number(rng, 1, 4))
         if rng.random() < 0.6:
-            write(picture, f"car {rng.random():.2f}", (x, y - size[1] / 2 - pen.size_px), pen)
+            above = (x, y - size[1] / 2 - pen.size_px)
+            write(picture, f"car {rng.random():.2f}", above, pen)
     return picture
 
 
@@ -154,7 +165,7 @@ def program(photograph: Picture, rng: Generator, fonts: Fonts) -> Picture:
     ground = int(rng.integers(30, 50) if is_dark else rng.integers(214, 256))
     ink = (225, 225, 225) if is_dark else (20, 20, 20)
     pen = Pen(choose_font(rng, fonts), draw_size(rng, 11, 20), ink)
-    panel_px = int(rng.integers(160, 320))
+    panel_px = draw_number(rng, 160, 320)
     bar_px = round(2.2 * pen.size_px)
     picture = np.full((height + bar_px, width + panel_px, 3), ground, np.uint8)
     picture[:height, :width] = photograph

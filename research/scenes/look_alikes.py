@@ -7,6 +7,7 @@ them, at an exact scale.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,10 +16,10 @@ from research.scenes.fleet import Fleet
 from research.scenes.further_things import FURTHER_THINGS
 from research.scenes.render import photograph_world
 from research.scenes.site import Palette, Site, jitter, pick
-from research.scenes.small_vehicles import SMALL_VEHICLES
+from research.scenes.small_vehicles import BRIGHT_PAINTS, SMALL_VEHICLES
 from research.scenes.sprites import Sun
-from research.scenes.things import THINGS, draw_model, place
-from research.scenes.truth import Scene
+from research.scenes.things import GREEN, HARD, THINGS, draw_model, place
+from research.scenes.truth import FleetKind, Scene
 from research.scenes.world import Frame, Material, Rgb, World
 
 if TYPE_CHECKING:
@@ -35,10 +36,7 @@ ALL_THINGS = LOOK_ALIKES | SMALL_VEHICLES
 """All kinds of things."""
 
 FIRST_RECORDED_SEED = 0
-"""Seeds from here on are those of the recorded set."""
-
-FIRST_FITTING_SEED = 10_000
-"""Seeds from here on are for fitting."""
+"""Seeds from here on are those of the recorded set; those from 10,000 on are for fitting."""
 
 _SIZES_PX = ((640, 480), (800, 600), (960, 720))
 _MIN_THINGS = 3
@@ -47,6 +45,27 @@ _ARRANGEMENTS = ("row", "block", "scatter")
 _ARRANGEMENT_SHARES = (0.3, 0.4, 0.3)
 # Share of the image, at most, on which things stand.
 _SPREAD = 0.9
+# Cars in the places of things: the usual length and width of one, its range in pixels, and the
+# shares of fleets of one model and of bright paints.
+_CAR_M = (4.4, 1.8)
+_CAR_PX = (14.0, 70.0)
+_ONE_MODEL_SHARE = 0.4
+_BRIGHT_SHARE = 0.3
+_GROUNDS_OF_CARS = (*HARD, *GREEN, Material.PLAIN)
+
+
+class Spacing(NamedTuple):
+    """How much room things take.
+
+    Attributes:
+        length_m: length of one.
+        width_m: width of one.
+        gap: usual gap to the next one, in widths.
+    """
+
+    length_m: float
+    width_m: float
+    gap: float
 
 
 class LookAlikes(NamedTuple):
@@ -119,6 +138,41 @@ def render_look_alikes(kind: str, seed: int) -> LookAlikes:
     return LookAlikes(name, kind, scene=scene, n_things=n_things, length_m=model.length_m)
 
 
+def render_cars(seed: int) -> Scene:
+    """Render cars in the places of look-alikes; the seed determines every byte.
+
+    They teach a network that neither the ground nor the rows of these scenes show things. Some
+    fleets have one model, and some have bright paints.
+
+    Args:
+        seed: at least 0.
+    """
+    place_rng, paint_rng, camera_rng = np.random.default_rng(seed).spawn(3)
+    length_px = float(np.exp(place_rng.uniform(*np.log(_CAR_PX))))
+    gsd_m_per_px = _CAR_M[0] / length_px
+    width_px, height_px = pick(place_rng, _SIZES_PX)
+    size_m = (width_px * gsd_m_per_px, height_px * gsd_m_per_px)
+    sun = Sun(place_rng.uniform(0, 2 * math.pi), math.radians(place_rng.uniform(25, 64)))
+    world = World()
+    centre = Frame(size_m[0] / 2, size_m[1] / 2, 0.0)
+    kind: FleetKind = "mixed" if place_rng.random() < 0.5 else "passenger"
+    fleet = Fleet(place_rng.uniform(4.0, 4.9), place_rng, kind)
+    site = Site(world, centre, rng=place_rng, fleet=fleet, palette=Palette.draw(place_rng))
+    _build_ground(site, pick(place_rng, _GROUNDS_OF_CARS), size_m)
+    _park_cars(site, size_m)
+    return photograph_world(
+        world,
+        sun,
+        gsd_m_per_px=gsd_m_per_px,
+        width_px=width_px,
+        height_px=height_px,
+        paint_rng=paint_rng,
+        camera_rng=camera_rng,
+        seed=seed,
+        parameters={"things": "cars"},
+    )
+
+
 def _build_ground(site: Site, material: Material, size_m: tuple[float, float]) -> None:
     """Cover the view with one ground, patches of others, a path, and trees at its border."""
     rng = site.rng
@@ -155,28 +209,48 @@ def _build_ground(site: Site, material: Material, size_m: tuple[float, float]) -
 
 def _build_things(site: Site, model: Model, size_m: tuple[float, float]) -> np.ndarray:
     """Place things of a model; return their centres ``[n, 2]`` from the middle of the view."""
+    spacing = Spacing(model.length_m, model.width_m, model.thing.gap)
+    poses = _arranged(site.rng, spacing, size_m)
+    for x, y, angle in poses.tolist():
+        place(site, model, x, y, angle=angle)
+    return poses[:, :2]
+
+
+def _park_cars(site: Site, size_m: tuple[float, float]) -> None:
+    """Park the cars of a fleet as things stand."""
     rng = site.rng
+    spacing = Spacing(*_CAR_M, rng.uniform(0.3, 0.7))
+    model = site.fleet.small()
+    is_one_model = rng.random() < _ONE_MODEL_SHARE
+    is_bright = rng.random() < _BRIGHT_SHARE
+    for x, y, angle in _arranged(rng, spacing, size_m).tolist():
+        car = model if is_one_model else site.fleet.small()
+        if is_bright and not is_one_model:
+            car = replace(car, paint=pick(rng, BRIGHT_PAINTS))
+        heading = angle + math.pi * int(rng.integers(2))
+        site.vehicle(car, x, y, angle=heading)
+
+
+def _arranged(rng: Generator, spacing: Spacing, size_m: tuple[float, float]) -> np.ndarray:
+    """Arrange things in rows, in blocks or scattered; return x, y and angle ``[n, 3]``."""
     arrangement = rng.choice(_ARRANGEMENTS, p=_ARRANGEMENT_SHARES)
     wanted = int(np.exp(rng.uniform(math.log(_MIN_THINGS), math.log(_MAX_THINGS))))
     turn = rng.uniform(0, math.pi)
-    gap_m = model.width_m * model.thing.gap * rng.uniform(0.6, 1.6)
+    gap_m = spacing.width_m * spacing.gap * rng.uniform(0.6, 1.6)
     if arrangement == "scatter":
-        poses = _scattered(rng, model, wanted, size_m)
-    else:
-        n_rows = 1 if arrangement == "row" else max(2, round(math.sqrt(wanted / 2)))
-        poses = _in_rows(rng, model, wanted, n_rows=n_rows, gap_m=gap_m)
-    turned = Frame(0.0, 0.0, 0.0 if arrangement == "scatter" else turn)
-    centres = turned.points(poses[:, :2])
-    angles = poses[:, 2] + turned.angle
-    for (x, y), angle in zip(centres.tolist(), angles.tolist(), strict=True):
-        place(site, model, x, y, angle=angle)
-    return centres
+        return _scattered(rng, spacing, wanted, size_m)
+    n_rows = 1 if arrangement == "row" else max(2, round(math.sqrt(wanted / 2)))
+    poses = _in_rows(rng, spacing, wanted, n_rows=n_rows, gap_m=gap_m)
+    turned = Frame(0.0, 0.0, turn)
+    return np.column_stack([turned.points(poses[:, :2]), poses[:, 2] + turn])
 
 
-def _in_rows(rng: Generator, model: Model, wanted: int, *, n_rows: int, gap_m: float) -> np.ndarray:
+def _in_rows(
+    rng: Generator, spacing: Spacing, wanted: int, *, n_rows: int, gap_m: float
+) -> np.ndarray:
     """Arrange things side by side in rows; return x, y and angle ``[n, 3]``."""
-    pitch = model.width_m + gap_m
-    row_pitch = model.length_m * rng.uniform(1.1, 1.9)
+    pitch = spacing.width_m + gap_m
+    row_pitch = spacing.length_m * rng.uniform(1.1, 1.9)
     n_columns = math.ceil(wanted / n_rows)
     sloppy = rng.uniform(0, 0.08)
     poses = []
@@ -184,14 +258,14 @@ def _in_rows(rng: Generator, model: Model, wanted: int, *, n_rows: int, gap_m: f
         for column in range(n_columns):
             if rng.random() < 0.05:
                 continue
-            x = (row - (n_rows - 1) / 2) * row_pitch + sloppy * model.width_m * rng.normal()
-            y = (column - (n_columns - 1) / 2) * pitch + sloppy * model.width_m * rng.normal()
+            x = (row - (n_rows - 1) / 2) * row_pitch + sloppy * spacing.width_m * rng.normal()
+            y = (column - (n_columns - 1) / 2) * pitch + sloppy * spacing.width_m * rng.normal()
             poses.append((x, y, sloppy * rng.normal()))
     return np.array(poses[:_MAX_THINGS]).reshape(-1, 3)
 
 
 def _scattered(
-    rng: Generator, model: Model, wanted: int, size_m: tuple[float, float]
+    rng: Generator, spacing: Spacing, wanted: int, size_m: tuple[float, float]
 ) -> np.ndarray:
     """Scatter things that do not touch; return x, y and angle ``[n, 3]``."""
     poses: list[tuple[float, float, float]] = []
@@ -199,7 +273,7 @@ def _scattered(
         if len(poses) == wanted:
             break
         x, y = _within(rng, size_m)
-        is_free = all(math.hypot(x - a, y - b) > 1.2 * model.length_m for a, b, _ in poses)
+        is_free = all(math.hypot(x - a, y - b) > 1.2 * spacing.length_m for a, b, _ in poses)
         if is_free:
             poses.append((x, y, rng.uniform(0, math.pi)))
     return np.array(poses).reshape(-1, 3)

@@ -29,6 +29,12 @@ Fonts: TypeAlias = Sequence[Path | int]
 
 PageDrawing: TypeAlias = Callable[[Generator, Fonts], Picture]
 
+Values: TypeAlias = NDArray[np.float64]
+"""``[n]`` values of a chart, 0..1 of its height."""
+
+Area: TypeAlias = tuple[int, int, int, int]
+"""Left, top, right and bottom, pixels."""
+
 _WHITE = (255, 255, 255)
 
 
@@ -45,7 +51,7 @@ def _sheet(rng: Generator, colour: Colour) -> Picture:
 
 
 def _colour(rng: Generator, low: int = 0, high: int = 255) -> Colour:
-    red, green, blue = (int(level) for level in rng.integers(low, high + 1, size=3))
+    red, green, blue = rng.integers(low, high + 1, size=3).tolist()
     return red, green, blue
 
 
@@ -57,6 +63,30 @@ def _paper_and_ink(rng: Generator) -> tuple[Colour, Colour]:
     if kind < 0.75:
         return _colour(rng, 215), _colour(rng, 0, 90)
     return _colour(rng, 0, 60), _colour(rng, 180)
+
+
+def _page_and_ink(rng: Generator) -> tuple[Picture, Colour]:
+    """Make an empty page, and choose the colour of its ink."""
+    paper, ink = _paper_and_ink(rng)
+    return _sheet(rng, paper), ink
+
+
+def draw_number(rng: Generator, low: int, stop: int) -> int:
+    """Draw a whole number from ``low`` to below ``stop``."""
+    return int(rng.integers(low, stop))
+
+
+def draw_rectangle(
+    page: Picture,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    colour: Colour,
+    line_px: int = cv2.FILLED,
+) -> None:
+    """Draw a rectangle between two corners, filled unless it has a line."""
+    first = (round(start[0]), round(start[1]))
+    last = (round(end[0]), round(end[1]))
+    cv2.rectangle(page, first, last, colour, line_px)
 
 
 def draw_size(rng: Generator, low: float = 10, high: float = 60) -> float:
@@ -75,7 +105,8 @@ def _paragraph(
     """Fill a box (left, top, right, bottom) with lines of text."""
     left, top, right, bottom = box
     spacing = pen.size_px * rng.uniform(1.15, 1.6)
-    per_line = max(1, round((right - left) / (pen.size_px * 3.2)))
+    word_px = 3.2 * pen.size_px
+    per_line = max(1, round((right - left) / word_px))
     y = top
     while y + pen.size_px < bottom:
         count = per_line if rng.random() < 0.85 else max(1, per_line // 2)
@@ -85,15 +116,15 @@ def _paragraph(
 
 def text_page(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a page of text with a heading, in one or two columns."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     pen = Pen(choose_font(rng, fonts), draw_size(rng), ink)
-    heading = pen._replace(font=choose_font(rng, fonts), size_px=min(70, 1.6 * pen.size_px))
+    heading_font = choose_font(rng, fonts)
+    heading = pen._replace(font=heading_font, size_px=min(70, 1.6 * pen.size_px))
     margin = rng.uniform(0.03, 0.1) * width
     write(page, words(rng, 3), (margin, margin / 2), heading)
     top = margin / 2 + 2 * heading.size_px
-    n_columns = int(rng.integers(1, 3))
+    n_columns = draw_number(rng, 1, 3)
     column = (width - 2 * margin) / n_columns
     for k in range(n_columns):
         left = margin + k * column
@@ -104,45 +135,67 @@ def text_page(rng: Generator, fonts: Fonts) -> Picture:
 
 def chart(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a bar or line chart with title, axes, ticks and legend."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     font = choose_font(rng, fonts)
     pen = Pen(font, draw_size(rng, 10, 30), ink)
     title = pen._replace(size_px=draw_size(rng, 16, 48))
-    write(page, words(rng, int(rng.integers(2, 6))), (0.15 * width, 0.02 * height), title)
-    left, right = int(0.12 * width), int(0.95 * width)
-    top, bottom = int(0.15 * height), int(0.85 * height)
-    cv2.rectangle(page, (left, top), (right, bottom), ink, int(rng.integers(1, 3)))
-    for share in np.linspace(0, 1, int(rng.integers(4, 9))):
+    n_words = draw_number(rng, 2, 6)
+    write(page, words(rng, n_words), (0.15 * width, 0.02 * height), title)
+    left = int(0.12 * width)
+    right = int(0.95 * width)
+    top = int(0.15 * height)
+    bottom = int(0.85 * height)
+    draw_rectangle(page, (left, top), (right, bottom), ink, draw_number(rng, 1, 3))
+    n_ticks = draw_number(rng, 4, 9)
+    for share in np.linspace(0, 1, n_ticks):
         y = round(bottom + share * (top - bottom))
         cv2.line(page, (left - 6, y), (right, y), _grey(rng), 1)
         write(page, f"{100 * share:.0f}", (0.03 * width, y - pen.size_px / 2), pen)
-    n_values = int(rng.integers(3, 12))
+    n_values = draw_number(rng, 3, 12)
+    area = (left, top, right, bottom)
     values = rng.uniform(0.1, 0.95, size=n_values)
-    step = (right - left) / n_values
     if rng.random() < 0.6:
-        colours = [_colour(rng)] * n_values if rng.random() < 0.6 else None
-        for k, value in enumerate(values):
-            colour = colours[k] if colours else _colour(rng)
-            x = left + k * step
-            bar = (round(x + 0.15 * step), round(bottom + value * (top - bottom)))
-            cv2.rectangle(page, bar, (round(x + 0.85 * step), bottom), colour, -1)
+        _draw_bars(page, rng, values, area)
     else:
-        for _ in range(int(rng.integers(1, 4))):
+        for _ in range(draw_number(rng, 1, 4)):
             values = rng.uniform(0.1, 0.95, size=n_values)
-            xs = left + (np.arange(n_values) + 0.5) * step
-            points = np.column_stack([xs, bottom + values * (top - bottom)])
-            colour = _colour(rng)
-            cv2.polylines(page, [points.astype(np.int32)], False, colour, 2, cv2.LINE_AA)
-            for x, y in points:
-                cv2.circle(page, (round(x), round(y)), 5, colour, -1, cv2.LINE_AA)
+            _draw_line(page, rng, values, area)
+    step = (right - left) / n_values
     for k in range(n_values):
         x = left + (k + 0.2) * step
         write(page, words(rng, 1), (x, bottom + 6), pen)
     write(page, words(rng, 2), (0.015 * width, height / 2), pen, turn=90)
     write(page, words(rng, 2), (width / 2, bottom + 2.2 * pen.size_px), pen)
     return compressed(page, rng)
+
+
+def _draw_bars(page: Picture, rng: Generator, values: Values, area: Area) -> None:
+    """Draw values in 0..1 as bars of one colour or of many."""
+    left, top, right, bottom = area
+    step = (right - left) / len(values)
+    one_colour = None
+    if rng.random() < 0.6:
+        one_colour = _colour(rng)
+    for k, value in enumerate(values):
+        colour = one_colour or _colour(rng)
+        x = left + k * step
+        y = bottom + value * (top - bottom)
+        draw_rectangle(page, (x + 0.15 * step, y), (x + 0.85 * step, bottom), colour)
+
+
+def _draw_line(page: Picture, rng: Generator, values: Values, area: Area) -> None:
+    """Draw values in 0..1 as a line with discs at its points."""
+    left, top, right, bottom = area
+    n_values = len(values)
+    step = (right - left) / n_values
+    xs = left + (np.arange(n_values) + 0.5) * step
+    ys = bottom + values * (top - bottom)
+    points = np.column_stack([xs, ys])
+    colour = _colour(rng)
+    cv2.polylines(page, [points.astype(np.int32)], False, colour, 2, cv2.LINE_AA)
+    for x, y in points:
+        cv2.circle(page, (round(x), round(y)), 5, colour, -1, cv2.LINE_AA)
 
 
 def slide(rng: Generator, fonts: Fonts) -> Picture:
@@ -158,17 +211,19 @@ def slide(rng: Generator, fonts: Fonts) -> Picture:
     ink = _colour(rng, 200) if is_dark else _colour(rng, 0, 60)
     title = Pen(choose_font(rng, fonts), draw_size(rng, 30, 70), ink)
     write(page, words(rng, 3), (0.06 * width, 0.05 * height), title)
-    for _ in range(int(rng.integers(0, 3))):
-        x, y = rng.uniform(0.05, 0.6) * width, rng.uniform(0.25, 0.6) * height
-        corner = (round(x + rng.uniform(0.15, 0.35) * width), round(y + 0.25 * height))
-        cv2.rectangle(page, (round(x), round(y)), corner, _colour(rng), -1)
+    for _ in range(draw_number(rng, 0, 3)):
+        x = rng.uniform(0.05, 0.6) * width
+        y = rng.uniform(0.25, 0.6) * height
+        right = x + rng.uniform(0.15, 0.35) * width
+        draw_rectangle(page, (x, y), (right, y + 0.25 * height), _colour(rng))
     pen = title._replace(size_px=draw_size(rng, 16, 44))
     y = 0.25 * height
     while y < 0.9 * height:
         radius = max(2, round(pen.size_px / 6))
         dot = (round(0.08 * width), round(y + pen.size_px / 2))
         cv2.circle(page, dot, radius, ink, -1, cv2.LINE_AA)
-        write(page, words(rng, int(rng.integers(2, 7))), (0.11 * width, y), pen)
+        n_words = draw_number(rng, 2, 7)
+        write(page, words(rng, n_words), (0.11 * width, y), pen)
         y += 1.8 * pen.size_px
     return compressed(page, rng)
 
@@ -177,23 +232,30 @@ def street_map(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a street map with areas of flat colours, roads, and labels along them."""
     page = _sheet(rng, _colour(rng, 215))
     height, width = page.shape[:2]
-    for _ in range(int(rng.integers(4, 12))):
+    for _ in range(draw_number(rng, 4, 12)):
         centre = rng.uniform(0, 1, 2) * (width, height)
-        corners = centre + rng.normal(0, 0.12 * width, size=(int(rng.integers(3, 7)), 2))
+        n_corners = draw_number(rng, 3, 7)
+        corners = centre + rng.normal(0, 0.12 * width, size=(n_corners, 2))
         hull = cv2.convexHull(corners.astype(np.int32))
         cv2.fillPoly(page, [hull], _colour(rng, 150), cv2.LINE_AA)
-    pen = Pen(choose_font(rng, fonts), draw_size(rng, 10, 30), _colour(rng, 0, 110), _WHITE, 1)
-    for _ in range(int(rng.integers(5, 14))):
+    pen = Pen(
+        choose_font(rng, fonts),
+        draw_size(rng, 10, 30),
+        _colour(rng, 0, 110),
+        edge=_WHITE,
+        edge_px=1,
+    )
+    for _ in range(draw_number(rng, 5, 14)):
         ends = rng.uniform(0, 1, (2, 2)) * (width, height)
-        first, last = (tuple(int(value) for value in end) for end in ends)
-        road_px = int(rng.integers(3, 24))
+        first, last = ends.astype(int).tolist()
+        road_px = draw_number(rng, 3, 24)
         cv2.line(page, first, last, _grey(rng), road_px + 2, cv2.LINE_AA)
         cv2.line(page, first, last, _colour(rng, 190), road_px, cv2.LINE_AA)
         middle = ends.mean(axis=0)
         along = ends[1] - ends[0]
         turn = -float(np.degrees(np.arctan2(along[1], along[0])))
         write(page, words(rng, 2), (middle[0], middle[1]), pen, turn=turn)
-    for _ in range(int(rng.integers(4, 15))):
+    for _ in range(draw_number(rng, 4, 15)):
         x, y = rng.uniform(0, 0.9, 2) * (width, height)
         draw_icon(page, rng, (x, y), draw_size(rng, 8, 36))
         write(page, words(rng, 1), (x + 14, y), pen)
@@ -202,12 +264,11 @@ def street_map(rng: Generator, fonts: Fonts) -> Picture:
 
 def window(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a program: title bar, menu, a bar of icons, a list, buttons and a table."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     pen = Pen(choose_font(rng, fonts), draw_size(rng, 11, 26), ink)
     bar = round(2.0 * pen.size_px)
-    cv2.rectangle(page, (0, 0), (width, bar), _colour(rng), -1)
+    draw_rectangle(page, (0, 0), (width, bar), _colour(rng))
     write(page, words(rng, 3), (bar, 0.3 * pen.size_px), pen)
     write(page, words(rng, 7), (8, 1.2 * bar), pen)
     side = draw_size(rng, 14, 44)
@@ -215,47 +276,44 @@ def window(rng: Generator, fonts: Fonts) -> Picture:
         draw_icon(page, rng, (6 + 1.6 * side * k, 2.2 * bar), side)
     top = 2.4 * bar + 1.3 * side
     list_width = 0.28 * width
-    cv2.rectangle(page, (0, round(top)), (round(list_width), height), _grey(rng), 1)
+    draw_rectangle(page, (0, top), (list_width, height), _grey(rng), 1)
     y = top + 4
     while y < height - pen.size_px:
         draw_icon(page, rng, (6, y), pen.size_px)
         write(page, words(rng, 2), (10 + 1.4 * pen.size_px, y), pen)
         y += 1.7 * pen.size_px
-    n_columns = int(rng.integers(2, 6))
+    n_columns = draw_number(rng, 2, 6)
     cell = (width - list_width - 20) / n_columns
     y = top + 4
     while y < height - 4 * pen.size_px:
         for k in range(n_columns):
             x = list_width + 12 + k * cell
-            corner = (round(x + cell), round(y + 1.7 * pen.size_px))
-            cv2.rectangle(page, (round(x), round(y)), corner, _grey(rng), 1)
+            end = (x + cell, y + 1.7 * pen.size_px)
+            draw_rectangle(page, (x, y), end, _grey(rng), 1)
             write(page, words(rng, 1), (x + 4, y + 3), pen)
         y += 1.7 * pen.size_px
     for k in range(3):
         x = width - (k + 1) * 7.5 * pen.size_px
         y = height - 2.4 * pen.size_px
-        corner = (round(x + 6.5 * pen.size_px), round(y + 2 * pen.size_px))
-        cv2.rectangle(page, (round(x), round(y)), corner, _colour(rng), -1)
+        end = (x + 6.5 * pen.size_px, y + 2 * pen.size_px)
+        draw_rectangle(page, (x, y), end, _colour(rng))
         write(page, words(rng, 1), (x + 5, y + 4), pen)
     return compressed(page, rng)
 
 
 def plan(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a plan: rooms, dimension lines, symbols and labels, in thin lines."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     pen = Pen(choose_font(rng, fonts), draw_size(rng, 10, 32), ink)
-    for _ in range(int(rng.integers(5, 14))):
+    for _ in range(draw_number(rng, 5, 14)):
         x, y = rng.uniform(0.02, 0.7, 2) * (width, height)
-        corner = (
-            round(x + rng.uniform(0.08, 0.3) * width),
-            round(y + rng.uniform(0.08, 0.3) * height),
-        )
-        cv2.rectangle(page, (round(x), round(y)), corner, ink, int(rng.integers(1, 5)))
+        right = x + rng.uniform(0.08, 0.3) * width
+        bottom = y + rng.uniform(0.08, 0.3) * height
+        draw_rectangle(page, (x, y), (right, bottom), ink, draw_number(rng, 1, 5))
         write(page, words(rng, 1), (x + 6, y + 6), pen)
-        write(page, f"{rng.uniform(1, 9):.2f} m", (x, corner[1] + 3), pen)
-    for _ in range(int(rng.integers(3, 12))):
+        write(page, f"{rng.uniform(1, 9):.2f} m", (x, round(bottom) + 3), pen)
+    for _ in range(draw_number(rng, 3, 12)):
         x, y = rng.uniform(0.02, 0.9, 2) * (width, height)
         draw_icon(page, rng, (x, y), draw_size(rng, 10, 50), ink)
     return compressed(page, rng)
@@ -263,8 +321,7 @@ def plan(rng: Generator, fonts: Fonts) -> Picture:
 
 def icons(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a sheet of icons, with or without their names."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     side = draw_size(rng, 12, 60)
     pen = Pen(choose_font(rng, fonts), max(9.0, side / 3), ink)
@@ -282,8 +339,7 @@ def icons(rng: Generator, fonts: Fonts) -> Picture:
 
 def board(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a board of squares: a game, a crossword, a calendar, or a table with filled cells."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     side = draw_size(rng, 16, 80)
     pen = Pen(choose_font(rng, fonts), max(9.0, 0.5 * side), ink)
@@ -293,13 +349,15 @@ def board(rng: Generator, fonts: Fonts) -> Picture:
     has_discs = rng.random() < 0.3
     for row in range(int((height - side) / side)):
         for column in range(int((width - side) / side)):
-            x, y = (column + 0.5) * side, (row + 0.5) * side
-            first, last = (round(x), round(y)), (round(x + side), round(y + side))
+            x = (column + 0.5) * side
+            y = (row + 0.5) * side
+            start = (x, y)
+            end = (x + side, y + side)
             if is_chequered:
-                cv2.rectangle(page, first, last, colours[(row + column) % 2], -1)
+                draw_rectangle(page, start, end, colours[(row + column) % 2])
             elif rng.random() < filled_share:
-                cv2.rectangle(page, first, last, colours[0], -1)
-            cv2.rectangle(page, first, last, ink, 1)
+                draw_rectangle(page, start, end, colours[0])
+            draw_rectangle(page, start, end, ink, 1)
             if rng.random() > 0.6:
                 continue
             if has_discs:
@@ -312,8 +370,7 @@ def board(rng: Generator, fonts: Fonts) -> Picture:
 
 def schedule(rng: Generator, fonts: Fonts) -> Picture:
     """Draw a schedule: bars of one or many colours beside the names of their rows."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     height, width = page.shape[:2]
     pen = Pen(choose_font(rng, fonts), draw_size(rng, 10, 28), ink)
     step = pen.size_px * rng.uniform(1.4, 3)
@@ -322,19 +379,18 @@ def schedule(rng: Generator, fonts: Fonts) -> Picture:
     is_coloured = rng.random() < 0.5
     for y in np.arange(step, height - step, step):
         write(page, words(rng, 2), (0.02 * width, y), pen)
-        for _ in range(int(rng.integers(1, 4))):
+        for _ in range(draw_number(rng, 1, 4)):
             x = rng.uniform(left, 0.9 * width)
-            end = (round(min(x + rng.uniform(0.02, 0.2) * width, width - 2)), round(y + 0.7 * step))
+            right = min(x + rng.uniform(0.02, 0.2) * width, width - 2)
             filling = _colour(rng) if is_coloured else colour
-            cv2.rectangle(page, (round(x), round(y)), end, filling, -1)
-    cv2.rectangle(page, (round(left), 4), (width - 4, height - 4), ink, 1)
+            draw_rectangle(page, (x, y), (right, y + 0.7 * step), filling)
+    draw_rectangle(page, (left, 4), (width - 4, height - 4), ink, 1)
     return compressed(page, rng)
 
 
 def keyboard(rng: Generator, fonts: Fonts) -> Picture:
     """Draw rows of keys with letters, and some lines of text below."""
-    paper, ink = _paper_and_ink(rng)
-    page = _sheet(rng, paper)
+    page, ink = _page_and_ink(rng)
     width = page.shape[1]
     side = min(draw_size(rng, 18, 70), width / 15)
     key = _colour(rng, 20, 240)
@@ -344,9 +400,9 @@ def keyboard(rng: Generator, fonts: Fonts) -> Picture:
         for column in range(12):
             x = (0.4 * row + 1.12 * column + 0.5) * side
             y = (1.12 * row + 0.5) * side
-            last = (round(x + side), round(y + side))
-            cv2.rectangle(page, (round(x), round(y)), last, key, -1)
-            write(page, words(rng, 1)[:1].upper(), (x + 0.3 * side, y + 0.25 * side), pen)
+            draw_rectangle(page, (x, y), (x + side, y + side), key)
+            letter = words(rng, 1)[:1].upper()
+            write(page, letter, (x + 0.3 * side, y + 0.25 * side), pen)
     text = pen._replace(ink=ink)
     for number in range(4):
         write(page, words(rng, 6), (0.5 * side, (6.5 + 0.8 * number) * side), text)
@@ -385,8 +441,9 @@ def draw_icon(
     if rng.random() < 0.4:
         for share in (0.35, 0.65):
             y = round(at[1] + share * side_px)
-            ends = (round(at[0] + 0.2 * side_px), y), (round(at[0] + 0.8 * side_px), y)
-            cv2.line(picture, *ends, _WHITE, thickness, cv2.LINE_AA)
+            left = round(at[0] + 0.2 * side_px)
+            right = round(at[0] + 0.8 * side_px)
+            cv2.line(picture, (left, y), (right, y), _WHITE, thickness, cv2.LINE_AA)
 
 
 def _unit(*points: tuple[float, float]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from research.scenes.further_things import chamfered, ellipse
 from research.scenes.things import DARK, GREEN, HARD, WHITE, WHOLE, Part, Thing, rectangle
 from research.scenes.world import Material, Rgb
 
-_PAINTS: tuple[Rgb, ...] = (
+BRIGHT_PAINTS: tuple[Rgb, ...] = (
     (190, 40, 38),
     (40, 80, 170),
     (225, 185, 45),
@@ -18,6 +18,7 @@ _PAINTS: tuple[Rgb, ...] = (
     (40, 42, 46),
     (230, 120, 40),
 )
+"""Paints of small vehicles."""
 _GLASS: Rgb = (52, 60, 68)
 _TYRE: Rgb = (26, 26, 27)
 _SEAT: Rgb = (38, 38, 40)
@@ -38,7 +39,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.75, 2.1),
         width_per_length=(0.55, 0.66),
         height_m=0.9,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(chamfered(-0.5, -0.5, 0.5, 0.5, 0.25), rgb=DARK),
             Part(chamfered(-0.45, -0.42, 0.45, 0.42, 0.25)),
@@ -54,7 +55,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.8, 2.2),
         width_per_length=(0.52, 0.6),
         height_m=1.0,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(ellipse(), rgb=(30, 30, 32)),
             Part(ellipse(0.9, 0.84)),
@@ -70,7 +71,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.75, 2.0),
         width_per_length=(0.68, 0.78),
         height_m=0.5,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(rectangle(-0.42, -0.24, 0.42, 0.24), rgb=(60, 62, 64)),
             *_wheels(0.3, -0.32, length=0.16, width=0.14),
@@ -88,7 +89,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.9, 2.2),
         width_per_length=(0.58, 0.68),
         height_m=0.6,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(chamfered(-0.5, -0.5, 0.5, 0.5, 0.2), rgb=_TYRE),
             Part(chamfered(-0.44, -0.4, 0.44, 0.4, 0.2)),
@@ -103,7 +104,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.1, 1.5),
         width_per_length=(0.52, 0.62),
         height_m=0.7,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             WHOLE,
             *_wheels(0.3, -0.3, length=0.22, width=0.14),
@@ -119,7 +120,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.4, 2.0),
         width_per_length=(0.46, 0.56),
         height_m=0.8,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(chamfered(-0.5, -0.5, 0.5, 0.5, 0.16)),
             Part(rectangle(0.1, -0.4, 0.2, 0.4), rgb=_GLASS),
@@ -164,7 +165,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(2.8, 3.3),
         width_per_length=(0.48, 0.56),
         height_m=1.8,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(rectangle(-0.44, -0.38, 0.5, 0.38)),
             *_wheels(0.33, -0.34, length=0.22, width=0.18),
@@ -181,7 +182,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.9, 2.3),
         width_per_length=(0.52, 0.6),
         height_m=1.1,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(chamfered(-0.4, -0.26, 0.46, 0.26)),
             *_wheels(0.32, -0.32, length=0.28, width=0.24),
@@ -198,7 +199,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(2.0, 2.3),
         width_per_length=(0.33, 0.4),
         height_m=1.1,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(rectangle(-0.5, -0.12, 0.5, 0.12), rgb=_TYRE),
             Part(ellipse(0.34, 0.5, 0.12, 0.0)),
@@ -213,7 +214,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.7, 1.95),
         width_per_length=(0.36, 0.42),
         height_m=1.1,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(ellipse(1.0, 0.3), rgb=_TYRE),
             Part(ellipse(0.6, 0.6, -0.1, 0.0)),
@@ -250,7 +251,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(1.1, 1.5),
         width_per_length=(0.44, 0.54),
         height_m=1.0,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(chamfered(-0.5, -0.5, 0.5, 0.5, 0.2)),
             Part(rectangle(-0.34, -0.36, 0.0, 0.36), rgb=_SEAT),
@@ -311,7 +312,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(2.5, 3.2),
         width_per_length=(0.54, 0.62),
         height_m=1.5,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(rectangle(-0.46, -0.28, 0.46, 0.28), rgb=(70, 70, 72)),
             *_wheels(0.34, -0.32, length=0.24, width=0.2),
@@ -327,7 +328,7 @@ SMALL_VEHICLES: dict[str, Thing] = {
         lengths_m=(2.1, 2.6),
         width_per_length=(0.32, 0.42),
         height_m=1.0,
-        paints=_PAINTS,
+        paints=BRIGHT_PAINTS,
         parts=(
             Part(rectangle(-0.5, -0.06, 0.2, 0.06), rgb=_TYRE),
             Part(rectangle(0.08, -0.5, 0.5, 0.5)),

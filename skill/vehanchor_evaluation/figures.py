@@ -54,8 +54,9 @@ _BAND = 0.10
 # Larger median errors are drawn as this one.
 _MAX_ERROR = 1.0
 _CONFIDENCE_BINS = np.linspace(0.0, 1.0, 6)
-# Side of a picture in the sheet, and the gap between pictures.
+# Side of a picture in the sheet, pictures of a row, and the gap between pictures.
 _CELL_PX = 640
+_CELLS_OF_ROW = 3
 _GAP_PX = 12
 
 
@@ -382,13 +383,11 @@ class SheetCell(NamedTuple):
     lines: tuple[str, ...]
 
 
-def sheet_trials(
-    trials: Sequence[ScaleTrial], per_row: int = 3
-) -> dict[str, tuple[ScaleTrial, ...]]:
+def sheet_trials(trials: Sequence[ScaleTrial]) -> dict[str, tuple[ScaleTrial, ...]]:
     """Select the best, the middle and the worst estimates without repetition."""
     estimated = [trial for trial in trials if trial.estimated]
     ordered = sorted(estimated, key=lambda trial: trial.error)
-    n_row = min(per_row, len(ordered) // 3)
+    n_row = min(_CELLS_OF_ROW, len(ordered) // 3)
     if not n_row:
         return {"best": tuple(ordered)}
     start = (len(ordered) - n_row) // 2

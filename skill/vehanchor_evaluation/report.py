@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from vehanchor.errors import OutputError
 from vehanchor.records.escaping import in_cell
 from vehanchor.records.text import count
+from vehanchor.scale.defaults import SHORT_SHA
 from vehanchor.storage.atomic import whole_file
 from vehanchor_evaluation.reliability import MIN_ESTIMATES
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     Rows: TypeAlias = Sequence[Mapping[str, object]]
     """Rows of a table, all with the same keys."""
 
-_SHORT_SHA = 12
 _LEGEND = """An error above 20 % is wrong; (<) is the 95 % upper bound of the wrong share.
 error: median of usable images; of all estimates. interval: share of 95 %
 intervals that hold the true scale, of usable images; of other estimates.
@@ -240,7 +240,7 @@ def scale_markdown(report: ScaleReport) -> str:
 
 
 def _title(report: ScaleReport | AblationReport) -> str:
-    sha = report.detector_sha256[:_SHORT_SHA]
+    sha = report.detector_sha256[:SHORT_SHA]
     return f"Detector `{report.detector}` ({sha}) on `{report.data}`"
 
 

@@ -85,9 +85,7 @@ def seen_from_above(photograph: Photograph, points: NDArray[np.float64]) -> Poin
     """Convert pixels ``[n, 2]`` of a photograph to those of a nadir view, as complex numbers."""
     plane = photograph.view.plane
     if plane is not None:
-        image = photograph.view.image
-        centre = np.array([image.width_px, image.height_px]) / 2
-        points = plane.from_above(points) + centre
+        points = plane.from_above(points) + photograph.centre_px
     return np.asarray(points[:, 0] + 1j * points[:, 1])
 
 
@@ -120,7 +118,8 @@ def n_distinct(placements: Sequence[Placement]) -> float:
         bottom = fourth + across * (third - fourth)
         own = top + down * (bottom - top)
         points = placement.in_frame(own.ravel())
-        total += float(np.mean(1.0 / _n_showing(points, placement.ground, placements)))
+        n_showing = _n_showing(points, placement.ground, placements)
+        total += float(np.mean(1.0 / n_showing))
     return total
 
 
@@ -250,9 +249,11 @@ def _cars(boxes: _Boxes) -> list[_Car]:
     """List the cars of a ground, as many as the strongest photographs of its parts show."""
     numbers = _same_car(boxes)
     cars = []
-    for number in range(int(numbers.max(initial=-1)) + 1):
+    n_numbers = int(numbers.max(initial=-1)) + 1
+    for number in range(n_numbers):
         own = np.flatnonzero(numbers == number)
-        by_length = own[np.argsort(boxes.lengths[own], kind="stable")]
+        order = np.argsort(boxes.lengths[own], kind="stable")
+        by_length = own[order]
         car = _Car(
             share=float(boxes.shares[own].sum()),
             score=float(boxes.scores[own].mean()),
@@ -299,9 +300,11 @@ def _same_car(boxes: _Boxes) -> Indices:
 
 def _same_place(boxes: _Boxes, box: int, others: Indices) -> Indices:
     """Select the boxes at the place of a box and of about its size, the nearest first."""
+    length = boxes.lengths[box]
+    lengths = boxes.lengths[others]
     distances = np.abs(boxes.centres[others] - boxes.centres[box])
-    shorter = np.minimum(boxes.lengths[others], boxes.lengths[box])
-    log_ratios = np.log(boxes.lengths[others] / boxes.lengths[box])
+    shorter = np.minimum(lengths, length)
+    log_ratios = np.log(lengths / length)
     is_near = distances <= _SAME_PLACE * shorter
     is_alike = np.abs(log_ratios) <= GROUP_LOG_REACH
     is_same = is_near & is_alike

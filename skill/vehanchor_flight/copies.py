@@ -111,7 +111,9 @@ def _is_mirrored_copy(photograph: Photograph, original: Photograph) -> bool:
     mirror_images: list[NDArray[np.uint8]] = []
     aspect = _aspect(photograph)
     if _is_one(aspect / _aspect(original)):
-        mirror_images += [np.flip(original.reduced, axis) for axis in (0, 1)]
+        upside_down = np.flip(original.reduced, axis=0)
+        left_to_right = np.flip(original.reduced, axis=1)
+        mirror_images += [upside_down, left_to_right]
     if _is_one(aspect * _aspect(original)):
         # The mirrors along both diagonals swap width and height.
         along_diagonal = original.reduced.T
@@ -184,7 +186,8 @@ def shift_of_copy(first: Photograph, second: Photograph) -> Point | None:
         centre = boxes[:, :2].mean(axis=0)
         other_centre = others[:, :2].mean(axis=0)
         shift = np.asarray(other_centre - centre)
-    steps = boxes[:, None, :2] + shift - others[None, :, :2]
+    moved = boxes[:, :2] + shift
+    steps = moved[:, None] - others[None, :, :2]
     distances = np.hypot(steps[..., 0], steps[..., 1])
     nearest = distances.argmin(axis=1)
     is_near = distances.min(axis=1) <= _MAX_SHIFT * boxes[:, 2]

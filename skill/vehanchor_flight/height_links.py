@@ -88,7 +88,8 @@ def link_by_height(
         if photograph.analysis.estimate.status == "ok"
     }
     steps = _chain(supporting, groups, stations, positions)
-    supporting |= {group for group, size in Counter(groups).items() if size > 1}
+    sizes = Counter(groups)
+    supporting |= {group for group, size in sizes.items() if size > 1}
     steps += _chain(supporting, groups, stations, positions)
     return [_overlap(station, neighbour, photographs) for station, neighbour in steps]
 
@@ -210,8 +211,8 @@ def _overlap(station: _Station, neighbour: _Station, photographs: Sequence[Photo
     """Make the link of two photographs; their centres lie on each other."""
     first, second = sorted((station, neighbour))
     ratio = first.gsd_m_per_px / second.gsd_m_per_px
-    first_centre = _centre(photographs[first.photograph])
-    second_centre = _centre(photographs[second.photograph])
+    first_centre = photographs[first.photograph].centre_px
+    second_centre = photographs[second.photograph].centre_px
     shift = second_centre - ratio * first_centre
     turn = np.column_stack([ratio * np.eye(2), shift])
     matched = Match(
@@ -223,8 +224,3 @@ def _overlap(station: _Station, neighbour: _Station, photographs: Sequence[Photo
         second_at=second_centre,
     )
     return Overlap(first.photograph, second.photograph, matched)
-
-
-def _centre(photograph: Photograph) -> NDArray[np.float64]:
-    image = photograph.view.image
-    return np.array([image.width_px, image.height_px]) / 2

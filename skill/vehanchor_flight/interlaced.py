@@ -30,7 +30,10 @@ _FRAMES = 12
 # codecs that OpenCV's FFmpeg writes no other one does, for 14 equal frames of noise and of a smooth
 # picture. FFV1 can be interlaced, too, and only its frames' headers say so.
 _LEARNING_CODECS = frozenset(
-    {int(cv2.VideoWriter.fourcc(*"FFV1")), int(cv2.VideoWriter.fourcc(*"ffv1"))}
+    {
+        int(cv2.VideoWriter.fourcc(*"FFV1")),
+        int(cv2.VideoWriter.fourcc(*"ffv1")),
+    }
 )
 # Least bytes of a coded frame that changes the picture before it. Frames in which nothing moves
 # have some hundreds, or, if each is coded by itself, are equal. A choice.

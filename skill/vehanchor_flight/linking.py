@@ -171,7 +171,7 @@ def _match_candidates(
     for first, second in sorted(pairs | copies.keys()):
         matched = match(rectified[first], rectified[second])
         if matched is None and (first, second) in copies:
-            matched = shifted(_centre(photographs[first]), copies[first, second])
+            matched = shifted(photographs[first].centre_px, copies[first, second])
         if matched is not None:
             overlaps.append(Overlap(first, second, matched))
     return overlaps
@@ -207,13 +207,8 @@ def _rectified(photograph: Photograph, features: Features) -> Features:
     plane = photograph.view.plane
     if plane is None or not len(features):
         return features
-    points = plane.from_above(features.points) + _centre(photograph)
+    points = plane.from_above(features.points) + photograph.centre_px
     return replace(features, points=points)
-
-
-def _centre(photograph: Photograph) -> Point:
-    image = photograph.view.image
-    return np.array([image.width_px, image.height_px]) / 2
 
 
 def _foot(photograph: Photograph) -> Point:
@@ -223,8 +218,8 @@ def _foot(photograph: Photograph) -> Point:
     """
     plane = photograph.view.plane
     if plane is None:
-        return _centre(photograph)
-    return _centre(photograph) + plane.foot
+        return photograph.centre_px
+    return photograph.centre_px + plane.foot
 
 
 def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
@@ -244,7 +239,7 @@ def _link(overlap: Overlap, photographs: Sequence[Photograph]) -> Link:
 
 def _from_centre(photograph: Photograph, point: Point) -> tuple[float, float]:
     """Convert pixels to a position from the centre; 1 is half of the longer side."""
-    centre = _centre(photograph)
+    centre = photograph.centre_px
     position = (point - centre) / centre.max()
     x, y = position.tolist()
     return x, y

@@ -176,7 +176,9 @@ def _match_nearest(first: Features, second: Features, products: Products) -> Mat
 
 def _products(first: Descriptors, second: Descriptors) -> Products:
     """Multiply the descriptors of two photographs, ``[n, m]``."""
-    return np.asarray(first.astype(np.float32) @ second.astype(np.float32).T)
+    rows = first.astype(np.float32)
+    columns = second.astype(np.float32)
+    return np.asarray(rows @ columns.T)
 
 
 def _nearest(products: Products) -> Matches:

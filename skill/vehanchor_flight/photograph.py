@@ -97,6 +97,12 @@ class Photograph:
     is_frame: bool = False
 
     @property
+    def centre_px(self) -> NDArray[np.float64]:
+        """Its centre ``[2]``, x and y."""
+        image = self.view.image
+        return np.array([image.width_px, image.height_px]) / 2
+
+    @property
     def rectified_detections(self) -> Detections:
         """Its detections, rectified in a tilted view."""
         vehicles = self.analysis.vehicles

@@ -392,14 +392,17 @@ def _pooled_witness(
     for lack in first.lacks:
         without = replace(lack.without, right=right)
         lacks.append(Lack(lack.reason, without))
-    chances_wrong = [witness.chance_wrong for witness, _ in measured]
+    pooled = [witness for witness, _ in measured]
+    shared = [witness.shared for witness in pooled]
+    numbers = [witness.n for witness in pooled]
+    chances_wrong = [witness.chance_wrong for witness in pooled]
     return replace(
         first,
         gsd_m_per_px=quantile(right, 0.5),
         right=right,
         chance_wrong=sum(chances_wrong) / len(measured),
-        shared=_with_mean_chances(first.shared, [witness.shared for witness, _ in measured]),
-        n=_n_measured([witness.n for witness, _ in measured], n_grounds),
+        shared=_with_mean_chances(first.shared, shared),
+        n=_n_measured(numbers, n_grounds),
         lacks=tuple(lacks),
         # The sentence and the lines in the picture are those of a single photograph.
         statement=None,
@@ -454,7 +457,8 @@ def _facts_with_all_notices(members: Sequence[Photograph], reference: int) -> Im
     facts = [member.view.image for member in members]
     all_notices = [notice for own in facts for notice in own.notices]
     counts = Counter(notice.code for notice in all_notices)
-    rare = {code for code in NO_ONE_SCALE_CODES if 2 * counts[code] < len(members)}
+    least = len(members) / 2
+    rare = {code for code in NO_ONE_SCALE_CODES if counts[code] < least}
     kept = (notice for notice in all_notices if notice.code not in rare)
     return facts[reference]._replace(notices=_first_of_each_code(kept))
 

@@ -45,7 +45,8 @@ def estimate_in_flight(flight: FlightEstimate, photograph: FlightPhotograph) -> 
     rulers = [_scaled(ruler, ratio) for ruler in pooled.rulers]
     changes["rulers"] = tuple(rulers)
     changes["tilt"] = tilt
-    changes["details"] = own.details.model_copy(update={"remedies": pooled.details.remedies})
+    remedies = pooled.details.remedies
+    changes["details"] = own.details.model_copy(update={"remedies": remedies})
     return own.model_copy(update=changes)
 
 

@@ -17,7 +17,7 @@ from vehanchor.imagery.formats.boxes import boxes
 if TYPE_CHECKING:
     from typing import BinaryIO
 
-_MATROSKA_SIGNATURE = b"\x1a\x45\xdf\xa3"
+MATROSKA_SIGNATURE = b"\x1a\x45\xdf\xa3"
 # Tracks stand before the frames in Matroska, and in a box of their own in MP4. Most bytes of each
 # that are searched; choices.
 _MAX_HEAD_BYTES = 1 << 17
@@ -43,7 +43,7 @@ def stated_projection(path: str) -> str:
     try:
         with Path(path).open("rb") as film:
             head = film.read(_MAX_HEAD_BYTES)
-            if head.startswith(_MATROSKA_SIGNATURE):
+            if head.startswith(MATROSKA_SIGNATURE):
                 return "ProjectionType of all directions" if _MATROSKA.search(head) else ""
             tracks = _tracks(film)
     except OSError:

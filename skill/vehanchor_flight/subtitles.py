@@ -142,7 +142,8 @@ def _entries(lines: Iterable[str]) -> Iterator[tuple[float, str]]:
             continue
         if time_s is not None:
             yield time_s, " ".join(text)
-        hours, minutes, seconds, milliseconds = (int(part) for part in match.groups())
+        parts = [int(part) for part in match.groups()]
+        hours, minutes, seconds, milliseconds = parts
         time_s = 3600.0 * hours + 60.0 * minutes + seconds + milliseconds / 1000
         text = []
     if time_s is not None:

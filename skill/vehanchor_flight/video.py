@@ -21,7 +21,7 @@ from vehanchor.options.option import Limits
 from vehanchor.options.pixel_grid import MAX_ASPECT, PixelGrid, usable_aspect
 from vehanchor_flight.inputs import InputPhotograph
 from vehanchor_flight.interlaced import RAW, returns_no_frames
-from vehanchor_flight.spherical import stated_projection
+from vehanchor_flight.spherical import MATROSKA_SIGNATURE, stated_projection
 from vehanchor_flight.subtitles import read_film_facts
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ _N_TRIALS = 5  # Frames that are compared for one photograph.
 _SHARPNESS_SIDE_PX = 640
 _QUARTER_TURN_DEG = 90
 _MOV_ATOMS = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
-_MATROSKA_SIGNATURE = b"\x1a\x45\xdf\xa3"
 # Each packet of an MPEG transport stream begins with this byte; cameras put four bytes before it.
 _PACKET_SYNC = b"G"
 _PACKET_BYTES = 188
@@ -105,7 +104,9 @@ def sample_video(
         InvalidParameterError: the seconds are not a number above zero.
     """
     step_s = Limits(above=0).check("every", every_s)
-    last_s = math.inf if first_s is None else Limits(above=0).check("first", first_s)
+    last_s = math.inf
+    if first_s is not None:
+        last_s = Limits(above=0).check("first", first_s)
     if not Path(path).is_file():
         raise ImageNotFoundError(f"cannot open the video {path!r}: there is no such file")
     facts = read_film_facts(path, last_s)
@@ -260,7 +261,7 @@ def _demuxer(path: Path) -> str | None:
         raise ImageDecodeError(f"cannot read the video {str(path)!r}: {error.strerror}") from error
     if head[4:8] in _MOV_ATOMS:
         return "mov"
-    if head.startswith(_MATROSKA_SIGNATURE):
+    if head.startswith(MATROSKA_SIGNATURE):
         return "matroska"
     if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
         return "avi"

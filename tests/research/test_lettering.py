@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from research.scenes import render_scene
 from research.scenes.captions import CAPTIONS
+from research.scenes.degraded import degraded
 from research.scenes.lettering import own_fonts
 from research.scenes.pages import PAGES
 
@@ -34,3 +35,11 @@ def test_lettering_leaves_most_of_the_photograph_as_it_is(
     changed = (lettered[:300, :400] != scene).any(axis=2).mean()
     assert changed < 0.4
     assert lettered.shape != scene.shape or changed > 0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_degraded_page_keeps_its_size(seed: int) -> None:
+    page = PAGES["chart"](np.random.default_rng(5), own_fonts())
+    spoilt = degraded(page, np.random.default_rng(seed))
+    assert spoilt.shape == page.shape
+    assert (spoilt != page).any()

@@ -28,12 +28,17 @@ Chips: TypeAlias = NDArray[np.uint8]
 Features: TypeAlias = NDArray[np.float16]
 """Features ``[n, f]`` of chips."""
 
-# Largest changes of a view: its scale, its turn in degrees, its shift in pixels, its tones.
-_LOG_SCALE = 0.10
-_TURN_DEG = 6.0
-_SHIFT_PX = 2.5
-_GAIN = 0.15
-_OFFSET = 20.0
+# Largest changes of a view: its scale, its turn in degrees, its shift in pixels, its tones, blur
+# and noise.
+_LOG_SCALE = 0.14
+_TURN_DEG = 7.0
+_SHIFT_PX = 3.0
+_GAIN = 0.22
+_OFFSET = 22.0
+_TINT_SD = 0.05
+_SATURATION = 1.15
+_BLUR_PX = (0.3, 1.5)
+_NOISE = 9.0
 _BATCH = 64
 
 
@@ -112,9 +117,16 @@ def view(chip: Chips, rng: Generator | None) -> Chips:
     cut = cv2.warpAffine(chip, matrix, (CHIP_COLUMNS, CHIP_ROWS), flags=cv2.INTER_LINEAR)
     if rng is None:
         return np.asarray(cut, np.uint8)
-    gain = np.exp(rng.uniform(-_GAIN, _GAIN))
-    toned = cut * gain + rng.uniform(-_OFFSET, _OFFSET)
-    mirrored = toned[:: rng.choice([-1, 1]), :: rng.choice([-1, 1])]
+    pixels = cut.astype(np.float64)
+    if rng.random() < 0.5:
+        pixels = np.asarray(cv2.GaussianBlur(pixels, (0, 0), rng.uniform(*_BLUR_PX)), np.float64)
+    gains = np.exp(rng.uniform(-_GAIN, _GAIN) + rng.normal(0, _TINT_SD, 3))
+    pixels = pixels * gains + rng.uniform(-_OFFSET, _OFFSET)
+    grey = pixels.mean(axis=2, keepdims=True)
+    pixels = grey + (pixels - grey) * rng.uniform(0, _SATURATION)
+    if rng.random() < 0.6:
+        pixels += rng.normal(0, rng.uniform(0, _NOISE), pixels.shape)
+    mirrored = pixels[:: rng.choice([-1, 1]), :: rng.choice([-1, 1])]
     return np.clip(np.rint(mirrored), 0, 255).astype(np.uint8)
 
 

@@ -1,10 +1,12 @@
-"""Collect what the search proposes on lettering: ``python -m research.training.letters.mine OUT``.
+"""Collect what the search proposes: ``python -m research.training.letters.mine OUT``.
 
-Pages, charts and other drawings are rendered, and captions are drawn over photographs. The search
+Pages, charts and other drawings are rendered, as they are or degraded, captions are drawn over
+photographs, and scenes show equal things or small vehicles, or cars in their places. The search
 runs as the library runs it, and each candidate that reaches the chip network becomes a row:
 
-* ``drawn``: it lies on something drawn. 1 for at least a tenth of its box, 0 for less than a
-  hundredth. What lies between, and drawings over a vehicle of the bare photograph, is left out;
+* ``drawn``: it lies on something drawn, or is a thing of a scene without cars. 1 for at least a
+  tenth of its box, 0 for less than a hundredth, or for a rendered car. What lies between, and
+  drawings over a vehicle of the bare photograph, is left out;
 * ``score``: its score before the chip network.
 
 Fonts and layouts of ``HELD_OUT_LAYOUTS`` are left out, and photographs with an odd checksum of
@@ -31,11 +33,14 @@ from numpy.typing import NDArray
 
 from research.scenes import render_scene
 from research.scenes.captions import CAPTIONS
+from research.scenes.degraded import degraded
 from research.scenes.lettering import Picture, compressed, is_held_out, own_fonts, system_fonts
+from research.scenes.look_alikes import ALL_THINGS, render_cars, render_look_alikes
 from research.scenes.pages import PAGES, Fonts
+from research.scenes.truth import Scene
 from vehanchor.analysis.pipeline import analyse_image
 from vehanchor.detection import chips, search
-from vehanchor.detection.boxes import box_corners
+from vehanchor.detection.boxes import box_corners, oriented_iou
 from vehanchor.detection.chips import ChipNetwork
 from vehanchor.detection.detections import Objects
 from vehanchor.detection.detector import Detector
@@ -62,6 +67,9 @@ _MOST_BARE = 4
 _FIRST_SEED = 100_000
 # Layout of a rendered scene without lettering; scenes have these sizes.
 _BARE = "bare"
+# Layout of cars in the places of things, and the overlap above which a candidate is one of them.
+_CARS = "cars"
+_FITTING_IOU = 0.5
 _SCENE_GSD = (0.03, 0.28)
 _SCENE_PX = 512
 _EMPTY_SHARE = 0.3
@@ -69,11 +77,12 @@ _BYTES_PER_FILE = 15_500_000
 
 
 class Task(NamedTuple):
-    """Picture to draw: its seed, layout, and the photograph below it, if any."""
+    """Picture to draw: its seed, layout, the photograph below it, if any, and its quality."""
 
     seed: int
     layout: str
     photograph: Path | None = None
+    is_degraded: bool = False
 
 
 class Candidate(NamedTuple):
@@ -163,8 +172,10 @@ def drawn_shares(boxes: Boxes, is_drawn: NDArray[np.bool_]) -> NDArray[np.float6
 def candidates(task: Task, fonts: Fonts) -> list[Candidate]:
     """Draw a picture and collect its candidates."""
     rng = np.random.default_rng([task.seed, zlib.crc32(task.layout.encode())])
-    if task.layout in PAGES:
-        picture = PAGES[task.layout](rng, fonts)
+    if task.layout == _CARS:
+        return _candidates_of_cars(task)
+    if task.layout in PAGES or task.layout in ALL_THINGS:
+        picture = _without_cars(task, rng, fonts)
         boxes, scores, logits = searched(picture)
         drawn = np.ones(len(boxes), np.int8)
         return _kept(task, picture, boxes, drawn, scores, logits)
@@ -187,6 +198,31 @@ def candidates(task: Task, fonts: Fonts) -> list[Candidate]:
         on_car = (gap < _SAME_PLACE * cars[None, :, 2]).any(axis=1)
         drawn[on_car & (drawn == 1)] = -1
     return _kept(task, picture, boxes, drawn, scores, logits)
+
+
+def _without_cars(task: Task, rng: Generator, fonts: Fonts) -> Picture:
+    """Draw a page, or render a scene of things."""
+    if task.layout in ALL_THINGS:
+        return render_look_alikes(task.layout, task.seed).scene.image
+    picture = PAGES[task.layout](rng, fonts)
+    return degraded(picture, rng) if task.is_degraded else picture
+
+
+def _candidates_of_cars(task: Task) -> list[Candidate]:
+    """Render cars in the places of things, and collect the candidates that fit them."""
+    scene = render_cars(task.seed)
+    boxes, scores, logits = searched(scene.image)
+    drawn = np.full(len(boxes), -1, np.int8)
+    if len(boxes) and scene.vehicles:
+        overlaps = oriented_iou(boxes, _true_boxes(scene)).max(axis=1)
+        drawn[overlaps > _FITTING_IOU] = 0
+    return _kept(task, scene.image, boxes, drawn, scores, logits)
+
+
+def _true_boxes(scene: Scene) -> Boxes:
+    """List the boxes of a scene's vehicles."""
+    rows = [(v.x_px, v.y_px, v.length_px, v.width_px, v.angle_rad) for v in scene.vehicles]
+    return np.array(rows).reshape(-1, 5)
 
 
 def _ground(task: Task, rng: Generator) -> Picture:
@@ -267,6 +303,18 @@ def _work(task: Task) -> list[Candidate]:
     return candidates(task, _FONTS)
 
 
+def tasks_of_things(n_things: int, n_cars: int, n_degraded: int) -> list[Task]:
+    """List the scenes of things, those of cars in their places, and degraded pages, in turn."""
+    kinds = list(ALL_THINGS)
+    pages = [name for name in PAGES if name not in HELD_OUT_LAYOUTS]
+    listed = [Task(_FIRST_SEED + k, kinds[k % len(kinds)]) for k in range(n_things)]
+    listed += [Task(_FIRST_SEED + k, _CARS) for k in range(n_cars)]
+    listed += [
+        Task(_FIRST_SEED + k, pages[k % len(pages)], is_degraded=True) for k in range(n_degraded)
+    ]
+    return listed
+
+
 def tasks(photographs: Path, n_pages: int, n_captions: int, n_scenes: int) -> list[Task]:
     """List the pictures to draw, kinds in turn."""
     pages = [name for name in PAGES if name not in HELD_OUT_LAYOUTS]
@@ -313,10 +361,14 @@ def main() -> None:
     parser.add_argument("--captions", type=int, default=600)
     parser.add_argument("--bare", type=Path, help="folder of photographs to search as they are")
     parser.add_argument("--scenes", type=int, default=300)
+    parser.add_argument("--things", type=int, default=500)
+    parser.add_argument("--cars", type=int, default=200)
+    parser.add_argument("--degraded", type=int, default=200)
     parser.add_argument("--most", type=int, default=100_000, help="candidates to keep")
     parser.add_argument("--seconds", type=float, default=math.inf, help="when to end")
     options = parser.parse_args()
     listed = tasks(options.photographs, options.pages, options.captions, options.scenes)
+    listed += tasks_of_things(options.things, options.cars, options.degraded)
     if options.bare:
         files = sorted(options.bare.rglob("*.jpg"))
         listed += [Task(_FIRST_SEED + k, _BARE, path) for k, path in enumerate(files)]

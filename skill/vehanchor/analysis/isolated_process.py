@@ -13,6 +13,7 @@ import signal
 import threading
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
+from vehanchor.analysis.heap import huge_pages_in_new_processes
 from vehanchor.errors import VehAnchorError, WorkerDiedError
 
 if TYPE_CHECKING:
@@ -75,7 +76,8 @@ class IsolatedProcess(Generic[Input, Output]):
         ours, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, self._prepare), daemon=True)
         self._connection = ours
-        self._process.start()
+        with huge_pages_in_new_processes():
+            self._process.start()
         # The end of the process then ends the connection.
         theirs.close()
         try:

@@ -58,7 +58,7 @@ from vehanchor.rulers.witnesses import (
     with_doubts,
     without_findings,
 )
-from vehanchor.scale.defaults import PROBABLY_RIGHT
+from vehanchor.scale.defaults import PROBABLY_RIGHT, SHORT_SHA
 from vehanchor.scale.density import quantile
 from vehanchor.scale.lengths import GUARD_GSD_M_PER_PX
 from vehanchor.scale.posterior import Answer, answer, judge
@@ -78,8 +78,6 @@ if TYPE_CHECKING:
     from vehanchor.scale.lengths import Interval
     from vehanchor.scale.posterior import Remark, Witness
 
-# Digits of a model's checksum in a scale to give back.
-_MODEL_DIGITS = 12
 # Largest relative difference of the file's own scale without a warning.
 GEOREFERENCE_TOLERANCE = 0.10
 # Fields of ``EstimateDetails`` that are None without the ruler ``vehicles``.
@@ -520,7 +518,7 @@ def make_known_scale(
         gsd_ci95_high_m_per_px=max(high, gsd),
         confidence=confidence,
         image_id=view.image.image_id,
-        model_id=view.card.sha256[:_MODEL_DIGITS],
+        model_id=view.card.sha256[:SHORT_SHA],
         plane=plane,
     )
 

@@ -50,6 +50,7 @@ from vehanchor.records.text import (
     scale_text,
     significant,
 )
+from vehanchor.scale.defaults import SHORT_SHA
 
 if TYPE_CHECKING:
     from vehanchor.cli.terminal import Facts
@@ -60,7 +61,6 @@ if TYPE_CHECKING:
 
 _STEM = "{stem}"
 _MAX_NAMES = 3  # of images, in an error
-_SHORT_SHA = 12
 
 
 OverlayFile: TypeAlias = Annotated[
@@ -301,7 +301,7 @@ def _facts(record: GsdEstimate) -> Facts:
     file_scale = file_scale_text(record)
     if file_scale:
         facts.append(("file's own scale", file_scale))
-    sha256 = record.details.model_sha256[:_SHORT_SHA]
+    sha256 = record.details.model_sha256[:SHORT_SHA]
     facts.append(("model", f"{record.model} ({sha256})"))
     return facts
 

@@ -21,6 +21,7 @@ from vehanchor.cli.terminal import AsJson, Strict
 from vehanchor.errors import PromptError
 from vehanchor.options.models import SEGMENTER
 from vehanchor.records.text import fit_in_words, significant, with_interval
+from vehanchor.scale.defaults import SHORT_SHA
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from vehanchor.options import ScaleOptions
     from vehanchor.records import AreaMeasurement, OtherObject
 
-_SHORT_SHA = 12
 
 SegmenterFiles: TypeAlias = Annotated[
     tuple[str, str] | None,
@@ -245,7 +245,7 @@ def _facts(record: AreaMeasurement) -> Facts:
     for other_object in record.alternatives:
         facts.append(("or the object", _object_text(other_object)))
     assert record.segmenter_sha256 is not None
-    sha256 = record.segmenter_sha256[:_SHORT_SHA]
+    sha256 = record.segmenter_sha256[:SHORT_SHA]
     facts.append(("segmenter", f"{record.segmenter} ({sha256})"))
     return facts
 

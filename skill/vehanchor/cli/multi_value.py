@@ -24,7 +24,8 @@ def parse_point(option: str, text: str) -> tuple[float, float]:
         PromptError: the text is not two numbers.
     """
     try:
-        x, y = (float(part) for part in text.split())
+        numbers = [float(part) for part in text.split()]
+        x, y = numbers
     except ValueError:
         raise PromptError(f"{option} is {text!r}: use two numbers, X Y") from None
     return x, y

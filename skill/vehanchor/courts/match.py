@@ -85,7 +85,7 @@ def match(
         start: centre of the search; its size belongs to the first template, the others are scaled
             to the same length.
         log_sizes: logarithms of the size ratios to try, rising.
-        places: pixels to try to either side, along and across, rising.
+        places: pixels to try to either side, along and across, rising at even steps.
         angles: to try, radians.
 
     Returns:

@@ -87,7 +87,8 @@ class _Body(NamedTuple):
             half: pixels from the centre to the sides of the core.
         """
         middle = len(square) // 2
-        core = square[middle - half : middle + half + 1, middle - half : middle + half + 1]
+        inner = slice(middle - half, middle + half + 1)
+        core = square[inner, inner]
         mask = _mask(box, half)
         pixels = core[mask]
         variance = float(pixels.var(axis=0).mean())
@@ -243,7 +244,9 @@ def _picture(raster: Raster, box: Box) -> _Picture | None:
     left = round(box[0]) - half
     top = round(box[1]) - half
     side = 2 * half + 1
-    if left < 0 or top < 0 or left + side > raster.width_px or top + side > raster.height_px:
+    is_in_columns = 0 <= left <= raster.width_px - side
+    is_in_rows = 0 <= top <= raster.height_px - side
+    if not is_in_columns or not is_in_rows:
         return None
     window = Window(left, top, width_px=side, height_px=side)
     square = raster.read(window).astype(np.float32)
@@ -363,6 +366,7 @@ def _repeats(picture: _Picture, square: Square) -> bool:
     body = _Body.of(picture.box, picture.square, half)
     if body.variance < _MIN_CONTRAST**2:
         return False
+    # One weight for each of the three colours of a pixel.
     weights = np.repeat(body.mask[:, :, None], 3, axis=2).astype(np.float32)
     turned = np.ascontiguousarray(square)
     squares = cv2.matchTemplate(turned, body.core, cv2.TM_SQDIFF, mask=weights)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from vehanchor.odds import chances_of, log_odds_of
+from vehanchor.scale.reliability import SD_PER_MEDIAN_DEVIATION
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -46,8 +47,6 @@ _BESIDE_ROWS = (10, 26)
 _REACH_COLUMNS = 4
 # Difference of colours, CIELAB in 0..255, that is no edge even if it is the same in all rows.
 _NOISE = 6.0
-# Standard deviation over the median deviation, of a normal distribution.
-_SD_PER_DEVIATION = 1.48
 
 # Logistic model of a cut car, by the strength of its edge and the log of its length over its width.
 # Fitted to 1,651 cars and to the 374 of 1,452 copies half below a painted roof that the network
@@ -138,7 +137,7 @@ def _edge_by_column(chip: NDArray[np.uint8]) -> NDArray[np.float64]:
     median = np.median(beside, axis=0)
     deviation = np.median(np.abs(beside - median), axis=0)
     contrast = np.linalg.norm(median, axis=-1)
-    variation = _SD_PER_DEVIATION * np.linalg.norm(deviation, axis=-1)
+    variation = SD_PER_MEDIAN_DEVIATION * np.linalg.norm(deviation, axis=-1)
     return np.asarray(contrast / (variation + _NOISE), np.float64)
 
 

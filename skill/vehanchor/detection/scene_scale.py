@@ -330,7 +330,9 @@ def load_scene_scale(runtime: Runtime | None = None) -> SceneScaleNetwork:
 
 def _half_width(density: Density) -> float:
     """Compute half the width, in log GSD, of the central 68 % of a density ``[g]``."""
-    low, high = (math.log(quantile(density, probability)) for probability in _CENTRAL)
+    low_share, high_share = _CENTRAL
+    low = math.log(quantile(density, low_share))
+    high = math.log(quantile(density, high_share))
     return (high - low) / 2
 
 

@@ -30,6 +30,7 @@ from vehanchor.records import (
     OutlinePolygon,
     OutlineRing,
 )
+from vehanchor.records.measurement import image_points
 from vehanchor.scale.lengths import Z95
 from vehanchor.segmentation.doubts import edge_notices, mask_notices
 from vehanchor.segmentation.prompt import Prompt, prompt_in_image
@@ -298,7 +299,8 @@ def _measure_object(
     circle = measured.circle
     length_px, width_px = measured.extents_px
     # None for an empty mask, too: it has no size, not a size of zero.
-    gsd = scale.gsd_over(pixels.mask, pixels.window.x_px, pixels.window.y_px)
+    window = pixels.window
+    gsd = scale.gsd_over(pixels.mask, window.x_px, window.y_px)
     area, diameter = _sizes(measured, scale, gsd)
     centre = None
     if circle is not None:
@@ -329,6 +331,13 @@ def _measure_object(
             at_most=_most_probability(measured, is_beside=is_beside),
         )
         fit = _fit_in_file(fit, raster.grid)
+    frame = _frame_area(
+        options.frame,
+        raster.grid,
+        gsd=scale.gsd_m_per_px,
+        box=box,
+        fit=fit,
+    )
     return AreaMeasurement(
         status=status,
         area_m2=area.value,
@@ -349,7 +358,7 @@ def _measure_object(
         bounding_box=box,
         alternatives=tuple(alternatives),
         outline=measured.outline,
-        frame=_frame_area(options.frame, raster.grid, gsd=scale.gsd_m_per_px, box=box, fit=fit),
+        frame=frame,
         segmenter=None if card is None else card.name,
         segmenter_sha256=None if card is None else card.sha256,
         warnings=notices,
@@ -464,27 +473,24 @@ def _outline(
     """Make the outline of rings in square pixels of the image, in pixels of the file."""
     polygons = []
     for rings in parts:
-        exterior, *holes = [_outline_ring(grid.to_file(ring)) for ring in rings]
+        in_file = [_outline_ring(grid.to_file(ring)) for ring in rings]
+        exterior, *holes = in_file
         polygon = OutlinePolygon(exterior=exterior, holes=tuple(holes))
         polygons.append(polygon)
     return tuple(polygons)
 
 
 def _outline_ring(ring: NDArray[np.float64]) -> OutlineRing:
-    points = [ImagePoint(x_px=x, y_px=y) for x, y in ring.tolist()]
-    return OutlineRing(points=tuple(points))
+    return OutlineRing(points=image_points(ring))
 
 
 def _fit_in_file(fit: Fit, grid: PixelGrid) -> Fit:
     """Convert the places of a fit from square pixels to pixels of the file."""
     if fit.center is None or grid.is_square:
         return fit
-    center, *corners = [
-        ImagePoint(x_px=x, y_px=y)
-        for x, y in grid.to_file(
-            [(point.x_px, point.y_px) for point in (fit.center, *fit.corners)]
-        ).tolist()
-    ]
+    in_square = [(point.x_px, point.y_px) for point in (fit.center, *fit.corners)]
+    in_file = grid.to_file(in_square)
+    center, *corners = image_points(in_file)
     return fit.model_copy(update={"center": center, "corners": tuple(corners)})
 
 

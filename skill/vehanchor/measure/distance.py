@@ -18,7 +18,8 @@ from vehanchor.measure.beside import BESIDE_PHOTOGRAPH, is_path_beside
 from vehanchor.measure.scale_source import find_measurement_scale
 from vehanchor.options import ScaleOptions
 from vehanchor.options.reading import CoordinateFrame
-from vehanchor.records import DistanceMeasurement, ImagePoint
+from vehanchor.records import DistanceMeasurement
+from vehanchor.records.measurement import image_points
 from vehanchor.records.text import count
 from vehanchor.segmentation.prompt import read_numbers
 
@@ -165,8 +166,7 @@ def _measure_path(
         log_sd = _length_sd(points, coordinates.unit_px) / length_px
         spread = scale.spread.plus(log_sd)
         low, high = spread.around(distance)
-    in_file = coordinates.grid.to_file(points).tolist()
-    path = [ImagePoint(x_px=x, y_px=y) for x, y in in_file]
+    path = image_points(coordinates.grid.to_file(points))
     status = scale.status
     notices = scale.notices
     if is_path_beside(points, scale.part):
@@ -179,7 +179,7 @@ def _measure_path(
         distance_ci95_low_m=low,
         distance_ci95_high_m=high,
         length_px=length_px,
-        path=tuple(path),
+        path=path,
         warnings=notices,
         **scale.fields(coordinates.grid),
     )

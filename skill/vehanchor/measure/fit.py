@@ -16,8 +16,9 @@ import numpy as np
 
 from vehanchor.errors import InvalidParameterError
 from vehanchor.measure.placement import make_grid, place_circle, place_rectangle
+from vehanchor.options.option import is_number
 from vehanchor.records import ImagePoint
-from vehanchor.records.measurement import Fit
+from vehanchor.records.measurement import Fit, image_points
 from vehanchor.scale.density import GRID, LOG_STEP, TOLERANCE
 
 if TYPE_CHECKING:
@@ -72,8 +73,7 @@ def read_must_fit(value: Any) -> MustFit | None:
     given = {name: size for name, size in value.items() if size is not None}
     sizes = {}
     for name, size in given.items():
-        is_number = isinstance(size, int | float | np.number) and not isinstance(size, bool)
-        if not is_number or not _LEAST_M <= size <= _MAX_M:
+        if not is_number(size) or not _LEAST_M <= size <= _MAX_M:
             raise InvalidParameterError(
                 f"must_fit: {name} is {size!r}: use {_LEAST_M:g} to {_MAX_M:.0f} metres"
             )
@@ -134,7 +134,7 @@ def find_fit(
     corners: tuple[ImagePoint, ...] = ()
     if gsd is not None:
         placed = rectangle.corners(must_fit.length_m / gsd, must_fit.width_m / gsd)
-        corners = tuple(ImagePoint(x_px=x, y_px=y) for x, y in placed.tolist())
+        corners = image_points(placed)
     return Fit(
         fit_probability=probability(rectangle.width_px),
         center=ImagePoint(x_px=x, y_px=y),
@@ -209,8 +209,10 @@ def _posterior_above(gsd_m_per_px: float, scale: MeasurementScale, log_sd: float
 
 def _mass_within_tolerance(scale: MeasurementScale) -> float:
     """Compute the mass within 20 % of the value, given that the interval holds."""
-    below = math.log(1 + TOLERANCE) / max(scale.spread.below, _LEAST_LOG_SD)
-    above = -math.log(1 - TOLERANCE) / max(scale.spread.above, _LEAST_LOG_SD)
+    sd_below = max(scale.spread.below, _LEAST_LOG_SD)
+    sd_above = max(scale.spread.above, _LEAST_LOG_SD)
+    below = math.log(1 + TOLERANCE) / sd_below
+    above = -math.log(1 - TOLERANCE) / sd_above
     return float(_standard_normal(above) - _standard_normal(-below))
 
 

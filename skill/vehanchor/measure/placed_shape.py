@@ -21,6 +21,7 @@ from vehanchor.measure.polygon import (
 )
 from vehanchor.measure.run_lengths import mask_of_runs
 from vehanchor.measure.shapes import CallerMask, CallerPolygon
+from vehanchor.options.option import is_number
 from vehanchor.options.reading import CoordinateFrame
 from vehanchor.segmentation.object_mask import ObjectMask
 from vehanchor.segmentation.shape import (
@@ -415,6 +416,5 @@ def check_edge(edge_px: float | None) -> None:
     """
     if edge_px is None:
         return
-    is_number = isinstance(edge_px, int | float | np.number) and not isinstance(edge_px, bool)
-    if not is_number or not 0 <= edge_px < np.inf:
+    if not is_number(edge_px) or not 0 <= edge_px < np.inf:
         raise PromptError(f"edge_px is {edge_px!r}: use pixels of at least 0")

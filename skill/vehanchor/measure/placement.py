@@ -111,7 +111,8 @@ class PlacedRectangle:
     @property
     def centre_in_image(self) -> tuple[float, float]:
         """Its centre in pixels of the image."""
-        x, y = self._to_image(np.array([self.centre]))[0].tolist()
+        places = self._to_image(np.array([self.centre]))
+        x, y = places[0].tolist()
         return x, y
 
     @property
@@ -168,7 +169,9 @@ def _grid_of_polygon(parts: Sequence[Part], plane: GroundPlane | None) -> Grid:
     cells_per_px = float(fine)
     if fine == 1 and coarse > 1:
         cells_per_px = 1 / coarse
-    scaled = [[(ring - (left, top)) * cells_per_px for ring in part] for part in on_ground]
+    scaled = []
+    for part in on_ground:
+        scaled.append([(ring - (left, top)) * cells_per_px for ring in part])
     cells = mask_of(scaled, bounds_of(scaled))
     offset_x, offset_y, _, _ = bounds_of(scaled)
     to_px = _scale_and_shift(
@@ -337,7 +340,9 @@ class _Search:
         rows, columns = np.nonzero(places)
         squares = (rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2
         nearest = int(np.argmin(squares))
-        return float(columns[nearest]) + length / 2, float(rows[nearest]) + width / 2
+        x = float(columns[nearest]) + length / 2
+        y = float(rows[nearest]) + width / 2
+        return x, y
 
 
 def _side_headings(cells: Mask) -> tuple[float, float]:
@@ -433,8 +438,9 @@ def _most_in_rows(free: Mask, length: int, width: int) -> int:
     # The most from each row on: the row is left out, or filled, and the next begins below it.
     most = np.zeros(n_rows + width, dtype=int)
     for row in range(n_rows - 1, -1, -1):
-        filled = _fill_row(free[row], length)
-        most[row] = max(most[row + 1], filled + most[row + width])
+        without_row = most[row + 1]
+        with_row = _fill_row(free[row], length) + most[row + width]
+        most[row] = max(without_row, with_row)
     return int(most[0])
 
 
@@ -444,8 +450,10 @@ def _fill_row(free: Mask, length: int) -> int:
     starts_and_stops = np.flatnonzero(padded[1:] != padded[:-1]).tolist()
     n_placed = 0
     next_free = 0
+    starts = starts_and_stops[::2]
+    stops = starts_and_stops[1::2]
     # Each run of free places takes one rectangle, and one more for each further length.
-    for start, stop in zip(starts_and_stops[::2], starts_and_stops[1::2], strict=True):
+    for start, stop in zip(starts, stops, strict=True):
         first = max(start, next_free)
         if first >= stop:
             continue

@@ -168,8 +168,12 @@ def _first_crossing(
 ) -> tuple[float, float] | None:
     """Find the first crossing of the sides a to b ``[n, 1, 2]`` with c to d ``[1, m, 2]``."""
     # Both ends of each side lie on different sides of the other one.
-    splits_second = _on_both_sides(_turn(a, b, c), _turn(a, b, d), least)
-    splits_first = _on_both_sides(_turn(c, d, a), _turn(c, d, b), least)
+    turn_to_c = _turn(a, b, c)
+    turn_to_d = _turn(a, b, d)
+    splits_second = _on_both_sides(turn_to_c, turn_to_d, least)
+    turn_to_a = _turn(c, d, a)
+    turn_to_b = _turn(c, d, b)
+    splits_first = _on_both_sides(turn_to_a, turn_to_b, least)
     crossing = np.argwhere(splits_second & splits_first)
     if not len(crossing):
         return None

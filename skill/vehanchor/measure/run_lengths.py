@@ -94,7 +94,8 @@ def mask_of_runs(runs: Runs, size: tuple[int, int]) -> Mask:
 
 def _read_size(size: Any) -> tuple[int, int]:
     try:
-        height, width = (int(side) for side in size)
+        sides = [int(side) for side in size]
+        height, width = sides
     except (OverflowError, TypeError, ValueError):
         height = 0
         width = 0

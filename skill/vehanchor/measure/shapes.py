@@ -209,19 +209,19 @@ def _read_lists(values: list[Any], name: str = "") -> CallerPolygon:
     return _checked_polygon([[_flat_ring(value)] for value in values], name=name)
 
 
-def _read_mapping(shape: Mapping[str, Any], name: str = "") -> list[CallerShape]:
+def _read_mapping(shape: Mapping[str, Any]) -> list[CallerShape]:
     """Read run lengths, an annotation or GeoJSON."""
     if "segmentation" in shape:
-        return _read_segmentation(shape["segmentation"], name)
+        return _read_segmentation(shape["segmentation"])
     if "counts" in shape:
-        return _read_segmentation(shape, name)
+        return _read_segmentation(shape)
     if "type" in shape:
         return _read_geojson(shape, in_degrees=True)
     keys = ", ".join(map(str, shape)) or "no key"
     raise PromptError(f"it has {keys}: {_EXPECTED}")
 
 
-def _read_segmentation(segmentation: Any, name: str) -> list[CallerShape]:
+def _read_segmentation(segmentation: Any, name: str = "") -> list[CallerShape]:
     """Read the ``segmentation`` of an annotation of COCO, or of SAM's automatic masks."""
     if isinstance(segmentation, Mapping):
         runs, (height, width) = read_run_lengths(segmentation)
@@ -285,7 +285,8 @@ def _binary(mask: NDArray[Any]) -> Mask:
 
 def _is_flat(values: Sequence[Any]) -> bool:
     """Test whether values are numbers, at least one."""
-    if not values:
+    # Not "if not values": a value may be an array.
+    if len(values) == 0:
         return False
     return all(isinstance(value, int | float | np.number) for value in values)
 

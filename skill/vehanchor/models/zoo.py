@@ -160,7 +160,9 @@ def resolve_segmenter(files: tuple[str | Path, str | Path] | None = None) -> tup
     """
     if files is None:
         return bundled_file("segmenter-encoder"), bundled_file("segmenter-decoder")
-    encoder, decoder = (Path(file) for file in files)
+    encoder_file, decoder_file = files
+    encoder = Path(encoder_file)
+    decoder = Path(decoder_file)
     for path in (encoder, decoder):
         if not path.is_file():
             raise ModelNotFoundError(

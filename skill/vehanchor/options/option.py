@@ -11,7 +11,7 @@ import numbers
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypeGuard
 
 from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationError
 from pydantic.dataclasses import dataclass as validated
@@ -38,7 +38,7 @@ __all__ = [
 
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)\s*([a-z%]*)", re.IGNORECASE)
 _INCH_M = 0.0254
-_FOOT_M = 0.3048
+FOOT_M = 0.3048
 _YARD_M = 0.9144
 _METRES = {
     "mm": 1e-3,
@@ -46,7 +46,7 @@ _METRES = {
     "km": 1e3,
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("in", "inches"), _INCH_M),
-    **dict.fromkeys(("ft", "foot", "feet"), _FOOT_M),
+    **dict.fromkeys(("ft", "foot", "feet"), FOOT_M),
     **dict.fromkeys(("yd", "yards"), _YARD_M),
 }
 # Factors of the units that a text may name, by the unit of the option.
@@ -59,6 +59,11 @@ _EXPECTED = {
     "tuple_type": "give a list",
     "missing": "it is missing",
 }
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Test whether a value is a real number of any library; truth values are none."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 class Limits(NamedTuple):
@@ -135,8 +140,7 @@ class Limits(NamedTuple):
         """Read a number of any library, or a text with a number; NaN for anything else."""
         if isinstance(value, str):
             return self._read_text(value)
-        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not is_number:
+        if not is_number(value):
             return math.nan
         try:
             return float(value)

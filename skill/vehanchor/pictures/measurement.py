@@ -73,11 +73,11 @@ def draw_area(image: RgbImage, *analyses: AreaEvidence, cut: Cut | None = None) 
     return _finish(canvas, first, sizes, statuses=statuses)
 
 
-def cut_to_objects(analyses: Sequence[AreaEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
+def cut_to_objects(analyses: Sequence[AreaEvidence]) -> Cut:
     """Cut the image to measured objects and their prompts."""
     points = np.concatenate([_extent(analysis) for analysis in analyses])
     part = part_around(points, analyses[0].whole_image)
-    return Cut(part, long_side_px)
+    return Cut(part, CUT_SIDE_PX)
 
 
 def _extent(analysis: AreaEvidence) -> Points:
@@ -113,11 +113,11 @@ def draw_distance(image: RgbImage, *analyses: DistanceEvidence, cut: Cut | None 
     return _finish(canvas, first, sizes, statuses=[record.status for record in records])
 
 
-def cut_to_lines(analyses: Sequence[DistanceEvidence], long_side_px: int = CUT_SIDE_PX) -> Cut:
+def cut_to_lines(analyses: Sequence[DistanceEvidence]) -> Cut:
     """Cut the image to measured lines."""
     points = np.concatenate([analysis.path for analysis in analyses])
     part = part_around(points, analyses[0].whole_image)
-    return Cut(part, long_side_px)
+    return Cut(part, CUT_SIDE_PX)
 
 
 def _draw_mask(picture: RgbImage, analysis: AreaEvidence, placement: Placement) -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
 from vehanchor.records.gsd_estimate import GsdEstimate, KnownScale, PixelAspect, Status
 from vehanchor.records.notices import Notice
 from vehanchor.records.record import SCHEMA_VERSION, Record, SchemaVersion, Short
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 ScaleSource = Literal["estimated", "given", "reused", "file"]
 
@@ -82,6 +86,11 @@ class ImagePoint(Record):
     def scaled(self, across: float, down: float) -> ImagePoint:
         """Scale the point to a copy of the image; see ``BoundingBox.scaled``."""
         return ImagePoint(x_px=self.x_px * across, y_px=self.y_px * down)
+
+
+def image_points(places: NDArray[np.float64]) -> tuple[ImagePoint, ...]:
+    """Make points of places ``[n, 2]``, pixels."""
+    return tuple(ImagePoint(x_px=x, y_px=y) for x, y in places.tolist())
 
 
 class BoundingBox(Record):

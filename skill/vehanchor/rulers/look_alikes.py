@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehanchor.odds import chance_of
-from vehanchor.scale.reliability import normal_density
+from vehanchor.scale.reliability import SD_PER_MEDIAN_DEVIATION, normal_density
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -60,8 +60,6 @@ _EVEN_LIGHTNESS = 52.0
 _LIGHTNESS_WIDTH = 3.0
 # Fewest vehicles whose lengths can show a trend over their directions, or whose ends are compared.
 _MIN_OF_TREND = 3
-# A standard deviation over the median deviation, for normal errors.
-_SD_PER_DEVIATION = 1.48
 # Spread of one colour by noise and compression, in CIELAB from 0 to 255. A choice.
 _TONE_NOISE = 2.0
 # Largest absolute log odds: no doubt is certain, and none is excluded.
@@ -197,7 +195,8 @@ def _log_likelihood_of_trend(
         errors: the spread around the trend.
     """
     # A box has the same length when it is turned by half a turn: the angles are doubled.
-    axes = np.column_stack([np.cos(2.0 * headings), np.sin(2.0 * headings)])
+    doubled = 2.0 * headings
+    axes = np.column_stack([np.cos(doubled), np.sin(doubled)])
     axes -= axes.mean(axis=0)
     deviations = log_lengths - log_lengths.mean()
     n_free = len(log_lengths) - 1
@@ -225,7 +224,8 @@ def proportion_evidence(bodies: Boxes, errors: ProportionErrors, usual: float) -
         errors: proportions of images of cars and of things.
         usual: length over width of cars.
     """
-    mean = float(np.log(bodies[:, 2] / bodies[:, 3]).mean())
+    proportions = bodies[:, 2] / bodies[:, 3]
+    mean = float(np.log(proportions).mean())
     own_sd = errors.vehicle_sd / math.sqrt(len(bodies))
     from_cars = mean - math.log(usual)
     from_things = mean - math.log(errors.things)
@@ -256,8 +256,9 @@ def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> fl
     is_turned = np.cos(headings - axis) < 0
     aligned = np.where(is_turned[:, None, None], end_tones[:, ::-1], end_tones)
     deviations = np.abs(aligned - np.median(aligned, axis=0))
-    per_axis = _SD_PER_DEVIATION * np.median(deviations, axis=0)
-    log_spreads = np.log(np.linalg.norm(per_axis, axis=-1) + _TONE_NOISE)
+    per_axis = SD_PER_MEDIAN_DEVIATION * np.median(deviations, axis=0)
+    spreads = np.linalg.norm(per_axis, axis=-1)
+    log_spreads = np.log(spreads + _TONE_NOISE)
 
     car_sd = math.hypot(errors.log_sd, errors.vehicle_log_sd / math.sqrt(n))
     shadow_sd = math.hypot(errors.things_log_sd, errors.things_vehicle_log_sd / math.sqrt(n))
@@ -268,7 +269,8 @@ def end_evidence(end_tones: EndTones, headings: Values, errors: EndErrors) -> fl
         of_usual_cars = normal_density(from_cars, car_sd)
         of_others = normal_density(from_cars, errors.outlier_log_sd)
         of_cars = (1.0 - errors.outliers) * of_usual_cars + errors.outliers * of_others
-        ratios.append(normal_density(one - math.log(errors.things), shadow_sd) / of_cars)
+        of_things = normal_density(one - math.log(errors.things), shadow_sd)
+        ratios.append(of_things / of_cars)
     # Either end can be the shadow's.
     return math.log1p((ratios[0] + ratios[1]) / 2.0)
 

@@ -235,7 +235,9 @@ def disagreements(witnesses: Sequence[Witness], answer: Answer) -> list[Notice]:
     notices = []
     # A single ruler has none to disagree with.
     if doubted and len(setting) > 1:
-        first, *others = [f"{_stated_scale(witness)} m/px" for witness in doubted]
+        stated = [f"{_stated_scale(witness)} m/px" for witness in doubted]
+        first, *others = stated
+        # A sentence begins with the first, and the others go on with it.
         scales = [first, *(f"{scale[0].lower()}{scale[1:]}" for scale in others)]
         message = (
             f"{', '.join(scales)}, and all rulers together {answer.gsd_m_per_px:.2g}. Check which "

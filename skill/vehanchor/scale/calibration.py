@@ -20,7 +20,7 @@ from vehanchor.errors import (
     CalibrationRefusedError,
     InvalidParameterError,
 )
-from vehanchor.scale.defaults import MAX_VEHICLE_M, MIN_VEHICLE_M
+from vehanchor.scale.defaults import MAX_VEHICLE_M, MIN_VEHICLE_M, SHORT_SHA
 from vehanchor.scale.lengths import Spread, guard_length, kde_mode, kernel_weights, resampled_modes
 
 if TYPE_CHECKING:
@@ -44,8 +44,6 @@ _BLOCK_M = 50.0
 # With fewer blocks, single vehicles are resampled.
 _MIN_BLOCKS = 10
 _MAX_FILE_BYTES = 1 << 20
-# Digits of a checksum in messages.
-_SHORT_SHA = 12
 
 _VehicleLength = Annotated[float, Field(ge=MIN_VEHICLE_M, le=MAX_VEHICLE_M)]
 
@@ -111,8 +109,8 @@ class Calibration(BaseModel):
         if self.detector_sha256 is not None and self.detector_sha256 != sha256:
             raise CalibrationMismatchError(
                 f"the calibration was made for detector {self.detector!r} "
-                f"({self.detector_sha256[:_SHORT_SHA]}), not for {name!r} "
-                f"({sha256[:_SHORT_SHA]}): calibrate again with this detector, or use the other one"
+                f"({self.detector_sha256[:SHORT_SHA]}), not for {name!r} "
+                f"({sha256[:SHORT_SHA]}): calibrate again with this detector, or use the other one"
             )
 
 

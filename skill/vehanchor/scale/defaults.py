@@ -52,6 +52,9 @@ Remedy = Literal[
 ]
 """What a caller can do about a scale that is not usable (``vehanchor.records.advice``)."""
 
+SHORT_SHA = 12
+"""First digits of a file's SHA-256, by which messages and a scale to give back name the file."""
+
 PROBABLY_RIGHT = 0.5
 """Chance from which a ruler counts as right in words and pictures."""
 

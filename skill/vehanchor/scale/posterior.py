@@ -476,9 +476,10 @@ def _weakness(
     best_gain = _MIN_GAIN
     for k, witness in enumerate(witnesses):
         others = _all_but(witnesses, k)
-        remedied: list[tuple[Reason, Answer | None]] = [
-            (lack.reason, judge([*others, lack.without])) for lack in witness.lacks
-        ]
+        remedied: list[tuple[Reason, Answer | None]] = []
+        for lack in witness.lacks:
+            without_lack = judge([*others, lack.without])
+            remedied.append((lack.reason, without_lack))
         # A witness without which the chance rises contradicts the others.
         remedied.append(("disagree", answers_without[k]))
         for reason, better in remedied:

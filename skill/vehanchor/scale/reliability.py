@@ -384,6 +384,10 @@ def detail_likelihoods(difference: float | None) -> ProportionLikelihoods:
     )
 
 
+SD_PER_MEDIAN_DEVIATION = 1.48
+"""Standard deviation of a normal distribution over its median deviation."""
+
+
 def normal_density(deviation: float, sd: float) -> float:
     """Compute the density of a normal distribution around zero."""
     norm = sd * math.sqrt(2 * math.pi)

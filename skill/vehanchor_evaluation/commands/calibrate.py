@@ -11,6 +11,7 @@ import typer
 
 from vehanchor.cli.terminal import print_facts
 from vehanchor.errors import InvalidParameterError
+from vehanchor.scale.defaults import SHORT_SHA
 from vehanchor.storage.atomic import check_output_path, write_record
 from vehanchor_evaluation.commands.request import measuring_command
 from vehanchor_evaluation.commands.sources import (
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from vehanchor_evaluation.fleet_survey import FleetSurvey
     from vehanchor_evaluation.known_scale import KnownScaleSet
 
-_SHORT_SHA = 12
 
 calibrate = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
@@ -175,7 +175,7 @@ def _facts(calibration: Calibration) -> list[tuple[str, str]]:
     gsd = f"{calibration.median_gsd_m_per_px:.3g} m/px"
     detector = "any whose boxes match these labels"
     if calibration.detector is not None:
-        sha = (calibration.detector_sha256 or "")[:_SHORT_SHA]
+        sha = (calibration.detector_sha256 or "")[:SHORT_SHA]
         detector = f"{calibration.detector} ({sha})"
     return [
         ("reference length", f"{length}   (95 %: {low} to {high})"),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehanchor.cli.terminal import printable
+from vehanchor.cli.terminal import print_written, printable
 from vehanchor.errors import InvalidParameterError, OutputError
 from vehanchor_evaluation.commands.area import area
 from vehanchor_evaluation.commands.request import measuring_command
@@ -21,8 +20,6 @@ from vehanchor_evaluation.commands.sources import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from vehanchor.cli.cli_options import ParsedOptions
     from vehanchor_evaluation.gsd import ScaleBenchmark
 
@@ -97,11 +94,6 @@ class ScaleRequest(KnownScaleRequest):
         return regions
 
 
-def _print_written(paths: Sequence[Path]) -> None:
-    for path in paths:
-        print(printable(f"wrote {path}"), file=sys.stderr)
-
-
 @evaluate.command("gsd", cls=FilesCommand)
 @measuring_command(ScaleRequest)
 def evaluate_gsd(request: ScaleRequest, parsed: ParsedOptions) -> None:
@@ -127,7 +119,7 @@ def evaluate_gsd(request: ScaleRequest, parsed: ParsedOptions) -> None:
     written.append(write_trials(request.out / "images.csv", benchmark))
     issues_file = write_issues(request.out / "issues.csv", benchmark.issues)
     written.append(issues_file)
-    _print_written(written)
+    print_written(written)
 
 
 @evaluate.command("reliability", cls=FilesCommand)
@@ -153,7 +145,7 @@ def evaluate_reliability(request: ScaleRequest, parsed: ParsedOptions) -> None:
         for row in rows_of_group
     ]
     written = write_results(request.out, "reliability", record=report, rows=rows, markdown=text)
-    _print_written(written)
+    print_written(written)
 
 
 @evaluate.command("ablation", cls=FilesCommand)
@@ -171,7 +163,7 @@ def evaluate_ablation(request: ScaleRequest, parsed: ParsedOptions) -> None:
     print(printable(text, lines=True))
     rows = [row.flat() for row in report.rows]
     written = write_results(request.out, "ablation", record=report, rows=rows, markdown=text)
-    _print_written(written)
+    print_written(written)
 
 
 @evaluate.command("figures", cls=FilesCommand)
@@ -213,7 +205,7 @@ def evaluate_figures(request: ScaleRequest, parsed: ParsedOptions) -> None:
         write_plot(out / "calibration.png", figures.plot_calibration(trials)),
         write_picture(out / "sheet.png", figures.draw_sheet(rows)),
     ]
-    _print_written(written)
+    print_written(written)
 
 
 evaluate.command("area")(area)

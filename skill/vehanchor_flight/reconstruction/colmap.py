@@ -168,7 +168,8 @@ def write_scaled_colmap(folder: Path, target: Path, factor: float) -> Path:
     suffix = ".bin"
     if is_text:
         suffix = ".txt"
-    cameras, images, points = (folder / f"{name}{suffix}" for name in _FILES)
+    files = [folder / f"{name}{suffix}" for name in _FILES]
+    cameras, images, points = files
     _write(target / cameras.name, _read_bytes(cameras))
     if is_text:
         scaled_images = _scaled_text(images, _TRANSLATION_COLUMN, factor, every=2)

@@ -141,12 +141,15 @@ def _positions_witness(
     normal = model_plane(model).normal
     # Axes in the ground plane, seen from above: x to the right, y down. Their turn about the
     # vertical is free, so that x can be any horizontal direction.
-    unit = np.eye(3)[np.argmin(np.abs(normal))]
+    flattest_axis = np.argmin(np.abs(normal))
+    unit = np.eye(3)[flattest_axis]
     right = np.cross(unit, normal)
     right /= np.linalg.norm(right)
     down = np.cross(right, normal)
     centres = np.array([photograph.above_ground.shot.centre for photograph in searched])
-    layout = (centres @ right + 1j * (centres @ down)) / model_gsd
+    x = centres @ right
+    y = centres @ down
+    layout = (x + 1j * y) / model_gsd
     # The model knows the poses, so that the aim of the cameras adds no error.
     witness = baseline(layout, positions, width_px=0.0)
     if witness is None:

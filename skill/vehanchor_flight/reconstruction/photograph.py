@@ -292,7 +292,8 @@ def _read_as_in_model(raster: Raster, shot: Shot, options: ScaleOptions) -> Scal
     Returns:
         The options with lines in the pixels that are read.
     """
-    if raster.orientation == 1 or not shot.lens.fits(*raster.stored_size_px()):
+    fits_stored_pixels = shot.lens.fits(*raster.stored_size_px())
+    if raster.orientation == 1 or not fits_stored_pixels:
         return options
     options = options.in_pixels(raster.grid)
     lines = []

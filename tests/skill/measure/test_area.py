@@ -404,7 +404,7 @@ def test_a_point_outside_the_frame_is_refused(segmenter: Segmenter) -> None:
 
 def test_a_cut_has_a_margin_around_the_prompt(segmenter: Segmenter) -> None:
     analysis = analyse_area(pool_among_cars(0), segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
-    part = cut_to_objects([analysis], 4000).part
+    part = cut_to_objects([analysis]).part
     # Half of 109 px around the prompt.
     assert (part.x_px, part.y_px) == (round(BOX[0] - 54.6), round(BOX[1] - 54.6))
 
@@ -412,7 +412,7 @@ def test_a_cut_has_a_margin_around_the_prompt(segmenter: Segmenter) -> None:
 def test_a_cut_shows_every_pixel_of_the_mask(segmenter: Segmenter) -> None:
     image = pool_among_cars(0)
     analysis = analyse_area(image, segmenter=segmenter, box=BOX, gsd_m_per_px=GSD)
-    cut = cut_to_objects([analysis], 4000)
+    cut = cut_to_objects([analysis])._replace(long_side_px=4000)
     part = cut.part
     rows = slice(part.y_px, part.y_px + part.height_px)
     columns = slice(part.x_px, part.x_px + part.width_px)

@@ -11,7 +11,7 @@ from tests.skill.imagery.files import HEIGHT_PX, WIDTH_PX, jpeg_with, png_with, 
 from tests.skill.imagery.test_raster import UPRIGHT
 from vehanchor import analyse_areas, measure_areas
 from vehanchor.errors import ImageTooLargeError, PromptError
-from vehanchor.measure.shapes import MAX_SHAPES, CallerPolygon, read_shapes
+from vehanchor.measure.shapes import MAX_SHAPES, CallerMask, CallerPolygon, read_shapes
 from vehanchor.options import ImageLimits
 from vehanchor.records import AreaMeasurement
 
@@ -201,6 +201,11 @@ def test_names_of_features_are_kept() -> None:
 
 
 # --- Orientation of the file
+
+
+def test_masks_of_two_rows_are_no_corners() -> None:
+    shapes = read_shapes([np.ones((2, 5), dtype=bool)] * 3)
+    assert [type(shape) for shape in shapes] == [CallerMask] * 3
 
 
 def _stored(orientation: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from vehanchor.analysis.heap import use_one_heap
+from vehanchor.analysis.heap import huge_pages_in_new_processes, use_one_heap
 from vehanchor.analysis.isolated_process import (
     IsolatedProcess,
     ignore_interrupts_and_end_with_parent,
@@ -128,7 +128,9 @@ def _rows_of_pool(
 def _submit(pool: ProcessPoolExecutor, task: Task) -> Future[BatchRow]:
     """Submit a task; a broken pool returns a future with its error, so that no task is lost."""
     try:
-        return pool.submit(_make_row, task)
+        # The first tasks start the pool's processes.
+        with huge_pages_in_new_processes():
+            return pool.submit(_make_row, task)
     except BrokenProcessPool as error:
         failed: Future[BatchRow] = Future()
         failed.set_exception(error)

@@ -21,7 +21,6 @@ _SOC = 0xFF4F
 _SIZ = 0xFF51
 _COD = 0xFF52
 _COC = 0xFF53
-_POC = 0xFF5F
 _SOT = 0xFF90
 _SOD = 0xFF93
 _EOC = 0xFFD9
@@ -32,7 +31,6 @@ _MAX_SEGMENTS = 1_000
 _MAX_TILE_PARTS = 65_536
 """Maximum number of tile-parts; a photograph of 2 gigapixels in tiles of 256 px has 30,000."""
 
-_MAX_SEGMENT_BYTES = 65_535
 _TILE_PART_HEAD_BYTES = 12
 _WHOLE_TILE_EXPONENT = 15
 """Exponent of the precincts' sides where the coding style states none."""

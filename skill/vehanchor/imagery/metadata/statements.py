@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING, TypeVar
 
 from vehanchor.imagery.metadata.makers import PIX4D
+from vehanchor.options.option import FOOT_M
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -66,10 +67,9 @@ IN_XMP = {
 the same names, the projection of the picture, and what editors did to it."""
 
 # Units that a quantity may have, each with its factor; without a unit, the factor is 1.
-_FOOT_M = 0.3048
 METRES = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
-    **dict.fromkeys(("ft", "feet", "'"), _FOOT_M),
+    **dict.fromkeys(("ft", "feet", "'"), FOOT_M),
 }
 DEGREES = dict.fromkeys(("\N{DEGREE SIGN}", "deg", "degree", "degrees"), 1.0)
 PIXELS = dict.fromkeys(("px", "pixel", "pixels"), 1.0)

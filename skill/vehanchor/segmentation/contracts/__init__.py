@@ -104,7 +104,8 @@ def recognise_contract(
     encoders = [contract.encoder_inputs for contract in CONTRACTS]
     if names.decoder_inputs in encoders:
         swapped = " (are encoder and decoder swapped?)"
-    *kinds, last = (contract.described for contract in CONTRACTS)
+    described = [contract.described for contract in CONTRACTS]
+    *kinds, last = described
     raise ModelContractError(
         f"not a promptable segmenter of a known kind{swapped}: {names}. Expected "
         f"{', '.join(kinds)}, or {last}"
