@@ -83,12 +83,12 @@ _NEGLIGIBLE_CHANCE = 0.05
 # photographs, those with many vehicles have the lowest means. Choices that cost two of 1,051 right
 # scales.
 _ODDS_PER_LOG_N = 2.5
-_ALL_THINGS_ODDS = -1.3
+_ALL_THINGS_ODDS = -0.3
 # Number of vehicles that no larger number exceeds as evidence. A choice: with 20, car parks with a
 # hundred cars lose theirs.
 _SATURATION = 10.0
 # Log odds of one vehicle count within these limits. A choice.
-_ODDS_LIMITS = (-10.5, 5.5)
+_ODDS_LIMITS = (-11.5, 4.5)
 
 
 class Examined(NamedTuple):
