@@ -78,17 +78,6 @@ _CUT_LOG_SD = 1.0
 # Chance of a drawn or another thing below which it does not count: 98 of 100 vehicles in
 # photographs have less. A choice.
 _NEGLIGIBLE_CHANCE = 0.05
-# Things of one picture are of one kind: many doubtful ones tell more than each by itself. The log
-# odds that all are things are the mean of theirs, which rises with the log of their number. Of
-# photographs, those with many vehicles have the lowest means. Choices that cost two of 1,051 right
-# scales.
-_ODDS_PER_LOG_N = 2.5
-_ALL_THINGS_ODDS = -0.3
-# Number of vehicles that no larger number exceeds as evidence. A choice: with 20, car parks with a
-# hundred cars lose theirs.
-_SATURATION = 10.0
-# Log odds of one vehicle count within these limits. A choice.
-_ODDS_LIMITS = (-11.5, 4.5)
 
 
 class Examined(NamedTuple):
@@ -155,30 +144,8 @@ class ChipAnswers(NamedTuple):
     @property
     def drawn_chances(self) -> Answers:
         """``[n]`` chances, 0..1, of a drawn or another thing; negligible ones are 0."""
-        return _noticeable(self.drawn)
-
-    def chance_of_things(self, scores: Answers) -> float:
-        """Compute the chance, 0..1, that all vehicles are drawn or are other things.
-
-        Args:
-            scores: ``[m]`` scores of these vehicles, then of further ones.
-        """
-        weights = scores[: len(self.drawn)]
-        if not weights.sum() > 0:
-            return 0.0
-        bounded = np.clip(self.drawn, *_ODDS_LIMITS)
-        mean = float(np.average(bounded, weights=weights))
-        # Weak candidates count less.
-        number = float(scores.sum())
-        telling_number = number / (1.0 + max(number - 1.0, 0.0) / _SATURATION)
-        log_odds = mean + _ODDS_PER_LOG_N * math.log(telling_number) + _ALL_THINGS_ODDS
-        return float(_noticeable(np.array(log_odds)))
-
-
-def _noticeable(log_odds: Answers) -> Answers:
-    """Compute chances ``[n]``, 0..1, of log odds; negligible ones are 0."""
-    excess = (chances_of(log_odds) - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE)
-    return np.asarray(np.maximum(excess, 0.0))
+        excess = (chances_of(self.drawn) - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE)
+        return np.asarray(np.maximum(excess, 0.0))
 
 
 def bodies(boxes: Boxes, answers: ChipAnswers) -> Boxes:
@@ -213,8 +180,7 @@ def with_appearance(
 
     The length of a short body that ends at a straight edge is less certain: a roof may hide a part
     of it.
-    A drawn or another thing is not a car: the chance of that lowers the score, and so does the
-    chance that all of them are things.
+    A drawn or another thing is not a car: the chance of that lowers the score.
 
     Args:
         network: the chip network.
@@ -249,6 +215,7 @@ def with_appearance(
         tones=body_tones(chips),
         work_chances=answers.work_chances,
         end_tones=end_tones,
+        thing_log_odds=answers.drawn,
     )
     centres = boxes[:most, :2]
     np.clip(centres, 0, image_px, out=centres)
@@ -262,7 +229,6 @@ def with_appearance(
     scores[:most] = weights.score(scores[:most], answers.logit) * photographed
     if len(boxes) > most:
         scores[most:] *= np.median(photographed)
-    scores *= 1.0 - answers.chance_of_things(scores)
     scored = Objects(boxes, scores, candidates.classes)
     return Examined(scored, appearance, answers.drawn_chances)
 

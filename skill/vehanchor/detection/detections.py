@@ -93,6 +93,8 @@ class Appearance(NamedTuple):
         end_tones: ``[n, 2, 3]`` float64, median colours of the bodies near both ends, as ``tones``:
             first of the end that a box's angle points away from; None in journals of earlier
             versions.
+        thing_log_odds: ``[n]`` float64, log odds of a drawn or another thing that is no car; None
+            in journals of earlier versions.
     """
 
     log_lengths: PerVehicle
@@ -101,6 +103,7 @@ class Appearance(NamedTuple):
     tones: Tones | None = None
     work_chances: PerVehicle | None = None
     end_tones: EndTones | None = None
+    thing_log_odds: PerVehicle | None = None
 
     def __len__(self) -> int:
         return len(self.log_lengths)
@@ -114,6 +117,7 @@ class Appearance(NamedTuple):
             tones=_taken_if_known(self.tones, which),
             work_chances=_taken_if_known(self.work_chances, which),
             end_tones=_taken_if_known(self.end_tones, which),
+            thing_log_odds=_taken_if_known(self.thing_log_odds, which),
         )
 
     @classmethod
@@ -126,6 +130,7 @@ class Appearance(NamedTuple):
             tones=_joined_if_known([part.tones for part in parts]),
             work_chances=_joined_if_known([part.work_chances for part in parts]),
             end_tones=_joined_if_known([part.end_tones for part in parts]),
+            thing_log_odds=_joined_if_known([part.thing_log_odds for part in parts]),
         )
 
 

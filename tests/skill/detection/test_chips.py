@@ -280,20 +280,6 @@ def test_drawn_things_are_no_vehicles(tmp_path: Path, four_vehicles: Painted) ->
     assert found[1] == 0
 
 
-def test_many_doubtful_things_are_surer_than_one() -> None:
-    doubtful = [_made_answers(n, drawn=np.full(n, -1.5)) for n in (1, 8)]
-    alone, together = (
-        answers.chance_of_things(np.full(len(answers.drawn), 0.9)) for answers in doubtful
-    )
-    assert alone == 0.0
-    assert together > 0.5
-
-
-def test_no_number_of_clear_cars_is_doubted() -> None:
-    cars = _made_answers(64, drawn=np.full(64, -8.0))
-    assert cars.chance_of_things(np.full(500, 0.99)) == 0.0
-
-
 _EDGES = (-0.45, 0.45, -0.18, 0.18)
 """Edges of bodies that are a tenth shorter than their boxes."""
 

@@ -11,6 +11,7 @@ from vehanchor.detection.detections import Appearance
 from vehanchor.detection.detector_errors import DetectorErrors
 from vehanchor.rulers.look_alikes import (
     chance_of_look_alikes,
+    chance_of_things,
     end_evidence,
     heading_evidence,
     proportion_evidence,
@@ -216,3 +217,16 @@ def test_cars_of_one_paint_have_no_shadows() -> None:
     headings = np.zeros(10)
     alike = end_evidence(white, headings, LOOK_ALIKES.ends)
     assert alike < end_evidence(shadow, headings, LOOK_ALIKES.ends)
+
+
+def test_many_doubtful_things_are_surer_than_one() -> None:
+    assert chance_of_things(np.full(1, -2.7), 1) == 0.0
+    assert chance_of_things(np.full(8, -2.7), 8) > 0.5
+
+
+def test_no_number_of_clear_cars_is_things() -> None:
+    assert chance_of_things(np.full(64, -9.0), 500) == 0.0
+
+
+def test_no_examined_vehicle_shows_no_things() -> None:
+    assert chance_of_things(np.zeros(0), 3) == 0.0
