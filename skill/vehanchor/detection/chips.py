@@ -19,11 +19,10 @@ import numpy as np
 
 from vehanchor.detection.boxes import box_axes, canonical_boxes
 from vehanchor.detection.card import ChipCard
-from vehanchor.detection.detections import Appearance, Objects
+from vehanchor.detection.detections import Appearance, Objects, thing_chances
 from vehanchor.detection.hidden_ends import cut_chances, edge_strengths, hidden_errors
 from vehanchor.detection.verifier import AuxiliaryModel, Weights, surroundings
 from vehanchor.imagery.tiles import read_around
-from vehanchor.odds import chances_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,9 +74,6 @@ _MAX_SIZE = (1.6, 0.9)
 # Standard deviation of the log of a length or width that the image border cuts: a choice, so large
 # that it counts nothing.
 _CUT_LOG_SD = 1.0
-# Chance of a drawn or another thing below which it does not count: 98 of 100 vehicles in
-# photographs have less. A choice.
-_NEGLIGIBLE_CHANCE = 0.05
 
 
 class Examined(NamedTuple):
@@ -144,8 +140,7 @@ class ChipAnswers(NamedTuple):
     @property
     def drawn_chances(self) -> Answers:
         """``[n]`` chances, 0..1, of a drawn or another thing; negligible ones are 0."""
-        excess = (chances_of(self.drawn) - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE)
-        return np.asarray(np.maximum(excess, 0.0))
+        return thing_chances(self.drawn)
 
 
 def bodies(boxes: Boxes, answers: ChipAnswers) -> Boxes:

@@ -9,6 +9,7 @@ import numpy as np
 
 from vehanchor.detection.boxes import oriented_iou
 from vehanchor.errors import InvalidParameterError
+from vehanchor.odds import chances_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,6 +42,9 @@ _STATED_SCORE = 0.99
 _POINTED_SD_PX = 2.0
 # IoU from which two added vehicles are one.
 _SAME_VEHICLE_IOU = 0.5
+# Chance of a drawn or another thing below which it does not count. Of 14,927 vehicles that the
+# search keeps in 1,905 photographs 4 of 100 have more. A choice.
+_NEGLIGIBLE_CHANCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +136,12 @@ class Appearance(NamedTuple):
             end_tones=_joined_if_known([part.end_tones for part in parts]),
             thing_log_odds=_joined_if_known([part.thing_log_odds for part in parts]),
         )
+
+
+def thing_chances(log_odds: PerVehicle) -> PerVehicle:
+    """Compute the chances ``[n]``, 0..1, of things from their log odds; negligible ones are 0."""
+    excess = (chances_of(log_odds) - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE)
+    return np.asarray(np.maximum(excess, 0.0))
 
 
 def _taken_if_known(

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vehanchor.detection.detections import thing_chances
 from vehanchor.odds import chance_of
 from vehanchor.scale.reliability import SD_PER_MEDIAN_DEVIATION, normal_density
 
@@ -73,8 +74,6 @@ _ALL_THINGS_ODDS = -0.3
 _THINGS_SATURATION = 10.0
 # Log odds of one vehicle count within these limits. A choice.
 _ODDS_LIMITS = (-11.5, 4.5)
-# Chance that all are things below which it does not count. A choice.
-_NEGLIGIBLE_CHANCE = 0.05
 # Largest absolute log odds: no doubt is certain, and none is excluded.
 _MAX_LOG_ODDS = 20.0
 
@@ -140,8 +139,7 @@ def chance_of_things(log_odds: Values, n: int) -> float:
         return 0.0
     mean = float(np.clip(log_odds, *_ODDS_LIMITS).mean())
     rise = _ODDS_PER_LOG_N * _log_telling_number(n, _THINGS_SATURATION)
-    chance = chance_of(mean + rise + _ALL_THINGS_ODDS)
-    return max(0.0, (chance - _NEGLIGIBLE_CHANCE) / (1.0 - _NEGLIGIBLE_CHANCE))
+    return float(thing_chances(np.array(mean + rise + _ALL_THINGS_ODDS)))
 
 
 def _light_share(tones: Values) -> float:
